@@ -1,1 +1,1 @@
-"""Compiled kernels, array checks, threads, worker processes and claims."""
+"""Compiled kernels, array checks, threads, worker processes and claims of objects."""

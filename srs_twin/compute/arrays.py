@@ -19,16 +19,17 @@ Array = NDArray[np.float64]
 """Array of floating-point numbers."""
 
 LARGEST_PLAUSIBLE = 1e9
-"""Maximum plausible magnitude of any quantity in SI units. Pressures of a snake reach
-1e7 Pa, and positions reach 1e6 m."""
+"""Maximum plausible magnitude of any quantity in SI units. Pressures of a snake
+reach 1e7 Pa, and positions reach 1e6 m.
+"""
 
 _BLAS_LOCK = threading.RLock()
 
 
 def is_plausible(*quantities: Any) -> bool:
     """Return whether all elements are finite and smaller than `LARGEST_PLAUSIBLE`."""
-    # The sum of squares is tested first. It decides almost all cases in half a
-    # microsecond per array, without warnings.
+    # The test of the sum of squares decides almost all cases in half a microsecond per
+    # array, without warnings.
     if sum(np.vdot(values, values) for values in quantities) < LARGEST_PLAUSIBLE**2:
         return True
     return all(first_implausible(values) is None for values in quantities)
@@ -46,13 +47,7 @@ def first_implausible(values: Any) -> float | None:
 def check_positive(name: str, value: Any, unit: str = "") -> None:
     """Check that a number, or every element of an array, is finite and above 0.
 
-    Args:
-        name: name of the quantity.
-        value: number or array.
-        unit: unit of the quantity.
-
-    Raises:
-        InputError: a number is not finite or not above 0.
+    `name` and `unit` appear in the error message.
     """
     if not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
         shown = f"{value!r} {unit}".strip()
@@ -67,19 +62,16 @@ def one_blas_thread() -> Iterator[None]:
 
     OpenBLAS splits sums between its threads. The last digits of products of matrices
     larger than about 100 × 100 therefore depend on the number of threads. The limit
-    applies to the whole process. Blocks in several Python threads are serialised,
-    because the first block to end would otherwise remove the limit for the others.
+    applies to the whole process. Therefore only one Python thread at a time can be in
+    such a block: the first thread that leaves its block would otherwise remove the
+    limit for the other threads.
     """
     with _BLAS_LOCK, ThreadpoolController().limit(limits=1, user_api="blas"):
         yield
 
 
 def blas_kernels() -> tuple[str, ...]:
-    """Return the names of the BLAS kernels of NumPy and SciPy, such as `SkylakeX`.
-
-    Libraries of other packages, and libraries without this information, are not
-    included.
-    """
+    """Return the names of the BLAS kernels of NumPy and SciPy, such as `SkylakeX`."""
     import scipy.linalg  # noqa: F401  loads SciPy's own BLAS library
 
     packages = Path(np.__file__).parents[1]
@@ -101,11 +93,9 @@ Record = TypeVar("Record")
 
 
 def concatenate_records(records: Sequence[Record]) -> Record:
-    """Concatenate records of arrays along their first axis, the samples.
+    """Concatenate named tuples of arrays along the first axis (samples).
 
-    Args:
-        records: one or more records of the same type, whose shapes differ only in the
-            number of samples. A single record is returned without a copy.
+    A single record is returned without a copy.
     """
     if len(records) == 1:
         return records[0]

@@ -1,11 +1,13 @@
-"""Claims of objects that serve one thread at a time.
+"""Exclusive use of an object by one thread at a time.
 
 Plants, controllers, batches and environments change while they run. A second thread
-would continue from half a step, or crash the engine. `rollout` therefore claims its
-plant and its controller until it ends. A method in `claiming_methods` claims its object
-while it runs. A thread may claim an object again that it has already claimed.
+would continue from an incomplete time step, or crash the physics engine. `rollout`
+therefore claims its plant and its controller until it ends. A method listed in
+`claiming_methods` claims its object while the method runs. A thread may claim an object
+that it has already claimed.
 
-Claims are stored outside the objects, so that copies and pickles have none.
+Claims are stored outside the objects, so that copies and pickles of an object are not
+claimed.
 """
 
 from __future__ import annotations
@@ -22,20 +24,16 @@ from srs_twin.errors import InputError
 from srs_twin.io.saved_state import DeepCopied
 
 _HOLDERS: dict[int, int] = {}
-"""Identity of each claimed object → the thread that claimed it."""
+"""Identifier of the thread that claimed each object, by the `id` of the object."""
 
 if hasattr(os, "register_at_fork"):
-    # The child process has none of the other threads of its parent.
+    # After a fork, the other threads of the parent process do not exist in the child
+    # process.
     os.register_at_fork(after_in_child=_HOLDERS.clear)
 
 
 class Claimable(DeepCopied):
-    """Base class of objects that one thread uses at a time.
-
-    Attributes:
-        claiming_methods: names of the methods that claim the object while they run,
-            also in subclasses.
-    """
+    """Base class of objects that only one thread may use at a time."""
 
     claiming_methods: ClassVar[tuple[str, ...]] = (
         *("reset", "step", "advance", "play", "place", "save", "restore", "render"),
@@ -59,8 +57,9 @@ def _claiming(method: Callable[..., Any]) -> Callable[..., Any]:
         thread = get_ident()
         if _HOLDERS.get(key) == thread:
             return method(self, *arguments, **options)
-        # An interrupt may arrive after any call. The claim is therefore made inside the
-        # block that ends it, and the end of the block calls nothing.
+        # An interrupt may arrive after any function call. The object is therefore
+        # claimed inside the `try` block that releases it, and the release calls no
+        # function.
         try:
             _acquire(self, thread)
             return method(self, *arguments, **options)
@@ -77,11 +76,7 @@ _CLAIMING = _claiming(id).__code__
 
 @contextmanager
 def claim(item: object) -> Iterator[None]:
-    """Claim an object within a `with` block.
-
-    Raises:
-        InputError: another thread has claimed it.
-    """
+    """Claim an object within a `with` block."""
     key = id(item)
     thread = get_ident()
     ours = _HOLDERS.get(key) == thread

@@ -1,10 +1,10 @@
 """Numba compilation with a disk cache that detects changes in inlined functions.
 
-Numba optimises every function by itself and again in each caller, and turns all of them
-into machine code. Here a function that a kernel calls is a *part* of the kernel
-(`_PartLibrary`). It is turned into machine code only once, together with the function
-that Python calls. Only the function that Python calls has a Python wrapper and a cache
-on disk.
+By default, Numba optimises every function separately and again in each caller, and
+generates machine code for each function. Here a function that a kernel calls is a
+*part* of the kernel (`_PartLibrary`). Machine code is generated only once, for the
+function that Python calls together with its parts. Only the function that Python calls
+has a Python wrapper and a cache on disk.
 """
 
 # ruff: noqa: SLF001 - caches and code libraries of numba have no public names
@@ -34,8 +34,8 @@ from srs_twin.errors import CacheWarning
 
 Function = Callable[..., Any]
 
-# These optimisations may change the order of sums, but not the treatment of infinities
-# and NaN.
+# These optimisations may change the order of sums, but they preserve the treatment of
+# infinities and NaN.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {
     "nogil": True,
@@ -45,25 +45,25 @@ _OPTIONS: Any = {
     "no_cfunc_wrapper": True,  # no kernel is called from C
 }
 # Reference counts take most of the time of a small kernel. A kernel that creates no
-# arrays does not need them.
+# arrays does not need reference counts.
 _NO_REFCOUNTS: Any = {"_nrt": False}
 _CONSTANT_TYPES = (bool, int, float, complex, str, type(None))
 _warned: list[str] = []
-"""Reason of the warning that this process has issued, if any."""
+"""Reason stated in the warning that this process has issued, if any."""
 _notices: list[Callable[[], None]] = []
 """Function to call before the first compilation, if any."""
 
 
 def notify_first_compilation(notice: Callable[[], None]) -> None:
-    """Call a function once, before this process compiles a kernel for the first time."""
+    """Call a function once before this process compiles its first kernel."""
     _notices[:] = [notice]
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Code of a part of kernels, which stays an intermediate representation."""
+    """Code of a part of a kernel. The code remains in intermediate representation."""
 
     def finalize(self) -> None:
-        """Declare the global variables that numba sets, but emit no machine code."""
+        """Declare the global variables that Numba sets, but no machine code."""
         self._raise_if_finalized()
         names = [variable.name for variable in self._final_module.global_variables]
         lines = [
@@ -94,7 +94,8 @@ class _PartLibrary(JITCodeLibrary):
                     not function.is_declaration
                     and function.linkage == llvm.Linkage.external
                 ):
-                    function.linkage = "linkonce_odr"  # several kernels may contain it
+                    # several kernels may contain this function
+                    function.linkage = "linkonce_odr"
             self._shared_module = module
         return self._shared_module
 
@@ -119,8 +120,8 @@ class _PartCompiler(Compiler):
         super().__init__(typing_context, target_context, library, *rest)  # type: ignore[no-untyped-call]  # numba has no types
 
 
-# A Python wrapper for functions with records of arrays as arguments takes longer to
-# compile than the functions themselves.
+# Compiling a Python wrapper for a function with records of arrays as arguments takes
+# longer than compiling the function.
 _PART_OPTIONS: Any = _OPTIONS | {
     "no_cpython_wrapper": True,
     "pipeline_class": _PartCompiler,
@@ -131,13 +132,13 @@ class Kernel:
     """Compiled function that Python and other kernels can call.
 
     Attributes:
-        entry: numba dispatcher for calls from Python.
-        part: numba dispatcher for calls from other kernels.
-        py_func: uncompiled function.
+        entry: Numba dispatcher for calls from Python.
+        part: Numba dispatcher for calls from other kernels.
+        py_func: Python function before compilation.
     """
 
     def __init__(self, function: Function, options: Mapping[str, Any]) -> None:
-        """Prepare the compilation with further numba options."""
+        """Prepare the compilation with additional Numba options."""
         functools.update_wrapper(self, function)
         self.py_func = function
         self.entry = _with_cache(njit(**_OPTIONS, **options)(function), function)
@@ -156,20 +157,21 @@ class Kernel:
 def compiled(function: Function) -> Kernel:
     """Compile a function that creates no arrays, and cache its machine code on disk.
 
-    The function is compiled on its first call, and runs without the interpreter's lock.
+    The function is compiled on its first call, and runs without the global interpreter
+    lock.
 
     Numba's own cache is valid as long as the source file of the function is unchanged.
-    It does not detect changes in inlined functions from other files, such as a
-    corrected friction law. This cache is valid as long as a digest of the bytecode of
-    the function, of all called kernels and of their constants is unchanged. Without a
-    writable cache folder, every process compiles its kernels and issues one
+    Numba does not detect changes in inlined functions from other files, such as a
+    corrected friction law. The cache of this module is valid as long as a digest of the
+    bytecode of the function, of all called kernels and of their constants is unchanged.
+    If no cache folder is writable, every process compiles its kernels and issues one
     `CacheWarning`.
     """
     return Kernel(function, _NO_REFCOUNTS)
 
 
 def allocating(function: Function) -> Kernel:
-    """Compile a function that creates arrays, otherwise like `compiled`."""
+    """Compile a function that creates arrays. See `compiled` for the cache."""
     return Kernel(function, {})
 
 
@@ -182,14 +184,15 @@ def kernel_only(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """Copy a function that only kernels call into its callers before optimisation.
 
-    The order of sums in a kernel then does not depend on how it is divided into
-    functions.
+    The order of sums in a kernel then does not depend on the division of the kernel
+    into functions.
     """
     part: Function = njit(**_PART_OPTIONS, **_NO_REFCOUNTS, inline="always")(function)
     return part
 
 
-# Functions that are chosen by types return no arrays, so they need no reference counts.
+# Functions that are selected by types return no arrays, so they need no reference
+# counts.
 overload_part: Function = functools.partial(
     overload, jit_options=_PART_OPTIONS | _NO_REFCOUNTS
 )
@@ -205,8 +208,8 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Func
     """Return a decorator like `kernel_only` for calls that a condition enables.
 
     Args:
-        condition: function that decides on the numba type of the first argument. If it
-            is false, the call is compiled to nothing.
+        condition: function of the Numba type of the first argument. If it returns
+            False, the call generates no code.
         otherwise: number or tuple of numbers that a disabled call returns.
     """
 
@@ -249,24 +252,24 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Func
 def _with_cache(dispatcher: Any, function: Function) -> Function:
     try:
         dispatcher._cache = _Cache(function)
-    except RuntimeError:  # numba found no writable folder
+    except RuntimeError:  # Numba found no writable folder
         _warn("no cache folder is writable")
     kernel: Function = dispatcher
     return kernel
 
 
 class _Cache(FunctionCache):
-    """Cache of one function that is disabled if its folder cannot be used.
+    """Disk cache of one function, which is disabled if its folder cannot be used.
 
-    A folder that other users can write to is not used, because cache files are pickles,
-    which can execute code.
+    The cache is also disabled if other users can write to the folder. Cache files are
+    pickles, and a pickle can execute code.
     """
 
     def load_overload(self, sig: object, target_context: object) -> Any:
-        """Return the cached machine code for a signature, or None.
+        """Return the cached machine code for a signature, or None if there is none.
 
-        The digest is computed at the first call, because all names that the function
-        uses exist by then.
+        The digest is computed on the first call, because all names that the function
+        uses are defined by then.
         """
         self._cache_file._source_stamp = _source_stamp(self._py_func)
         if (reason := _why_unsafe(Path(self._cache_path))) is not None:
@@ -279,21 +282,22 @@ class _Cache(FunctionCache):
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
-        """Continue without the cache after errors that numba would raise."""
+        """Continue without the cache after errors that Numba would raise."""
         try:
             yield
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
         except (ReferenceError, AttributeError, ModuleNotFoundError):
-            # The index may refer to a kernel that was an argument in another process,
-            # or to a function that has since been removed. A new index is started.
+            # The cache index may refer to a kernel that was an argument in another
+            # process, or to a function that no longer exists. The index is therefore
+            # replaced by an empty index.
             self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError):
             _warn(f"{self._cache_path}: a damaged file; remove the folder")
 
 
 def _why_unsafe(folder: Path) -> str | None:
-    """Return why other users can write to a folder, or None if they cannot."""
+    """Return why other users can write to a folder, or None if they cannot write."""
     if not hasattr(os, "getuid"):
         return None
     for path in (folder, folder.parent):
@@ -318,7 +322,7 @@ def _why_unsafe(folder: Path) -> str | None:
 
 
 def _is_own_group(number: int) -> bool:
-    """Return whether a group is the personal group that many systems give each user."""
+    """Return whether a group contains only one user, as on many Linux systems."""
     import grp
     import pwd
 
@@ -331,7 +335,7 @@ def _is_own_group(number: int) -> bool:
 
 
 def _warn(reason: str, requirement: str = "that you can write to") -> None:
-    """Warn once per process, because further kernels would fail for the same reason."""
+    """Warn once per process, because other kernels would fail for the same reason."""
     if _warned:
         return
     _warned.append(reason)
@@ -380,11 +384,11 @@ def _code_parts(
 def _value_parts(
     name: str, values: Iterable[object], seen: set[CodeType]
 ) -> Iterator[str]:
-    """Yield the values of a name as text, for functions by `_code_parts`."""
+    """Yield the values of a global name as text."""
     for value in values:
         function = getattr(value, "py_func", value)
         if isinstance(function, FunctionType):
-            yield (  # machine code contains this name
+            yield (  # the machine code contains this name
                 f"{function.__module__}.{function.__qualname__}"
             )
             yield from _code_parts(function.__code__, function.__globals__, seen)

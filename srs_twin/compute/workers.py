@@ -1,13 +1,14 @@
 """Execution of numbered tasks on threads or in worker processes.
 
-`Workers` is a pool of threads for tasks that release the interpreter's lock.
-`run_tasks` runs tasks in worker processes and survives the death of a worker.
+`Workers` is a pool of threads for tasks that release the global interpreter lock.
+`run_tasks` executes tasks in worker processes and continues if a worker process dies.
 
-On Linux, worker processes are forked from the fork server of multiprocessing, a
-separate process that has imported the required modules once. A worker then starts in
-hundredths of a second instead of one or two seconds. On other systems, where forks are
-unsafe, every worker is a new process. docs/decisions/worker-processes.md compares this
-design with the pools of libraries.
+On Linux, worker processes are forked from the fork server of `multiprocessing`. The
+fork server is a separate process that has imported the required modules once. A forked
+worker starts in hundredths of a second, while a new process takes one or two seconds.
+On other systems, where forks are unsafe, every worker is a new process. The page
+docs/decisions/worker-processes.md compares this design with the process pools of
+libraries.
 """
 
 from __future__ import annotations
@@ -42,21 +43,14 @@ IsCancelled = Callable[[], bool]
 
 
 class Workers:
-    """Pool of threads for tasks that release the interpreter's lock.
-
-    Attributes:
-        threads: number of threads.
-    """
+    """Pool of threads for tasks that release the interpreter's lock."""
 
     def __init__(self, threads: int | None = None) -> None:
-        """Create the pool. Its threads start with the first task.
+        """Create the pool. The threads start with the first task.
 
         Args:
-            threads: number of threads, by default one per processor. With 1, tasks run
-                on the calling thread.
-
-        Raises:
-            InputError: the number of threads is less than 1.
+            threads: number of threads, by default one per processor. With one thread,
+                tasks are executed on the calling thread.
         """
         self.threads = processor_count() if threads is None else threads
         if self.threads < 1:
@@ -73,18 +67,18 @@ class Workers:
         task: Callable[[int, IsCancelled], Returned],
         progress: Callable[[int], None] | None = None,
     ) -> list[Returned]:
-        """Run tasks 0 … count − 1 and return their results in order.
+        """Execute the tasks 0 … count − 1 and return their results in order.
 
-        If tasks fail, the error of the first failed task by number is raised, as in a
-        loop. All tasks before it have then finished. An interrupt (Ctrl-C) is raised
-        when the running tasks have ended.
+        If several tasks fail, the error of the task with the smallest number is raised,
+        as in a loop. All tasks with smaller numbers have then finished. An interrupt
+        (Ctrl-C) is raised when the running tasks have ended.
 
         Args:
             count: number of tasks.
             task: function of the task number and of an `IsCancelled` function. A
                 cancelled task may return any value or raise any exception.
-            progress: function of the number of finished tasks, called on the calling
-                thread.
+            progress: function of the number of finished tasks. It is called on the
+                calling thread.
         """
         progress = progress or (lambda done: None)
         if self._pool is None:
@@ -125,9 +119,9 @@ def processor_count() -> int:
 
 START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 GRACE_S = 2.0
-"""Time for a worker to clean up its task before it is killed, s."""
+"""Time for a worker to clean up before it is killed, s."""
 
-# The parent process already warns of kernels that cannot be cached.
+# The parent process already warns that kernels cannot be cached.
 _WARNINGS = (
     os.environ.get("PYTHONWARNINGS"),
     "ignore::UserWarning:srs_twin.compute.compiled",
@@ -135,8 +129,8 @@ _WARNINGS = (
 _ENVIRONMENT = {
     # Workers must not import modules from the current folder.
     "PYTHONSAFEPATH": "1",
-    # Libraries get no threads of their own: there are as many workers as processors,
-    # and a forked process should have a single thread.
+    # Each library in a worker may use only one thread, because there is one worker per
+    # processor, and a forked process should have a single thread.
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
 }
@@ -146,18 +140,17 @@ _preloaded: list[str] = []
 
 
 def start_server(preload: str | None = None) -> None:
-    """Start the fork server, if it is needed and not running, without waiting for it.
+    """Start the fork server if it is needed, and do not wait until it runs.
 
-    Args:
-        preload: module that the server imports in advance.
+    `preload` is a module that the fork server imports in advance.
     """
     if START_METHOD != "forkserver":
         return
     if preload is not None:
         _preloaded[:] = [preload]
     forkserver.set_forkserver_preload(_preloaded)  # instead of the main program
-    # The tracker is started first, because inside the block below it would unblock
-    # Ctrl-C.
+    # The resource tracker is started first. If it were started in the block below, it
+    # would unblock Ctrl-C.
     resource_tracker.ensure_running()
     before = dict(os.environ)
     os.environ.update(_ENVIRONMENT)
@@ -174,8 +167,8 @@ def start_server(preload: str | None = None) -> None:
 def _interrupts_blocked() -> Iterator[None]:
     """Block SIGINT (Ctrl-C) while processes are started.
 
-    A process started in the block ignores the signal, and this process receives it
-    afterwards.
+    A process that is started in the block ignores the signal. The current process
+    receives the signal after the block.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -186,11 +179,11 @@ def _interrupts_blocked() -> Iterator[None]:
 
 @contextmanager
 def _empty_main_module() -> Iterator[None]:
-    """Replace the main module by an empty one, like the main module of a worker.
+    """Replace the main module by an empty module, like the main module of a worker.
 
-    Otherwise multiprocessing would import the main program in each worker, and a script
-    without ``__name__ == "__main__"`` would run again. Pickling also fails early for
-    objects that only the main program defines.
+    Otherwise `multiprocessing` would import the main program in each worker, and would
+    execute a script without ``__name__ == "__main__"`` again. With the empty module,
+    pickling fails immediately for objects that only the main program defines.
     """
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -205,10 +198,9 @@ class TaskResult(Generic[Result]):
     """Result or error of one task.
 
     Attributes:
-        number: index of the argument.
-        result: return value, or None after an error.
-        error: `SrsError` of the task, `TaskFailedError` for another exception,
-            `WorkerDiedError` if its workers died, or None.
+        error: exception if the task failed, otherwise None. An `SrsError` is the
+            exception of the task, a `TaskFailedError` stands for another exception, and
+            a `WorkerDiedError` means that the workers of the task died.
     """
 
     number: int
@@ -223,11 +215,11 @@ def run_tasks(
     workers: int | None = None,
     attempts: int = 3,
 ) -> Generator[TaskResult[Result], None, None]:
-    """Run a function in worker processes and yield results in the order of completion.
+    """Call a function in worker processes and yield the results in order of completion.
 
-    If a worker dies (killed, out of memory, a crash in compiled code), its task is
-    repeated in a new worker. Workers ignore Ctrl-C. They end when the generator is
-    closed or this process ends.
+    If a worker dies (because it was killed, ran out of memory or crashed in compiled
+    code), a new worker repeats the task. Workers ignore Ctrl-C. The workers end when
+    the generator is closed or the parent process ends.
 
     Args:
         task: function called in a worker. The function, its arguments and its results
@@ -235,13 +227,7 @@ def run_tasks(
         arguments: one argument per task.
         workers: number of processes, by default one per processor and at most one per
             task.
-        attempts: number of workers that may die on a task before it fails.
-
-    Raises:
-        InputError: fewer than one worker or attempt was requested, or the task or an
-            argument cannot be pickled or is defined only in the main program.
-        TaskFailedError: the task cannot be imported.
-        WorkerDiedError: ``attempts`` workers in a row died before their first task.
+        attempts: number of workers that may die during a task before the task fails.
     """
     count = processor_count() if workers is None else workers
     for name, value in (("workers", count), ("attempts", attempts)):
@@ -260,7 +246,7 @@ def run_tasks(
 
 
 class _TaskRun:
-    """State of one `run_tasks`: waiting tasks, finished tasks, and workers."""
+    """State of one call of `run_tasks`: waiting tasks, finished tasks and workers."""
 
     def __init__(
         self, program: bytes, packed: Sequence[bytes], count: int, attempts: int
@@ -271,8 +257,9 @@ class _TaskRun:
         self._attempts = attempts
         self._waiting = deque(range(len(packed)))
         self._finished = deque[TaskResult[Any]]()
-        self._deaths = [0] * len(packed)  # of workers, per task
-        self._failed_starts = 0  # consecutive deaths before the first task
+        self._deaths = [0] * len(packed)  # number of workers that died, per task
+        # number of consecutive workers that died before their first task
+        self._failed_starts = 0
         self._last_failed_start = 0.0
         self._workers: list[_Worker] = []
 
@@ -285,7 +272,8 @@ class _TaskRun:
                 ):
                     self._workers.append(_Worker(self._program))
                 self._assign_tasks()
-                if self._finished:  # yield only while all workers are busy
+                # results are yielded only while all workers are busy
+                if self._finished:
                     remaining -= 1
                     yield self._finished.popleft()
                 else:
@@ -305,12 +293,7 @@ class _TaskRun:
                     worker.number = self._waiting.popleft()
 
     def _wait(self) -> None:
-        """Wait until workers report or die, and handle these events.
-
-        Raises:
-            SrsError: the task cannot be imported, or workers died before their first
-                task.
-        """
+        """Wait until a worker reports or dies, and handle the event."""
         handles = [
             handle
             for worker in self._workers
@@ -359,9 +342,8 @@ class _Worker:
 
     Attributes:
         start_time: start time on the monotonic clock, s.
-        ready: whether it has reported that it can run tasks.
-        number: number of its current task, or None.
-        pipe: connection for pickled arguments and results.
+        ready: whether the worker has reported that it can execute tasks.
+        number: number of the current task, or None if the worker is idle.
     """
 
     def __init__(self, program: bytes) -> None:
@@ -369,17 +351,14 @@ class _Worker:
         self.ready = False
         self.number: int | None = None
         self.pipe, remote_pipe = Pipe()
-        # The fork server may be older than the plug-ins of this process.
+        # The fork server may have started before the extensions of this process were
+        # loaded.
         plugins = os.environ.get(PLUGINS, "")
         self.process = _start_process(_worker_main, (remote_pipe, program, plugins))
         remote_pipe.close()
 
     def receive(self) -> tuple[object, Exception | None]:
-        """Return the result and the error of a task, of which one is None.
-
-        Raises:
-            EOFError, OSError: the worker has died.
-        """
+        """Return the result and the error of a task. One of the two is None."""
         # If the fork server has died, the pipe does not report the end of the file.
         if not self.pipe.poll():
             raise EOFError
@@ -387,7 +366,7 @@ class _Worker:
         return answer
 
     def end(self, deadline: float) -> int:
-        """Return the exit code of the process, which is killed at the deadline."""
+        """Return the exit code of the process. It is killed at the deadline."""
         self.process.join(max(0.0, deadline - time.monotonic()))
         self.process.kill()
         self.process.join()
@@ -402,7 +381,7 @@ def _start_process(
 ) -> BaseProcess:
     """Start a process that ignores Ctrl-C.
 
-    The start is retried for a while, because the fork server may have just died.
+    The start is repeated for a while if the fork server has just died.
     """
     deadline = time.monotonic() + GRACE_S
     while True:
@@ -410,7 +389,7 @@ def _start_process(
         process = get_context(START_METHOD).Process(  # type: ignore[attr-defined]
             target=target, args=arguments, daemon=True
         )
-        # Child processes inherit from the fork server that they ignore Ctrl-C.
+        # Child processes inherit the setting to ignore Ctrl-C from the fork server.
         blocked = (
             nullcontext() if START_METHOD == "forkserver" else _interrupts_blocked()
         )
@@ -450,7 +429,8 @@ def _call_and_pickle(call: Callable[[], Any]) -> bytes:
         return pickle.dumps((call(), None))
     except Exception as error:  # any error is reported, and the worker continues
         reported = error if isinstance(error, SrsError) else TaskFailedError(error)
-        # Tracebacks cannot be pickled, but a note is printed with the error.
+        # Tracebacks cannot be pickled, so the traceback is added to the error as a
+        # note.
         reported.add_note("".join(traceback.format_exception(error)))
         try:
             return pickle.dumps((None, reported))
@@ -459,16 +439,16 @@ def _call_and_pickle(call: Callable[[], Any]) -> bytes:
 
 
 def _receive_arguments(pipe: Connection, arguments: queue.SimpleQueue[bytes]) -> None:
-    """Receive arguments, and end the worker when the parent closes the pipe."""
+    """Receive arguments, and end the worker when the parent process closes the pipe."""
     with suppress(EOFError, OSError):
         while True:
             arguments.put(pipe.recv_bytes())
-    # The main thread waits for arguments, and only a signal interrupts this wait.
+    # The main thread waits for arguments, and only a signal can interrupt this wait.
     signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
     time.sleep(GRACE_S / 2)
     os._exit(1)
 
 
 def _raise_exit(number: int, frame: object) -> None:
-    """Raise SystemExit in the current task, so that its clean-up code runs."""
+    """Raise SystemExit in the current task, so that the task can clean up."""
     raise SystemExit(128 + number)

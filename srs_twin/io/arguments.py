@@ -1,7 +1,7 @@
 """Type checks of the arguments of public functions against their annotations.
 
-A check runs once per call and never per time step. It reports a wrong type in the words
-of the command line.
+The types are checked once per call, not once per time step. The error messages use the
+terms of the command line.
 """
 
 from __future__ import annotations
@@ -27,7 +27,9 @@ from srs_twin.errors import InputError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _CONVERSIONS = {float: "__float__", int: "__index__"}
-"""Number type → method of all objects that convert to it, such as NumPy numbers."""
+"""Method of all objects that can be converted to a number type, such as NumPy
+numbers.
+"""
 
 _DESCRIPTIONS = {
     "float": "a number",
@@ -47,16 +49,11 @@ _DESCRIPTIONS = {
     "Scenario": "a Scenario, such as load_scenario('gen2_straight')",
     "Problem": "a Problem; plan_scenario plans a scenario",
 }
-"""Name of a type → its description in messages."""
+"""Description of each type in messages."""
 
 
 def checked(function: Function) -> Function:
-    """Return a function that checks the types of its arguments against its annotations.
-
-    Raises:
-        InputError: (by the returned function) an argument has another type; the message
-            says what is allowed.
-    """
+    """Return a function that checks the types of its arguments."""
     names = tuple(signature(function).parameters)
     owner = function.__qualname__.removesuffix(".__init__")
 
@@ -73,16 +70,7 @@ def checked(function: Function) -> Function:
 def check_types(
     owner: str, annotated: Callable[..., Any], values: Mapping[str, object]
 ) -> None:
-    """Check the types of values against the annotations of a function or class.
-
-    Args:
-        owner: name of the function or class in messages.
-        annotated: function or class whose annotations are importable at run time.
-        values: values by name. Names without annotation are ignored.
-
-    Raises:
-        InputError: a value has another type.
-    """
+    """Check the types of values against the annotations of a function or class."""
     kinds = _kinds(annotated)
     for name, value in values.items():
         if name in kinds and not _accepts(kinds[name], value):
@@ -100,7 +88,7 @@ def _kinds(annotated: Callable[..., Any]) -> dict[str, Any]:
 def _accepts(kind: Any, value: object) -> bool:
     """Return whether a value has the annotated type.
 
-    Elements of sequences are checked, elements of mappings are not.
+    Elements of sequences are checked, but elements of mappings are not.
     """
     origin = get_origin(kind) or kind
     parts = get_args(kind)

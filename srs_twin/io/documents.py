@@ -1,9 +1,9 @@
 """YAML documents with the line and column of every value, for error messages.
 
 Documents follow YAML 1.2 with the core schema. A file is parsed event by event, so that
-limits apply before data are built. Anchors, aliases, tags, directives, merge keys and
-several documents are rejected. PyYAML's own loaders are not suitable, because they have
-no positions and read YAML 1.1.
+limits apply before the data are stored in memory. Anchors, aliases, tags, directives,
+merge keys and several documents in one file are rejected. The loaders of PyYAML are not
+suitable, because they do not provide positions and read YAML 1.1.
 """
 
 from __future__ import annotations
@@ -32,19 +32,21 @@ from srs_twin.io.files import (
 )
 
 Loc = tuple[str | int, ...]
-"""Path of a value in nested data: keys and list indices."""
+"""Path of a value in nested data, which consists of keys and list indices."""
 
 Position = tuple[int, int]
 """Line and column, counted from 1."""
 
 MAX_DEPTH = 16
-"""Maximum depth of nested lists and mappings, because the reader is recursive."""
+"""Maximum depth of nested lists and mappings, which limits the recursion of the
+parser.
+"""
 
 MAX_NODES = 10_000
 """Maximum number of keys and values in a document."""
 
-# Characters that are escaped when written: controls, unusual blanks, surrogates and
-# byte order marks.
+# These characters are escaped in written files: control characters, unusual spaces,
+# surrogates and byte order marks.
 _UNUSUAL = re.compile(
     "[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]"
 )
@@ -53,7 +55,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], object]], ...] = (
     (re.compile(r"~|null|Null|NULL|"), lambda text: None),
     (re.compile(r"true|True|TRUE"), lambda text: True),
     (re.compile(r"false|False|FALSE"), lambda text: False),
-    # Longer integers are read as floats, which are infinite and therefore rejected.
+    # Longer integers are converted to infinite floats, which are rejected.
     (re.compile(r"[-+]?[0-9]{1,300}"), int),
     (re.compile(r"0o[0-7]{1,300}"), lambda text: int(text[2:], 8)),
     (re.compile(r"0x[0-9a-fA-F]{1,300}"), lambda text: int(text[2:], 16)),
@@ -71,8 +73,6 @@ class Override:
 
     Attributes:
         label: origin of the value, such as "--set controller.frequency_hz=1.5".
-        loc: path of the replaced value.
-        value: new value.
     """
 
     label: str
@@ -81,12 +81,7 @@ class Override:
 
     @classmethod
     def parse(cls, label: str, field: str, value: str) -> Override:
-        """Return the override for a dotted field name and a value in YAML.
-
-        Raises:
-            InputFileError: the value is not YAML.
-            InputError: the field name is empty.
-        """
+        """Return the override for a dotted field name and a value in YAML."""
         if not (loc := parse_path(field)):
             raise InputError(
                 f"{label}: must be FIELD=VALUE, as in controller.frequency_hz=1.5"
@@ -95,7 +90,7 @@ class Override:
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
-        """Return overrides as a list, also if they are given as a mapping."""
+        """Return overrides as a list. The input may be a mapping or a sequence."""
         if not isinstance(changes, Mapping):
             return changes
         return [
@@ -110,19 +105,15 @@ Overrides = Mapping[str, Any] | Sequence[Override]
 
 @dataclass
 class Document:
-    """Data of one file with the positions of values, and the problems found so far.
+    """Data of one file with the positions of its values, and the problems found so far.
 
     Attributes:
-        name: name of the file.
-        data: parsed data.
-        values: line and column of each value, by its path; empty for data in memory.
-        keys: line and column of each key, by its path.
-        problems: positions and messages.
+        values: line and column of each value, by the path of the value. Data in memory
+            have no positions.
+        keys: line and column of each key, by the path of the key.
         refused: positions at which no further problems are reported.
         override_labels: labels of the applied overrides. Values of the k-th override
             have the position (−k, 0).
-        folder: folder of the file, or None for data in memory.
-        warnings: warnings about the file.
     """
 
     name: str
@@ -136,9 +127,10 @@ class Document:
     warnings: list[str] = field(default_factory=list)
 
     def apply(self, override: Override) -> None:
-        """Set the value of an override.
+        """Set a value of the document to the value of an override.
 
-        A name on the path of the override becomes the `base` of a mapping.
+        If the path of the override leads through the name of a file, the name becomes
+        the key `base` of a mapping.
         """
         self.override_labels.append(override.label)
         position = (-len(self.override_labels), 0)
@@ -160,7 +152,7 @@ class Document:
             inner = child(data, key)
             if isinstance(inner, str):
                 inner = {"base": inner}
-            # Files may replace a block by the number of its `value`.
+            # In a file, the number of `value` may replace the whole mapping.
             elif isinstance(inner, bool | int | float) and override.loc[k + 1 :] != (
                 "value",
             ):
@@ -184,24 +176,24 @@ class Document:
                 self._set_positions((*loc, key), inner, position)
 
     def origin(self, loc: Loc) -> str:
-        """Return the origin of a value: "set by --set …", or "set in" and the file."""
+        """Return the origin of a value, such as "set by --set …"."""
         line = self.values.get(loc, (0, 0))[0]
         if line < 0:
             return f"set by {self.override_labels[-line - 1]}"
         return f"set in {self.name}"
 
     def get(self, *loc: str | int) -> Any:
-        """Return the value at a path, or None if there is none."""
+        """Return the value at a path, or None if the value does not exist."""
         value = self.data
         for key in loc:
             value = child(value, key)
         return value
 
     def locate(self, loc: Loc, kind: str = "") -> None:
-        """Replace a path by its place (see `place_of`), or report a missing place.
+        """Replace a path by the path of an existing file, or report a problem.
 
         Paths from overrides or programs are relative to the current folder and are not
-        replaced.
+        replaced. See `place_of` for the folders that are searched.
 
         Args:
             loc: path of the value in the data.
@@ -236,9 +228,9 @@ class Document:
     def user_path(self, prefix: Loc, loc: Loc) -> Loc:
         """Return the path of a merged value in the file that the user wrote.
 
-        A robot override is validated after it is merged into its base. An error in
-        ``stiffness.value`` of the merged robot is an error in ``stiffness`` of the
-        override.
+        A robot override is validated after the override is merged into its base. An
+        error in ``stiffness.value`` of the merged robot is an error in ``stiffness`` of
+        the override.
         """
         existing = self.existing_prefix(prefix + loc)
         if len(existing) > len(prefix) + 1 or existing == prefix + loc:
@@ -248,7 +240,7 @@ class Document:
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a problem at a value or key.
 
-        A problem with a missing value has the position of the parent.
+        The position of a problem with a missing value is the position of the parent.
         """
         existing = self.existing_prefix(loc)
         positions = self.values
@@ -261,7 +253,7 @@ class Document:
             self.problems.append((position, message))
 
     def describe(self, loc: Loc, message: str) -> str:
-        """Return a message with the place and the path of a value."""
+        """Return a message with the position and the path of a value."""
         position = self.values.get(self.existing_prefix(loc), (0, 0))
         return self._placed(position, f"{format_path(loc)}: {message}")
 
@@ -276,20 +268,16 @@ class Document:
 
     @contextmanager
     def report_errors(self, *loc: str | int) -> Iterator[None]:
-        """Report an `InputError` of a `with` block as a problem with a value."""
+        """Report an `InputError` of a `with` block as a problem of a value."""
         try:
             yield
         except AbsentPartError:
-            pass  # absent parts do not matter here, and unusable ones are reported already
+            pass  # missing and invalid parts are reported elsewhere
         except InputError as error:
             self.report(loc, str(error))
 
     def raise_problems(self, other_files: Iterable[str] = ()) -> None:
-        """Raise one error with all problems, after messages about other files.
-
-        Raises:
-            InputFileError: there is at least one problem.
-        """
+        """Raise one error with all problems, after messages about other files."""
         lines = list(other_files)
         # The alternatives of a union report equal messages, which are shown only once.
         for position, message in sorted(
@@ -301,12 +289,7 @@ class Document:
 
 
 def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
-    """Read and parse a YAML file with at most `limit` bytes.
-
-    Raises:
-        InputError: the file cannot be read.
-        InputFileError: the file is not YAML.
-    """
+    """Read and parse a YAML file with at most `limit` bytes."""
     document = parse_yaml(read_text(path, limit=limit), display_path(path))
     document.folder = path.parent
     return document
@@ -315,19 +298,12 @@ def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
 def parse_yaml(text: str, name: str) -> Document:
     """Parse YAML text.
 
-    Rejected features that do not stop the parser become `problems` of the document.
-
-    Args:
-        text: YAML text.
-        name: name for messages.
-
-    Raises:
-        InputFileError: the text has a syntax error or a second document, or its nesting
-            or data exceed the limits.
+    Rejected features that do not stop the parser are added to `problems` of the
+    document. `name` is the file name in messages.
     """
     with suppress(yaml.YAMLError, ValueError):
         return _Reader(yaml.parse(text, yaml.CSafeLoader), Document(name)).read()
-    # The C parser is eight times faster, but only the Python parser names the
+    # The C parser is eight times faster, but only the Python parser includes the
     # unexpected text in its messages.
     reader = _Reader(yaml.parse(text, yaml.SafeLoader), Document(name))
     try:
@@ -355,8 +331,8 @@ def parse_yaml(text: str, name: str) -> Document:
             f"not YAML: unusable character U+{ord(text[error.position]):04X}",
         )
     except (yaml.YAMLError, ValueError, OverflowError) as error:
-        # ValueError and OverflowError come from an escape such as "\\UFFFFFFFF", which
-        # is not a character.
+        # An invalid escape sequence such as "\\UFFFFFFFF" raises ValueError or
+        # OverflowError.
         reader.fail(reader.last, f"not YAML: {error}")
     return reader.document
 
@@ -378,16 +354,16 @@ def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
 
 
 def dump_yaml(data: object, *, compact: bool = False) -> str:
-    """Return plain data as YAML text that `parse_yaml` reads back as equal data.
+    """Return plain data as YAML text, from which `parse_yaml` returns equal data.
 
-    If `compact` is true, lists and dicts of numbers are written in one line.
+    If `compact` is true, lists and dicts of numbers are written on one line.
     """
     text: str = yaml.dump(
         data,
         Dumper=_CompactDumper if compact else _Dumper,
         default_flow_style=False,
         allow_unicode=True,
-        width=150 if compact else 110,  # wide enough for a row of a compact list
+        width=150 if compact else 110,  # wide enough for one row of a compact list
         sort_keys=False,
     )
     return text
@@ -409,14 +385,14 @@ def parse_path(name: str) -> Loc:
 
 
 def has_child(value: object, key: str | int) -> bool:
-    """Return whether a dict has a key, or a list an index."""
+    """Return whether a dict contains a key, or whether a list contains an index."""
     if isinstance(value, Mapping):
         return key in value
     return isinstance(value, list) and isinstance(key, int) and 0 <= key < len(value)
 
 
 def child(value: Any, key: str | int) -> Any:
-    """Return an entry of a dict or list, or None if there is none."""
+    """Return an entry of a dict or list, or None if the entry does not exist."""
     if has_child(value, key):
         return value[key]
     return None
@@ -466,13 +442,13 @@ class _Reader:
         self._check(event)
         scalar = isinstance(event, yaml.ScalarEvent)
         if scalar and event.implicit[0] and not event.value:
-            # If nothing follows the colon, the mark lies behind the colon or in the
-            # next line, so the mark of the key is used.
+            # If no value follows the colon, the position of the value is behind the
+            # colon or on the next line. The position of the key is used instead.
             self.last = self.document.keys.get(loc, self.last)
         self.document.values[loc] = self.last
         if scalar:
-            # A value may have several lines. Other control characters could change a
-            # terminal.
+            # A value may have several lines. Control characters could also disturb the
+            # output of a terminal.
             text = self._text(event, keep="\n\t")
             if event.implicit[0]:
                 return _resolve_scalar(text)
@@ -541,7 +517,7 @@ class _Reader:
 class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
     """Writer that quotes and escapes unusual characters.
 
-    YAML would read a plain U+0085 as a blank.
+    A YAML reader would treat an unquoted U+0085 as a space.
     """
 
 

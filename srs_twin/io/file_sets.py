@@ -1,12 +1,14 @@
 """Atomic replacement of a set of files.
 
-A run writes into a hidden staging folder ``.part-…`` in the folder of its results. When
+A run writes into a hidden staging folder ``.part-…`` inside the results folder. When
 all files are written, the results folder is locked. The earlier files are moved into
-``.part-…/.aside``, and the new files are moved into the results folder. The first
-product is the completion mark. It is moved away first and moved in last.
+``.part-…/.aside``, and the new files are moved into the results folder. The first file
+of the set marks a complete set: it is the first file that is moved away and the last
+file that is moved in.
 
-A killed process leaves its staging folder, but no lock. The next run in the folder
-restores the earlier set from there, unless all new files were moved in.
+A process that was killed leaves its staging folder, but no lock. The next run in the
+folder restores the earlier set from the staging folder, unless all new files were moved
+in.
 """
 
 from __future__ import annotations
@@ -26,21 +28,22 @@ from srs_twin.io.files import check_not_folders, display_path, make_folder
 
 _STAGING_PREFIX = ".part-"
 _PRODUCT_LIST = ".products"
-"""Names of the products in a staging folder, one per line."""
+"""File with the names of the new files in a staging folder, one per line."""
 
 _ASIDE = ".aside"
-"""Subfolder of the earlier files until all of them are moved away."""
+"""Subfolder of the earlier files until all earlier files are moved away."""
 
 _SAVED = ".earlier"
-"""Name of this subfolder while the new files are moved in."""
+"""Name of the subfolder of the earlier files while the new files are moved in."""
 
 _OBSOLETE = ".gone"
-"""Name of this subfolder after a complete replacement."""
+"""Name of the subfolder of the earlier files after a complete replacement."""
 
 _LOCK_TIMEOUT_S = 60.0
-"""Maximum wait for a lock, s.
+"""Maximum time to wait for a lock, s.
 
-A replacement takes milliseconds, so a longer lock belongs to a suspended process.
+A replacement takes milliseconds. A process that holds the lock longer is probably
+suspended.
 """
 
 # Some file systems, such as network drives, have no folder locks and raise these
@@ -58,16 +61,13 @@ _LOCKS_UNSUPPORTED = (
 def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     """Yield an empty folder for files that replace the earlier set when the block ends.
 
-    After an error or an interrupt the earlier set is restored. Other files in the
+    After an error or an interrupt, the earlier set is restored. Other files in the
     folder are kept.
 
     Args:
         folder: folder of the files.
         products: names of all files of the set, or patterns such as ``best/*.yaml``.
-            The first is the completion mark, which exists only in a complete set.
-
-    Raises:
-        InputError: the files cannot be written.
+            The first file is the completion mark, which exists only in a complete set.
     """
     try:
         with make_folder(folder), _staging_folder(folder, products) as staging:
@@ -88,11 +88,7 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
 
 
 def remove_completion_mark(mark: Path) -> None:
-    """Remove the completion mark of a set that is out of date.
-
-    Raises:
-        InputError: the file cannot be removed.
-    """
+    """Remove the completion mark of an outdated set."""
     try:
         mark.unlink(missing_ok=True)
     except OSError as error:
@@ -148,11 +144,11 @@ def _move(names: Iterable[Path], source: Path, target: Path) -> None:
 def _restore(folder: Path, staging: Path) -> None:
     """Restore the earlier set after an incomplete replacement.
 
-    The function can be repeated after an interruption at any point.
+    The function can be called again after an interruption at any point.
     """
     mark, *others = (staging / _PRODUCT_LIST).read_text("utf-8").splitlines()
-    # If the completion mark exists, either no file was moved away or all new files were
-    # moved in.
+    # If the completion mark exists, no file was moved away or all new files were moved
+    # in.
     if not os.path.lexists(folder / mark):
         if (staging / _SAVED).is_dir():
             for name in _existing_products(folder, others):
@@ -170,8 +166,7 @@ def _restore(folder: Path, staging: Path) -> None:
 @contextmanager
 def _staging_folder(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     with ExitStack() as locks:
-        # The lock keeps other processes from removing the new staging folder as
-        # abandoned.
+        # The lock prevents other processes from removing the new staging folder.
         with _lock(folder):
             _clean_up(folder)
             staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=folder))
@@ -199,12 +194,9 @@ def _clean_up(folder: Path) -> None:
 
 @contextmanager
 def _lock(folder: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[bool]:
-    """Lock a folder for a `with` block, and yield whether the lock was obtained.
+    """Lock a folder for a `with` block, and yield whether the folder was locked.
 
-    The value is False if the file system has no locks.
-
-    Raises:
-        BlockingIOError: another process holds the lock for longer than `timeout_s`.
+    The yielded value is False if the file system has no locks.
     """
     deadline = time.monotonic() + timeout_s
     locked = False

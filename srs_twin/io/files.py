@@ -15,10 +15,12 @@ from pathlib import Path
 from srs_twin.errors import InputError, UnknownNameError, did_you_mean
 
 MAX_BYTES = 64 * 1024
-"""Maximum size of a hand-written file, bytes; a larger file is probably a wrong one."""
+"""Maximum size of a hand-written file, bytes. A larger file is probably the wrong
+file.
+"""
 
 StrPath = str | os.PathLike[str]
-"""Path as users give it."""
+"""Path as a string or a path object."""
 
 _FOLDERS = {
     "robot": "calibration/robots",
@@ -29,15 +31,16 @@ _FOLDERS = {
     "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
-# C0, DEL and C1 controls, and surrogates, which stand for bytes that are not UTF-8 in
-# Python's file names.
+# These are the control characters C0, DEL and C1, and surrogates. Python uses
+# surrogates for bytes in file names that are not UTF-8.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def data_root() -> Path:
     """Return the folder that contains calibration/, models/ and scenarios/.
 
-    This is ``srs_twin/_data`` in an installed wheel, and otherwise the checkout.
+    In an installed wheel this folder is ``srs_twin/_data``. In a checkout it is the
+    root of the repository.
     """
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
@@ -62,22 +65,16 @@ _LIST_COMMANDS = {
 
 
 def is_path(text: str) -> bool:
-    """Return whether a text is a path and not the name of a shipped file."""
+    """Return whether a text is a path instead of the name of a shipped file."""
     return "/" in text or os.sep in text or text.endswith(_SUFFIXES)
 
 
 def place_of(text: str, folder: Path, kind: str = "") -> str:
-    """Return the place of a path that is written in a file.
+    """Return the path of an existing file for a path that is written in another file.
 
-    The path may be relative to the folder of that file or to the current folder.
-
-    Args:
-        text: relative or absolute path.
-        folder: folder of the file that contains the path.
-        kind: kind of shipped files to suggest.
-
-    Raises:
-        InputError: there is nothing at either place.
+    The written path may be relative to `folder`, the folder of the other file, or to
+    the current folder. `kind` is the kind of shipped files that an error message
+    suggests.
     """
     beside: Path | None = folder / text
     with suppress(OSError):  # a folder may have been removed
@@ -93,9 +90,9 @@ def place_of(text: str, folder: Path, kind: str = "") -> str:
 
 
 def path_from(folder: Path, name_or_path: str) -> str:
-    """Return a path relative to the folder of the file that will contain it.
+    """Return a path relative to the folder of the file in which the path is written.
 
-    Names of shipped files and absolute paths do not change.
+    Absolute paths and names of shipped files are returned unchanged.
     """
     if not is_path(name_or_path) or os.path.isabs(name_or_path):
         return name_or_path
@@ -103,7 +100,7 @@ def path_from(folder: Path, name_or_path: str) -> str:
 
 
 def find_file(kind: str, name_or_path: StrPath) -> Path:
-    """Return the path of a file given by a path or by the name of a shipped file.
+    """Return the path of a file, given by its path or by the name of a shipped file.
 
     A text with a slash or with the suffix .yaml or .yml is a path relative to the
     current folder. Any other text is the name of a shipped file.
@@ -111,10 +108,6 @@ def find_file(kind: str, name_or_path: StrPath) -> Path:
     Args:
         kind: "robot", "footprint", "scenario", "sweep", "study" or "table".
         name_or_path: name or path as the user wrote it.
-
-    Raises:
-        InputError: the path is not a file of this kind.
-        UnknownNameError: no shipped file has the name.
     """
     text = os.fspath(name_or_path)
     names = shipped_names(kind)
@@ -134,19 +127,14 @@ def find_file(kind: str, name_or_path: StrPath) -> Path:
 
 
 def results_name(path: Path) -> str:
-    """Return the stem of a path as a valid folder name and YAML key."""
+    """Return the stem of a path in a form that is valid as folder name and YAML key."""
     return re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
 
 
 def check_file_name(name: str, source: str) -> str:
-    """Return a file name after validation.
+    """Check that a name consists of lower-case letters, digits and _, and return it.
 
-    Args:
-        name: name of lower-case letters, digits and _.
-        source: option or argument that gave the name.
-
-    Raises:
-        InputError: the name is not allowed.
+    `source` is the option or argument that the message mentions.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", name):
         allowed = (
@@ -157,7 +145,7 @@ def check_file_name(name: str, source: str) -> str:
 
 
 def escape_unprintable(text: str, *, keep: str = "") -> str:
-    r"""Return text with escapes for control characters and for bytes other than UTF-8.
+    r"""Return text in which control characters and invalid UTF-8 bytes are escaped.
 
     Terminals interpret control characters. For example, a title with ``\x1b[31m`` would
     colour the text after it. Characters in `keep` are not replaced.
@@ -168,7 +156,7 @@ def escape_unprintable(text: str, *, keep: str = "") -> str:
 
 
 def _escape(character: str) -> str:
-    # Python decodes a byte 0x80 to 0xff that is not UTF-8 as U+DC80 to U+DCFF
+    # Python decodes a byte from 0x80 to 0xff that is not UTF-8 as U+DC80 to U+DCFF
     # ("surrogateescape").
     byte = ord(character) - 0xDC00
     if 0x80 <= byte <= 0xFF:
@@ -177,11 +165,7 @@ def _escape(character: str) -> str:
 
 
 def check_printable(argument: StrPath) -> None:
-    """Check that a path or argument can be written to result files in UTF-8 YAML.
-
-    Raises:
-        InputError: it is not UTF-8 or has control characters.
-    """
+    """Check that a path or argument can be written to result files in UTF-8 YAML."""
     text = os.fspath(argument)
     if match := _UNPRINTABLE.search(text):
         reason = "a control character in it"
@@ -193,7 +177,7 @@ def check_printable(argument: StrPath) -> None:
 
 
 def display_path(path: Path) -> str:
-    """Return a printable path, relative to the current folder if it is inside."""
+    """Return a printable path, which is relative if it is inside the current folder."""
     with suppress(OSError):  # a folder may have been removed
         if path.is_absolute() and path.is_relative_to(here := Path.cwd()):
             path = path.relative_to(here)
@@ -201,15 +185,7 @@ def display_path(path: Path) -> str:
 
 
 def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
-    """Return the text of a small UTF-8 file without a byte order mark.
-
-    Args:
-        path: file path.
-        limit: maximum size, bytes.
-
-    Raises:
-        InputError: the file is missing, a folder, not readable, too large or not UTF-8.
-    """
+    """Return the text of a UTF-8 file of at most `limit` bytes."""
     try:
         with require_file(path).open("rb") as stream:
             raw = stream.read(limit + 1)
@@ -226,15 +202,7 @@ def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
 
 
 def decode_text(raw: bytes, name: str) -> str:
-    """Decode UTF-8 bytes and drop a byte order mark.
-
-    Args:
-        raw: file contents.
-        name: name for messages.
-
-    Raises:
-        InputError: the bytes are not UTF-8.
-    """
+    """Decode UTF-8 bytes and remove a byte order mark. `name` appears in messages."""
     try:
         return raw.decode("utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
@@ -249,11 +217,7 @@ MAX_NEW_FOLDERS = 100
 
 
 def missing_folders(folder: Path) -> list[Path]:
-    """Return a folder and its parents that do not exist, innermost first.
-
-    Raises:
-        OSError: there are more than `MAX_NEW_FOLDERS`.
-    """
+    """Return the folders of a path that do not exist, innermost folder first."""
     missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     if len(missing) > MAX_NEW_FOLDERS:
         raise OSError(
@@ -264,7 +228,7 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty_folders(folders: Iterable[Path]) -> None:
-    """Remove the folders that are empty. Other processes may use the others."""
+    """Remove the folders that are empty."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
@@ -272,7 +236,7 @@ def remove_empty_folders(folders: Iterable[Path]) -> None:
 
 @contextmanager
 def folder_or_temporary(folder: StrPath | None) -> Iterator[Path]:
-    """Yield an output folder, or a temporary folder that lasts for the `with` block."""
+    """Yield an output folder, or a temporary folder that is deleted after the block."""
     if folder is not None:
         yield Path(folder)
         return
@@ -284,10 +248,7 @@ def folder_or_temporary(folder: StrPath | None) -> Iterator[Path]:
 def make_folder(folder: Path) -> Iterator[None]:
     """Create a folder and its parents for a `with` block.
 
-    After an error the new folders that are still empty are removed.
-
-    Raises:
-        OSError: a folder cannot be created.
+    After an error, the new folders that are still empty are removed.
     """
     missing = missing_folders(folder)
     try:
@@ -303,11 +264,8 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
     """Yield a temporary path that replaces ``path`` when the block ends.
 
     Missing folders are created. Readers of ``path`` see either the old file or the
-    complete new file. After an error the temporary file and the new folders are
+    complete new file. After an error, the temporary file and the new folders are
     removed.
-
-    Raises:
-        InputError: the file cannot be written.
     """
     target = Path(path)
     try:
@@ -322,22 +280,23 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 
 @contextmanager
 def _temporary_file(target: Path) -> Iterator[Path]:
-    """Yield a hidden file next to a target, and remove it after an error.
+    """Yield a hidden file in the folder of a target, and remove it after an error.
 
-    All writers of a target use one name, so that the next writer overwrites the file of
-    a killed writer. While a writer is running, its file is locked, and other writers
-    use random names.
+    All processes that write a target use the same temporary name. The next process
+    therefore overwrites the file that a killed process has left. While a process
+    writes, its file is locked, and other processes use random names.
     """
-    # The suffix stays at the end, because some writers choose their format by it.
+    # The suffix remains at the end of the name, because some libraries select the file
+    # format by the suffix.
     temporary = target.with_name(f".{target.stem}.part{target.suffix}")
     with ExitStack() as stack:
         try:
             lock = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
             stack.callback(os.close, lock)
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # Another writer may have renamed the file between the two calls.
+            # Another process may have renamed the file between these two calls.
             is_usable = os.path.samestat(os.fstat(lock), temporary.stat())
-        except OSError:  # locked, not lockable, or not writable
+        except OSError:  # the file is locked, cannot be locked, or is not writable
             is_usable = False
         if not is_usable:
             temporary = target.with_name(
@@ -346,8 +305,7 @@ def _temporary_file(target: Path) -> Iterator[Path]:
         try:
             yield temporary
         except BaseException:
-            # Further errors in an unusable folder are suppressed, because they would
-            # hide the first one.
+            # Further errors are suppressed, because they would hide the first error.
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
             raise
@@ -356,10 +314,8 @@ def _temporary_file(target: Path) -> Iterator[Path]:
 def create_numbered_file(folder: Path, name: str) -> Path:
     """Create an empty file with the lowest free number in its name.
 
-    Concurrent processes get different files. The name has the form "journal-{}.mcap".
-
-    Raises:
-        InputError: the file cannot be created.
+    Concurrent processes create different files. The name has the form
+    "journal-{}.mcap".
     """
     number = 0
     while True:
@@ -382,11 +338,7 @@ def create_numbered_file(folder: Path, name: str) -> Path:
 
 
 def write_text(path: StrPath, text: str) -> None:
-    """Write a text file atomically.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write a text file atomically."""
     with atomic_write(path) as temporary:
         temporary.write_text(text, "utf-8")
 
@@ -402,16 +354,6 @@ def require_file(
     """Return a path after checking that it is a regular file.
 
     Devices and pipes are refused, because reading them may never end.
-
-    Args:
-        path: path as the user wrote it.
-        suffix: suffix of the files to suggest.
-        remedy: text for the message if no similar file exists.
-        names: names of shipped files to suggest.
-        beside: other path at which the file was expected.
-
-    Raises:
-        InputError: the file is missing or not regular, or the name is not allowed.
     """
     check_printable(path)
     try:
@@ -432,7 +374,7 @@ def require_file(
                 f"{display_path(path)}: this is a broken link, which points to no file"
             )
     except OSError as error:
-        # The name is too long, or a folder may not be entered.
+        # The name is too long, or the folder is not accessible.
         raise InputError(
             f"{display_path(path)}: cannot be read ({error.strerror})"
         ) from error
@@ -455,20 +397,15 @@ def check_output_folder(
 ) -> None:
     """Check that files can be written to a folder that may not exist yet.
 
-    Args:
-        folder: output folder, which is left unchanged.
-        products: file names.
-        option: option that sets the folder, or an empty string.
-
-    Raises:
-        InputError: the folder cannot be written, or a folder has the name of a file.
+    The folder remains unchanged. `option` is the option that sets the folder, or an
+    empty string.
     """
     check_printable(folder)
     try:
         target = Path(os.path.abspath(folder))
         missing = missing_folders(target)
         present = missing[-1].parent if missing else target
-        # A trial file is written, because permission bits do not apply to root and are
+        # A test file is written, because permission bits do not apply to root and are
         # unreliable on network drives.
         with tempfile.TemporaryDirectory(dir=present) as scratch:
             trial = scratch / target.relative_to(present)
@@ -484,11 +421,7 @@ def check_output_folder(
 
 
 def check_not_folders(folder: Path, products: Sequence[str]) -> None:
-    """Check that no folder has the name of a product.
-
-    Raises:
-        InputError: a folder has the name of a product.
-    """
+    """Check that no folder has the name of an output file."""
     for product in products:
         if (folder / product).is_dir():
             raise InputError(

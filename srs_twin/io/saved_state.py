@@ -1,12 +1,12 @@
 """Saved states of plants and controllers, stored in files without pickles.
 
 A class lists the attributes that change during a run in `state_attributes`. Attributes
-that are `Stateful` themselves are saved recursively. Settings of the constructor and of
-`reset` are not part of a state. The object that restores the state must have equal
-settings.
+that are `Stateful` are saved recursively. Arguments of the constructor and of `reset`
+are not part of a state. An object can restore a state only if its settings are equal to
+the settings of the saved object.
 
-A file is a NumPy archive with the arrays, and with a JSON document of all other values.
-A named tuple or dataclass of this package is stored with the name of its class.
+A file is a NumPy archive that contains the arrays and a JSON document with all other
+values. A named tuple or dataclass of this package is stored with the name of its class.
 
 >>> from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 >>> snake = AnalyticalSnake(load_robot("gen2"))
@@ -42,7 +42,7 @@ from srs_twin.io.untrusted import read_arrays
 VERSION = 3
 """Version of the state format.
 
-It increases when the format or the module of a saved class changes.
+The version increases when the format or the module of a saved class changes.
 """
 
 _DOCUMENT = "state"
@@ -57,19 +57,15 @@ _PACKAGE = __name__.partition(".")[0] + "."
 class DeepCopied:
     """Base class of objects that share no state with their copies.
 
-    `copy.copy` makes a deep copy, because a shallow copy would advance the chambers and
-    bodies of the original.
+    `copy.copy` makes a deep copy. With a shallow copy, simulating the copy would also
+    change the original.
     """
 
     def __copy__(self) -> Self:
         return copy.deepcopy(self)
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[Any, ...]:
-        """Return the class and the attributes, for `copy` and `pickle`.
-
-        Raises:
-            InputError: an attribute can be neither copied nor pickled.
-        """
+        """Return the class and the attributes, for `copy` and `pickle`."""
         for name, value in vars(self).items():
             if (kind := _why_not_copyable(value)) is not None:
                 raise InputError(
@@ -99,22 +95,17 @@ class Stateful(DeepCopied):
 
     Attributes:
         state_attributes: names of the attributes that change during a run, in addition
-            to the attributes listed by the base classes.
+            to the attributes that the base classes list.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ()
 
     def state_dict(self) -> dict[str, object]:
-        """Return a copy of the state as attribute name → value or nested state."""
+        """Return a copy of the state as a dict of attribute names and values."""
         return {name: _copy_state(getattr(self, name)) for name in self._state_names()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Set the state to a state that `state_dict` returned.
-
-        Raises:
-            InputError: an attribute is missing, or its kind differs from the current
-                kind.
-        """
+        """Set the state to a result of `state_dict`."""
         missing = [name for name in self._state_names() if name not in state]
         if missing:
             raise InputError(
@@ -133,16 +124,7 @@ class Stateful(DeepCopied):
                 setattr(self, name, copy.deepcopy(state[name]))
 
     def check_saveable(self, base: type, label: str) -> None:
-        """Check that the class defines its state and that the object has been reset.
-
-        Args:
-            base: base class whose own `state_attributes` are not sufficient.
-            label: name for messages.
-
-        Raises:
-            InputError: no subclass of `base` has `state_attributes`, or the object was
-                never reset.
-        """
+        """Check that the class defines its state and that the object has been reset."""
         subclasses = [
             cls
             for cls in type(self).__mro__
@@ -166,11 +148,7 @@ class Stateful(DeepCopied):
 
 
 def check_kind(label: str, saved: object, present: object) -> None:
-    """Check that a saved value can replace the current array or nested state.
-
-    Raises:
-        InputError: the saved value has another kind or number of dimensions.
-    """
+    """Check that a saved value can replace the current array or nested state."""
     if isinstance(present, np.ndarray):
         if not isinstance(saved, np.ndarray) or saved.ndim != present.ndim:
             raise InputError(
@@ -189,14 +167,14 @@ def _copy_state(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """State of a plant or a controller that determines the further evolution.
+    """State of a plant or a controller that determines all later states.
 
-    A state can be pickled, and written to a file.
+    A state can be pickled, and can be written to a file.
 
     Attributes:
         owner: settings of the saved object as JSON values. Only an object with equal
             settings can restore the state.
-        content: attribute name → saved value.
+        content: saved value of each attribute by its name.
         version: version of the format of `content`.
     """
 
@@ -209,7 +187,7 @@ class SavedState:
 
         Args:
             label: name for messages.
-            owner: object settings.
+            owner: settings of the object.
 
         Raises:
             InputError: the settings differ, or the state has another version.
@@ -292,9 +270,9 @@ def short_digest(*values: object) -> str:
 
 
 def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
-    """Convert a value to JSON data, in which names replace arrays.
+    """Convert a value to JSON data, and add its arrays to `arrays`.
 
-    The arrays are added to `arrays`.
+    In the JSON data, names replace the arrays.
     """
     if isinstance(value, np.ndarray):
         name = f"array_{len(arrays)}"
@@ -347,9 +325,9 @@ def _class_name(kind: type) -> str:
 
 
 def _find_class(name: str) -> type:
-    """Return a dataclass, named tuple or enum of this package by name.
+    """Return a dataclass, named tuple or enum of this package by its name.
 
-    Classes from elsewhere are refused, because they could run code.
+    Classes of other packages are refused, because they could execute code.
     """
     module, _, kind = name.partition(":")
     cls = None

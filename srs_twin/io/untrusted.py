@@ -1,15 +1,15 @@
 """Strict readers of untrusted JSON, Parquet and NumPy files.
 
 JSON: the reader of the standard library accepts ``NaN`` and ``Infinity``, which are not
-JSON. It also reads ``1e999`` as infinity, keeps the last of two equal keys, and
-exhausts its stack on deep nesting.
+valid JSON. It also converts ``1e999`` to infinity, keeps the last of two equal keys,
+and overflows its stack on deeply nested data.
 
-Parquet: a file of 200 kB can contain a hundred million rows, so sizes in the footer are
-checked before data are read. Pages are verified against their checksums if the writer
-stored them, as this package does.
+Parquet: a file of 200 kB can contain a hundred million rows, so the sizes in the footer
+are checked before data are read. Pages are verified against their checksums if the file
+contains checksums. Files that this package writes contain checksums.
 
-NumPy: an archive can unpack to a thousand times its size, and the header of an array
-can declare any size, which `numpy.load` allocates.
+NumPy: the size of an unpacked archive can be a thousand times the size of the file. The
+header of an array can also declare any size, which `numpy.load` allocates.
 """
 
 from __future__ import annotations
@@ -35,21 +35,17 @@ if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
 
 MAX_DEPTH = 64
-"""Maximum depth of nested lists and objects; results have fewer than ten levels."""
+"""Maximum depth of nested lists and objects. Results have fewer than ten levels."""
 
 MAX_JSON_BYTES = 64 << 20
-"""Maximum size of a JSON file; a reproduction of all claims has 1 MB."""
+"""Maximum size of a JSON file, bytes. A reproduction of all claims has 1 MB."""
 
 MAX_ARCHIVE_BYTES = 256 << 20
-"""Maximum unpacked size of a NumPy archive."""
+"""Maximum unpacked size of a NumPy archive, bytes."""
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file.
-
-    Raises:
-        InputError: the file is missing, not readable, too large, or not JSON.
-    """
+    """Read a JSON file."""
     try:
         with require_file(path, suffix=".json").open("rb") as stream:
             raw = stream.read(MAX_JSON_BYTES + 1)
@@ -63,16 +59,7 @@ def read_json(path: Path) -> Any:
 
 
 def parse_json(text: str, name: str) -> Any:
-    """Return the data of JSON text.
-
-    Args:
-        text: JSON text.
-        name: name for messages.
-
-    Raises:
-        InputError: the text is not JSON, is nested beyond the limit, has a number out
-            of range, or repeats a key.
-    """
+    """Return the data of JSON text. `name` is the file name in messages."""
     try:
         data = json.loads(
             text,
@@ -104,8 +91,8 @@ def _number(text: str) -> float:
 
 
 def _integer(text: str) -> int | float:
-    # Python rejects integers with thousands of digits. Shorter ones may still be too
-    # large for a float.
+    # Python rejects integers with thousands of digits. Shorter integers may still be
+    # too large for a float.
     if len(text) < 19:
         return int(text)
     return _number(text)
@@ -137,25 +124,27 @@ def _children(value: object) -> Iterator[object]:
 
 
 MAX_FILE_BYTES = 2 << 30
-"""Maximum size of a file on disk."""
+"""Maximum size of a Parquet file on disk, bytes."""
 
 MAX_VALUES = 1 << 27
-"""Maximum product of rows and columns: a gigabyte of float64."""
+"""Maximum number of values in a table, which is a gigabyte of float64."""
 
 MAX_COLUMNS = 4096
-"""Maximum number of columns; trajectories have about twenty per segment."""
+"""Maximum number of columns. Trajectories have about twenty columns per segment."""
 
 MAX_CHUNKS = 100_000
-"""Maximum number of column chunks, which is columns times row groups."""
+"""Maximum number of column chunks, which is the number of columns times row groups."""
 
 MAX_BYTES = 2 << 30
-"""Maximum uncompressed size that the footer may declare."""
+"""Maximum uncompressed size that the footer may declare, bytes."""
 
 MAX_METADATA_BYTES = 32 << 20
-"""Maximum size of one text in the footer."""
+"""Maximum size of one text in the footer, bytes."""
 
 MAX_FOOTER_BYTES = 96 << 20
-"""Maximum size of the footer, which contains the metadata twice, once in base64."""
+"""Maximum size of the footer, bytes. The footer contains the metadata twice, once in
+base64.
+"""
 
 
 def read_table(
@@ -167,9 +156,6 @@ def read_table(
         path: path or file-like object.
         kind: expected kind of file, such as "a trajectory written by srs-twin".
         check: function that raises TypeError or ValueError for an unexpected schema.
-
-    Raises:
-        InputError: the file is missing, damaged, not Parquet, or larger than a limit.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -179,7 +165,8 @@ def read_table(
     try:
         if isinstance(path, Path):
             _check_size(path)
-        # pq.read_table would also accept a folder and concatenate its files.
+        # The function pq.read_table would also accept a folder and concatenate its
+        # files.
         with pq.ParquetFile(
             path,
             page_checksum_verification=True,
@@ -189,8 +176,8 @@ def read_table(
             _check_bounds(file)
             check(file.schema_arrow)
             table = _read(file)
-            # The table's schema comes from the second copy in the footer, which may
-            # differ in a damaged file.
+            # The schema of the table is read from the second copy in the footer. In a
+            # damaged file, the two copies may differ.
             check(table.schema)
             return table
     # Arrow raises MemoryError for a page whose declared size is impossible.
@@ -260,17 +247,12 @@ def _read(file: ParquetFile) -> pyarrow.Table:
 
 
 def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
-    """Return the arrays of a NumPy archive (npz) of numbers and texts, by name.
-
-    Raises:
-        InputError: the file is missing, not readable, damaged or too large, or contains
-            objects.
-    """
+    """Return the arrays of numbers and texts in a NumPy archive (npz), by name."""
     try:
         with require_file(path, suffix=".npz").open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            # The directory of an archive can be as large as the file, and is read at
-            # once.
+            # The directory of an archive is read at once, and it can be as large as the
+            # file.
             if size > MAX_ARCHIVE_BYTES:
                 raise ValueError(f"{size} bytes; the limit is {MAX_ARCHIVE_BYTES}")
             with zipfile.ZipFile(file) as archive:
@@ -292,7 +274,7 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
         raise InputError(
             f"{display_path(path)}: cannot be read: {error.strerror or error}"
         ) from error
-    # zipfile raises RuntimeError for an encrypted member.
+    # For an encrypted member, zipfile raises RuntimeError.
     except (
         ValueError,
         RuntimeError,
@@ -307,11 +289,7 @@ _PACKING = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def _parse_array(raw: bytes) -> np.ndarray:
-    """Return the array of a .npy file.
-
-    Raises:
-        ValueError: the header is damaged, or declares another size than the file has.
-    """
+    """Return the array of a .npy file."""
     stream = io.BytesIO(raw)
     try:
         version = np.lib.format.read_magic(stream)
@@ -320,7 +298,7 @@ def _parse_array(raw: bytes) -> np.ndarray:
         else:
             read_header = np.lib.format.read_array_header_2_0
         shape, _, kind = read_header(stream)
-    # NumPy parses the header as Python, which raises many kinds of errors.
+    # NumPy parses the header as Python code, which raises many kinds of errors.
     except Exception as error:
         raise ValueError(
             f"the header of an array is damaged: {type(error).__name__}"

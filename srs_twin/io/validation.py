@@ -1,4 +1,4 @@
-"""Validation of plain data by strict pydantic models, with messages in plain words."""
+"""Validation of plain data by strict pydantic models, with simple error messages."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Schema = Mapping[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
 
 _LIST_HINT = "`srs-twin schema`"
-# Units in which a wrong prefix (mm for m, Pa for kPa) is a common mistake.
+# In these units, a wrong prefix (mm for m, Pa for kPa) is a common mistake.
 _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
 _WITH_UNIT = re.compile(
@@ -61,7 +61,7 @@ RETIRED_KINDS = {
     ),
     "contour": "it was retired; use line, with one of the two fields as by",
 }
-"""Retired kind or key → reason for its removal, or replacement."""
+"""Replacement of each removed kind or key, or the reason for its removal."""
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -83,8 +83,8 @@ def _module_docstrings(module: str) -> dict[str, dict[str, str]]:
 def attribute_docstrings(cls: type[StrictModel]) -> dict[str, str]:
     """Return the attribute docstrings of a model and of its base classes, by key.
 
-    The source is parsed on demand, because pydantic's `use_attribute_docstrings` takes
-    0.2 s at every import.
+    The source code is parsed only when the docstrings are needed, because
+    `use_attribute_docstrings` of pydantic takes 0.2 s at every import.
     """
     texts: dict[str, str] = {}
     for base in reversed(
@@ -102,14 +102,14 @@ def _add_descriptions(schema: dict[str, Any], cls: type[StrictModel]) -> None:
 class StrictModel(BaseModel):
     """Base class of all models of files.
 
-    A model converts no types. It accepts neither unknown keys nor numbers that are not
+    A model does not convert types. It rejects unknown keys and numbers that are not
     finite. The docstring of a key is the description of the key in JSON schemas. The
-    optional method `contradictions()` yields path and message of each violated
+    optional method `contradictions()` yields the path and the message of each violated
     constraint between keys.
 
     Attributes:
-        elsewhere: paths of keys that users may expect in this block, with the correct
-            keys, which messages suggest.
+        elsewhere: correct path for each key that users may expect in this block but
+            that belongs to another block. Error messages suggest the correct path.
     """
 
     elsewhere: ClassVar[dict[str, str]] = {}
@@ -124,18 +124,7 @@ class StrictModel(BaseModel):
 
 
 def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) -> Model:
-    """Load and validate a YAML file.
-
-    Args:
-        model: subclass of `StrictModel`.
-        path: file path.
-        paths: keys that name other files, with the kind of shipped files (see
-            `Document.locate`).
-
-    Raises:
-        InputError: the file cannot be read.
-        InputFileError: the file is not valid. The message lists all problems.
-    """
+    """Load and validate a YAML file."""
     document = load_yaml(path)
     for loc, kind in paths.items():
         document.locate(loc, kind)
@@ -148,14 +137,7 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
 def validate(
     model: type[Model], document: Document, data: object, *, prefix: Loc = ()
 ) -> Model | None:
-    """Return plain data as a model, or None after reporting all problems.
-
-    Args:
-        model: subclass of `StrictModel`.
-        document: document that collects the problems.
-        data: plain data, ``document.data`` or a value inside it.
-        prefix: path of `data` in the document.
-    """
+    """Return plain data as a model, or report all problems and return None."""
     try:
         file = model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
@@ -165,7 +147,7 @@ def validate(
         elsewhere = getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
             # The path may not exist in the data, because a key is missing, or because a
-            # default is invalid together with the given keys.
+            # default value contradicts the given keys.
             loc = _existing_path(item["loc"], data)
             if item["type"] in _UNION_TAG_ERRORS:
                 _report_block_kind(document, item, prefix + loc)
@@ -192,7 +174,7 @@ def validate(
 
 
 def _adopt_current_names(error: ValidationError, data: Any) -> bool:
-    """Rename renamed keys and kinds in the data, with a warning; return whether there were any."""
+    """Rename old keys and kinds in the data, warn, and return whether any existed."""
     adopted: dict[str, str] = {}
     for item in error.errors(include_url=False):
         *parents, key = _existing_path(item["loc"], data) or ("",)
@@ -218,7 +200,7 @@ def _adopt_current_names(error: ValidationError, data: Any) -> bool:
 def _schema_of(model: type[StrictModel]) -> Schema:
     """Return the JSON schema of a model.
 
-    It is cached, because building it takes longer than checking a file.
+    The schema is cached, because generating it takes longer than checking a file.
     """
     return model.model_json_schema()
 
@@ -226,7 +208,7 @@ def _schema_of(model: type[StrictModel]) -> Schema:
 def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str:
     """Describe the values of a JSON schema, such as 'a number from 0.01 to 50'.
 
-    If `brief` is true, the number of choices replaces a long list.
+    If `brief` is true, a long list of choices is replaced by the number of choices.
     """
     texts = [
         _describe_option(option, root, brief) for option in _alternatives(schema, root)
@@ -308,7 +290,7 @@ def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
         or not 0 < abs(value) < 1e300
     ):
         return ""
-    # The unit is in the key of a record, not in the key `value` below it.
+    # The unit is part of the key of a record, not of the key `value` inside the record.
     key = next(
         (key for key in reversed(loc) if isinstance(key, str) and key != "value"), ""
     )
@@ -363,7 +345,8 @@ def _describe_value(value: Any) -> str:
 
 
 def _format_number(value: float) -> str:
-    if abs(value) > 1e300:  # also an integer that no float can hold
+    # this also includes an integer that is too large for a float
+    if abs(value) > 1e300:
         return "infinity"
     if math.isnan(value):
         return "NaN"

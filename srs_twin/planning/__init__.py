@@ -1,10 +1,11 @@
-"""Path planning with footprints, and following of plans (Section 5.2).
+"""Path planning with footprints, and controllers that follow plans (Section 5.2).
 
-`plan(problem)` returns a `Plan`. The planner (`best_first`) grows trees of arcs and
-Dubins paths from start and goal, with exact collision checks. If the first search does
-not succeed, `free_space` tries to prove that no path exists. `guidance` then leads a
-tree around obstacles and through narrow passages. The modules `follower` and `steering`
-make a snake follow a plan by changing the offset of its gait.
+`plan(problem)` returns a `Plan`. The module `best_first` grows search trees of arcs and
+Dubins paths from the start and from the goal, with exact collision checks. If the first
+search does not succeed, `free_space` tries to prove that no path exists. `guidance`
+then computes a heuristic that takes obstacles into account, and entry poses of narrow
+passages. The modules `follower` and `steering` make a snake follow a plan by changing
+the offset of its gait.
 """
 
 from typing import TYPE_CHECKING

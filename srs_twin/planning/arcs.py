@@ -1,27 +1,28 @@
 r"""Arcs of constant curvature, and exact checks of the area that the body sweeps.
 
-A point at distance u ahead of the middle of an arc of curvature κ and w to its left has
-the path coordinates
+Let a point be at the distance u ahead of the middle of an arc of curvature κ and at the
+distance w to the left. Its path coordinates are
 
 $$ n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
    s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw) , $$
 
-where n is the signed distance from the arc, positive to the left, and s the position
-along it. Both formulas stay accurate as κ approaches 0. While the centre of mass moves
-along the arc from -h to h, the body sweeps the annular sector |s| ≤ h, -r ≤ n ≤ l (Fig.
-52 and 58). A point with |s| ≤ h has the distance max(n - l, -r - n, 0) from this
-region. The distance of any other point is its distance from the nearer end, a straight
-line of length l + r across the path. A circle is free if the distance of its centre is
-at least its radius.
+where n is the signed distance from the arc, positive to the left, and s is the position
+along the arc. These formulas are accurate even if κ is close to 0. While the centre of
+mass moves along the arc from s = -h to s = h, the body sweeps the annular sector |s| ≤
+h, -r ≤ n ≤ l (Fig. 52 and 58). A point with |s| ≤ h has the distance max(n - l, -r - n,
+0) from this sector. The distance of any other point is the distance from the nearer end
+of the sector, which is a straight line of length l + r across the path. A circle does
+not collide if the distance of its centre is at least its radius.
 
-A side of a polygon is cut where it crosses n = l, n = -r (quadratic equations) and s =
-±h (linear equations). The side is free if none of its pieces has its midpoint in the
-region. A polygon that contains the whole region needs no check. The regions of a plan
-are connected and start outside all polygons, so an earlier region would cross a side.
+A side of a polygon is divided where it crosses the lines n = l and n = -r (quadratic
+equations) and s = ±h (linear equations). The side does not collide if no piece has its
+midpoint in the sector. A sector that lies entirely inside a polygon is not detected by
+this check, but a plan contains no such sector: the sectors of a plan are connected and
+start outside all polygons, so an earlier sector would cross a side.
 
 Motion primitives are the arcs from a search node to its children (Section 5.2.1). The N
-arcs have turns α from -α_max to α_max and the length v Δt. With θ' = θ + α and
-r = vΔt/α (Eq. 33 with corrected signs, E7), an arc leads to
+arcs have turns α from -α_max to α_max and the length v Δt. With θ' = θ + α and r =
+vΔt/α (Eq. 33 with corrected signs, E7), the end of an arc is
 
 $$ x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ) $$
 """
@@ -56,7 +57,8 @@ _STRAIGHT = 1e-9
 def arc_end(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
     """Return the pose after a length (m) along an arc (Eq. 33, corrected by E7)."""
     half = curvature * length / 2
-    # Chord and half turn avoid the cancellation of Eq. 33 for small curvatures.
+    # The formula with chord and half turn avoids the cancellation of Eq. 33 at small
+    # curvatures.
     chord = length
     if abs(half) > _STRAIGHT:
         chord = length * (np.sin(half) / half)
@@ -71,9 +73,10 @@ class Extent(NamedTuple):
     """Extent of the body about its centre of mass.
 
     Attributes:
-        ahead, behind: distances from the centre of mass to head and tail along the arc,
-            m.
-        left, right: distances of the footprint's edges from the path, m.
+        ahead, behind: distances from the centre of mass to the head and to the tail
+            along the arc, m.
+        left, right: distances of the left and right edges of the footprint from the
+            path, m.
     """
 
     ahead: float
@@ -88,7 +91,6 @@ class PathFrame(NamedTuple):
     Attributes:
         x, y: position, m.
         heading: heading, rad.
-        cosine, sine: cosine and sine of the heading.
     """
 
     x: float
@@ -99,14 +101,15 @@ class PathFrame(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Region swept by the body along an arc, relative to the middle of the arc.
+    """Area swept along an arc, in coordinates relative to the middle of the arc.
 
     Attributes:
         curvature: arc curvature, 1/m.
-        half: half the length h of the region along the arc, m.
-        left, right: distances of the edges from the arc, m.
-        reach: radius of a circle about the middle that contains the region, m.
-        end: front end of the region, whose x and y are the coordinates u and w.
+        half: half the length h of the area along the arc, m.
+        left, right: distances of the left and right edges from the arc, m.
+        reach: radius of a circle about the middle of the arc that contains the area, m.
+        end: pose at the front end of the area, whose x and y are the coordinates u and
+            w.
     """
 
     curvature: float
@@ -135,14 +138,10 @@ def _local(frame, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-untyped-def]
-    """Return whether the swept region of an arc collides or leaves the bounds.
+    """Return whether the swept area of an arc hits an obstacle or leaves the bounds.
 
-    Args:
-        pose: x, y (m) and heading (rad) of the centre of mass at the start.
-        curvature: arc curvature, 1/m.
-        length: arc length, m.
-        extent: extent of the body about its centre of mass.
-        grid: obstacles and bounds of the world.
+    `pose` is the pose of the centre of mass at the start (m, rad). The curvature is in
+    1/m, and the length is in m.
     """
     h = (length + extent.ahead + extent.behind) / 2 + ROUNDING_MARGIN
     x, y, heading = arc_end(
@@ -154,7 +153,7 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
     )
     left = extent.left + ROUNDING_MARGIN
     right = extent.right + ROUNDING_MARGIN
-    # A long region is divided, so that each piece overlaps only a few grid cells.
+    # A long area is divided into pieces that overlap only a few grid cells each.
     count = max(1, int(np.ceil(h / max(grid.cell, left + right))))
     half = h / count
     end = _frame(0.0, 0.0, 0.0, curvature, half)
@@ -203,12 +202,11 @@ def _touches_circle(middle, region, circle):  # type: ignore[no-untyped-def]
     radius = circle[2] + ROUNDING_MARGIN
     dx = circle[0] - middle.x
     dy = circle[1] - middle.y
-    # The bounding circle of the region excludes most obstacles at little cost.
+    # The test with the bounding circle excludes most obstacles at low cost.
     if dx * dx + dy * dy >= (region.reach + radius) * (region.reach + radius):
         return False
     u, w = _local(middle, circle[0], circle[1])
-    # The region is symmetric about the line across its middle, so u can be taken as
-    # positive.
+    # The swept area is symmetric about u = 0, so u can be taken as positive.
     return _region_distance(abs(u), w, region) < radius
 
 
@@ -226,7 +224,7 @@ def _touches_side(middle, region, side):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
-    """Return n and s of a point u ahead and w to the left (module docstring), m."""
+    """Return n and s (m) of a point u ahead and w to the left of the arc's middle."""
     ku = curvature * u
     kw = 1 - curvature * w
     n = (2 * w - curvature * (u * u + w * w)) / (1 + np.sqrt(ku * ku + kw * kw))
@@ -237,7 +235,6 @@ def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
-    # n is the signed distance from the arc, and s the position along it.
     n, s = path_coordinates(u, w, region.curvature)
     if abs(s) <= region.half:
         return max(n - region.left, -region.right - n, 0.0)
@@ -250,7 +247,7 @@ def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
 def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     dx = bx - ax
     dy = by - ay
-    # The lower limit of the denominator avoids 0/0 for a segment without length.
+    # The lower limit of the denominator avoids 0/0 for a segment of length 0.
     t = min(1.0, max(0.0, -(ax * dx + ay * dy) / max(dx * dx + dy * dy, 1e-300)))
     px = ax + t * dx
     py = ay + t * dy
@@ -263,8 +260,9 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
     end = region.end
     du = bu - au
     dw = bw - aw
-    # An edge n = e is the circle κ(u² + w²) - 2w + 2e - κe² = 0. On the side, u and w
-    # are linear in t, so this is a quadratic equation a t² + 2 b t + c = 0.
+    # The edge n = e is the circle κ(u² + w²) - 2w + 2e - κe² = 0. On the side of a
+    # polygon, u and w are linear in t, so this is a quadratic equation a t² + 2 b t + c
+    # = 0.
     a = curvature * (du * du + dw * dw)
     b = curvature * (au * du + aw * dw) - dw
     c = curvature * (au * au + aw * aw) - 2 * aw
@@ -279,8 +277,8 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
         end.cosine * du - end.sine * dw,
     )
     cuts = (0.0, front, back, left[0], left[1], right[0], right[1])
-    # The side touches the region if the midpoint of a piece between two neighbouring
-    # cuts is in the region.
+    # The side touches the swept area if a piece between two neighbouring intersections
+    # has its midpoint in the area.
     for first in cuts:
         last = 1.0
         for cut in cuts:
@@ -305,12 +303,12 @@ def _fraction(numerator, denominator):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _roots(a, b, c):  # type: ignore[no-untyped-def]
-    """Return the roots of a t² + 2 b t + c between 0 and 1, or 0 for a missing root."""
+    """Return the roots of a t² + 2 b t + c between 0 and 1; a missing root is 0."""
     square = b * b - a * c
     if square < 0:
         return 0.0, 0.0
-    # Adding terms of equal sign avoids cancellation. The other root follows from the
-    # product of both roots.
+    # The first root adds terms of equal sign, which avoids cancellation. The second
+    # root is computed from the product of the two roots.
     if b >= 0:
         q = -(b + np.sqrt(square))
     else:
@@ -320,7 +318,8 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
-    # Most regions are far from the bounds, so the bounding square is tested first.
+    # Most swept areas are far from the bounds, so their bounding squares are tested
+    # first.
     if (
         bounds.west <= middle.x - region.reach
         and middle.x + region.reach <= bounds.east
@@ -333,7 +332,7 @@ def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
             return True
     if region.curvature == 0:
         return False
-    # An edge extends farthest in x or y where it is parallel to an axis.
+    # An edge has its maximum x or y where it is parallel to an axis.
     for quarter in range(4):
         turn = quarter * np.pi / 2 - middle.heading
         turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
@@ -359,8 +358,9 @@ class Primitives:
     """Motion primitives: arcs of equal length with evenly spaced curvatures.
 
     Attributes:
-        count: number N of arcs, odd and at least 3, so that the middle arc is straight.
-        turn: maximum turn α_max of one arc, below π, rad.
+        count: number N of arcs. The number is odd and at least 3, so that the middle
+            arc is straight.
+        turn: maximum turn α_max of one arc, less than π, rad.
         length: length v Δt of each arc, m.
     """
 
@@ -382,7 +382,7 @@ class Primitives:
 
     @cached_property
     def curvatures(self) -> np.ndarray:
-        """Curvatures from the tightest right to the tightest left turn, 1/m."""
+        """Curvatures (1/m) from the tightest right turn to the tightest left turn."""
         return np.linspace(-self.turn, self.turn, self.count) / self.length
 
     def children(self, pose: Pose) -> list[Pose]:

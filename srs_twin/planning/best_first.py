@@ -1,9 +1,9 @@
-"""Best-first search from both ends at increasing resolution.
+"""Best-first search from the start and from the goal at increasing resolution.
 
-The search grows a tree from the start. If the footprint has no transients, it also
-grows a tree from the goal. If both trees do not succeed at once, the planner tries to
-prove that no path exists, and grows a tree with `guidance`. Finally, Dubins paths
-between poses of the path shorten it.
+The search grows a tree from the start. If the footprint has no transients, the search
+also grows a tree from the goal. If no tree succeeds within a first number of nodes, the
+planner tries to prove that no path exists, and grows another tree with the heuristic of
+`guidance`. Finally, Dubins paths between poses of the path shorten the path.
 """
 
 from __future__ import annotations
@@ -55,26 +55,30 @@ With this ratio the children of a node lie in different cells.
 _SECTORS = 48
 """Number of heading sectors at the coarsest level.
 
-A sector is half the minimum heading change of an arc.
+The width of a sector is half the minimum heading change of an arc.
 """
 _GUIDED_WEIGHT = 1.5
 """Weight of the cost-to-go in a search with guidance.
 
-A large weight finds some path quickly, although the path may be longer.
+A large weight makes the search find a path quickly, but the path may be longer than
+necessary.
 """
 _FIRST_TURN_NODES = 1000
-"""Number of nodes that each tree expands in its first turn. The number later
-doubles."""
+"""Number of nodes that a tree expands before another tree continues. The number doubles
+in each round.
+"""
 _MAX_TURN_NODES = 16_000
-"""Maximum number of nodes in a turn, which ensures that time limits are checked
-often."""
+"""Maximum number of nodes that a tree expands at a time. The time limit is checked
+after this number.
+"""
 
 
 class _LevelResult(NamedTuple):
     """Result of the search at one resolution.
 
-    `reason` explains why no path was found, and is empty if the budget is spent.
-    `proven` tells whether no path exists at any resolution.
+    `reason` explains why no path was found. If the search stopped because the node
+    budget was spent, `reason` is an empty string. `proven` tells whether it is proven
+    that no path exists at any resolution.
     """
 
     path: ArcSequence | None = None
@@ -83,7 +87,7 @@ class _LevelResult(NamedTuple):
 
 
 def best_first(problem: Problem, settings: Settings) -> Plan:
-    """Plan a path by best-first search; see `planner.plan`."""
+    """Plan a path by best-first search, as described in `planner.plan`."""
     search = _Search(problem, settings)
     best: tuple[Segment, ...] | None = None
     for level in range(settings.levels):
@@ -136,10 +140,11 @@ class _Search:
         )
 
     def start_trees(self, level: int) -> list[SearchTree]:
-        """Return the tree from the start and, without transients, a tree from the goal.
+        """Return the tree from the start, and the tree from the goal if it is possible.
 
-        Each level halves arcs and cells. The third and later levels have more
-        curvatures.
+        A tree from the goal is possible if the footprint has no transients. Each level
+        halves the lengths of the arcs and cells of the previous level. From the third
+        level on, the arcs have more curvatures.
         """
         problem = self.problem
         body = self.problem.footprint
@@ -164,16 +169,16 @@ class _Search:
             NO_PASSAGES,
         )
         trees = [SearchTree([problem.start], spec)]
-        # Transients depend on the direction of travel, so there is no tree from the
-        # goal with them.
+        # A path with transients is valid only in its direction of travel, so it cannot
+        # be searched from the goal.
         if not body.transients:
             end = turned_around(problem.start)
             home = make_target(
                 Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body
             )
             roots = [turned_around(pose) for pose in goal_poses(problem.goal, sector)]
-            # The tree from the goal has the obstacles of the tree from the start, but
-            # another target and the reversed body.
+            # The tree from the goal has the start as its target and uses the reversed
+            # body.
             backward = spec._replace(
                 primitives=make_motion_primitives(arcs, body.backward), target=home
             )
@@ -199,11 +204,12 @@ class _Search:
     def search_level(
         self, trees: list[SearchTree], best: float, *, prove: bool
     ) -> _LevelResult:
-        """Search at one resolution, optionally with a proof that no path exists.
+        """Search at one resolution, and optionally try to prove that no path exists.
 
-        The trees take turns with growing numbers of nodes. The tree from the goal
-        rarely finds a path first, but it is exhausted at once if no arc leads to the
-        goal. A guided tree joins after the first turn, but its path may be longer than
+        The trees alternate and expand more nodes each time. The tree from the start
+        usually finds a path before the tree from the goal. But if no arc leads to the
+        goal, the tree from the goal runs out of nodes immediately. A guided tree is
+        added after the first round. The path of the guided tree may be longer than
         necessary.
         """
         for turn in count():
@@ -255,7 +261,8 @@ class _Search:
             shorten_path(start, arcs, primitives, self.checker.grid, radius),
             body,
         )
-        # Merged segments change the transients, so the shortened path is checked again.
+        # Merging segments changes the transients, so the shortened path is checked
+        # again.
         is_better = _path_length(shorter) < _path_length(
             path
         ) and self.checker.is_path_free(shorter)

@@ -1,8 +1,8 @@
 """Motion capture of the snake pose, and the mean pose over one gait period.
 
 The undulation of the body makes the mean heading of the connectors oscillate by some
-tenths of a radian about the direction of travel. A mean over exactly one gait period
-removes this oscillation, but lags by half a period.
+tenths of a radian about the direction of travel. The mean over exactly one gait period
+removes this oscillation, but it lags by half a period.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 _TIME_ROUNDING = 1e-9
-"""Tolerance for rounding errors of summed ticks in times (s) and frame numbers."""
+"""Tolerance for rounding errors of sums of time steps (s) and frame numbers."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ class CameraFrames(Stateful):
         """Return the measured pose if a frame is due, otherwise None."""
         if float(state.time) * self._camera.rate_hz < self._next_frame - _TIME_ROUNDING:
             return None
-        # Several frames in one tick would show an identical state, so one is enough.
+        # Several frames within one time step would show the same state, so one frame is
+        # enough.
         self._next_frame = (
             math.floor(float(state.time) * self._camera.rate_hz + _TIME_ROUNDING) + 1
         )
@@ -80,11 +81,13 @@ class CameraFrames(Stateful):
 
 
 class PeriodMean(Stateful):
-    """Running mean of poses over one period, assumed linear between frames.
+    """Running mean of the pose over one period.
+
+    The pose is interpolated linearly between frames.
 
     Attributes:
         time: middle of the averaging interval, s.
-        pose: mean pose, or None before the first frame.
+        pose: mean pose, or None if no frame has been added yet.
         complete: whether the frames cover a whole period.
     """
 
@@ -92,8 +95,8 @@ class PeriodMean(Stateful):
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Each entry has the frame time and the integrals of x, y and heading since the
-        # first frame.
+        # Each entry contains the frame time and the integrals of x, y and heading since
+        # the first frame.
         self._integrals: deque[tuple[float, np.ndarray]] = deque()
         self._last = np.zeros(3)
         self.time = 0.0
@@ -101,12 +104,7 @@ class PeriodMean(Stateful):
         self.complete = False
 
     def add(self, time: float, pose: Pose) -> None:
-        """Add a frame and unwrap its heading with respect to the previous frame.
-
-        Args:
-            time: frame time, s.
-            pose: measured pose.
-        """
+        """Add the pose of a frame at a time (s), and unwrap its heading."""
         integrals = self._integrals
         last = self._last
         period_start = time - self._period
@@ -126,8 +124,8 @@ class PeriodMean(Stateful):
             integrals.popleft()
         begin, begin_integral = integrals[0]
         if begin < period_start:
-            # The period begins between two frames, where the integral is interpolated
-            # linearly.
+            # The averaging interval begins between two frames, so the integral is
+            # interpolated.
             next_time, next_integral = integrals[1]
             fraction = (period_start - begin) / (next_time - begin)
             begin_integral = begin_integral + fraction * (

@@ -20,20 +20,19 @@ if TYPE_CHECKING:
     import shapely
 
 MAX_CLEARANCE_M = 1.0
-"""Maximum clearance that is measured, m."""
+"""Maximum clearance that `Checker.clearance` returns, m."""
 CLEARANCE_ERROR_M = 1e-4
 """Width of the bisection interval at which `Checker.clearance` stops, m."""
 
 _MAX_GRID_CELLS = 256
-"""Maximum number of grid cells along a side. With 256² cells of two integers, the
-grid takes 1 MB."""
+"""Maximum number of grid cells along a side. The grid then needs at most 1 MB."""
 
 _MIN_CELL_M = 1e-9
-"""Minimum side of a grid cell, which applies to obstacles without extent, m."""
+"""Minimum side of a grid cell, which is used if all obstacles have zero size, m."""
 
 
 class Box(NamedTuple):
-    """Bounds of a world, where a missing bound is infinite, m."""
+    """Bounds of a world. A bound is infinite if the world has no bound on this side."""
 
     west: float = -math.inf
     east: float = math.inf
@@ -46,14 +45,13 @@ class ObstacleGrid(NamedTuple):
 
     Attributes:
         circles: x, y and radius of the circles, m, shape (n, 3).
-        sides: x, y of both ends of the polygon sides, m, shape (m, 4).
-        bounds: world bounds.
+        sides: x and y of the two ends of the polygon sides, m, shape (m, 4).
         west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
-        cell_ranges: start and end of the items of each cell in `cell_items`, shape
+        cell_ranges: first and last index in `cell_items` for each grid cell, shape
             (columns, rows, 2).
-        cell_items: numbers of the items that overlap each cell, circles before sides,
-            shape (k,).
+        cell_items: indices of the obstacles that overlap each cell, shape (k,). The
+            sides are numbered after the circles.
     """
 
     circles: np.ndarray
@@ -67,9 +65,8 @@ class ObstacleGrid(NamedTuple):
 
 
 def obstacle_grid(world: World) -> ObstacleGrid:
-    """Return the obstacles and bounds of a world for the kernels."""
+    """Return the obstacles and bounds of a world as arrays for the compiled kernels."""
     circles = [(c.x, c.y, c.radius) for c in world.obstacles]
-    # The last side closes the polygon.
     rings = [(*p.corners, p.corners[0]) for p in world.polygons]
     sides = [(*a, *b) for ring in rings for a, b in pairwise(ring)]
     bounds = Box()
@@ -83,7 +80,7 @@ def obstacle_grid(world: World) -> ObstacleGrid:
 
 
 def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleGrid:
-    """Sort obstacles into a grid."""
+    """Return a grid that lists the obstacles in each cell."""
     radius = circles[:, 2:]
     ends = sides.reshape(-1, 2, 2)
     low = np.vstack([circles[:, :2] - radius, ends.min(axis=1)])
@@ -95,7 +92,7 @@ def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleG
         return ObstacleGrid(circles, sides, bounds, 0.0, 0.0, 1.0, no_cells, no_items)
     corner = low.min(axis=0)
     extent = np.ptp(np.vstack([low, high]), axis=0)
-    # With about four items per cell, both the lists and the grid are small.
+    # About four obstacles per cell keep the lists short and the grid small.
     divisions = min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS)
     cell = max(float(extent.max()) / divisions, _MIN_CELL_M)
     columns, rows = (int(side / cell) + 1 for side in extent)
@@ -124,14 +121,14 @@ def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleG
 
 @dataclass(frozen=True)
 class Checker:
-    """Collision checker of a footprint in a world."""
+    """Collision checker for a footprint in a world."""
 
     world: World
     footprint: Footprint
 
     @cached_property
     def grid(self) -> ObstacleGrid:
-        """Obstacles and bounds of the world for the kernels."""
+        """Obstacles and bounds of the world as arrays for the compiled kernels."""
         return obstacle_grid(self.world)
 
     def is_arc_free(
@@ -141,13 +138,13 @@ class Checker:
         length: float,
         wider: tuple[float, float] = (0.0, 0.0),
     ) -> bool:
-        """Return whether the body stays free of obstacles and bounds on an arc.
+        """Return whether the body does not touch obstacles or bounds on an arc.
 
         Args:
             pose: initial pose of the centre of mass, outside all polygons.
             curvature: arc curvature, 1/m.
             length: arc length, m.
-            wider: widths added to the left and right edges, m.
+            wider: widths added to the left and right edges of the footprint, m.
         """
         body = self.footprint
         motion = self.footprint.at(curvature)
@@ -157,13 +154,13 @@ class Checker:
         return not arc_collides(tuple(pose), curvature, length, extent, self.grid)
 
     def is_path_free(self, segments: Sequence[Segment]) -> bool:
-        """Return whether a path is free, including transients of offset changes."""
+        """Return whether a path with its transients is collision-free."""
         wider = (0.0, 0.0)
         lasting = 0.0
         none = (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
-            # A change of offset starts a transient. Overlapping transients combine to
-            # the larger values.
+            # A change of offset starts a transient. While several transients overlap,
+            # the maximum width and length apply.
             if before is not None:
                 left, right, length = self.footprint.transient(
                     before.offset, segment.offset
@@ -185,8 +182,12 @@ class Checker:
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return the width by which both edges may grow, up to `MAX_CLEARANCE_M`, m."""
-        # The bisection narrows the interval between a free and a colliding width.
+        """Return the width (m) by which each edge can be widened without collision.
+
+        The result is at most `MAX_CLEARANCE_M`.
+        """
+        # The bisection reduces an interval whose lower end is collision-free and whose
+        # upper end collides.
         free, touching = (0.0, MAX_CLEARANCE_M)
         while touching - free > CLEARANCE_ERROR_M:
             middle = (free + touching) / 2
@@ -203,13 +204,11 @@ class Checker:
     ) -> str:
         """Describe an obstacle or bound that a straight path touches, if any.
 
-        Args:
-            pose: initial pose of the centre of mass.
-            length: path length, m.
-            wider: width added to both edges, m.
+        The path has a length in m. `wider` is a width (m) added to each edge of the
+        footprint.
         """
         both = (wider, wider)
-        # The whole world is tested first, because the name of an obstacle is needed
+        # One test of the whole world is faster, and the name of an obstacle is needed
         # only after a collision.
         if self.is_arc_free(pose, 0.0, length, both):
             return ""
@@ -228,9 +227,9 @@ class Checker:
 
 
 def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
-    """Return the name, core and radius of each obstacle.
+    """Return the name, shape and radius of each obstacle.
 
-    An obstacle contains all points whose distance from its core is at most the radius
+    An obstacle contains all points whose distance from the shape is at most the radius
     (m).
     """
     import shapely
@@ -246,7 +245,7 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
 
 
 def obstacle_at(world: World, x: float, y: float) -> str:
-    """Describe the obstacle or the bounds that exclude a point, if any."""
+    """Describe the obstacle at a point, or the bounds that exclude the point."""
     import shapely
 
     point = shapely.Point(x, y)

@@ -58,7 +58,7 @@ def plan(
     elif not quiet:
         _print_plan(planned)
     say(f"files in {display_path(folder)}: {', '.join(planned.files)}", quiet=quiet)
-    # The JSON document must be the only text on stdout.
+    # Standard output must contain only the JSON document.
     write = say if as_json else print
     missed = [row for row in checked if verdict(row) == "missed"]
     for row in checked if not quiet else missed if check else ():
@@ -122,7 +122,7 @@ def _quality_words(quality: PathQuality, edges: str) -> str:
     length = "least length 0: the start is within the goal's radius"
     if ratio is not None:
         length = f"{ratio:.2f} times the least length around the obstacles"
-    # Larger clearances are not measured.
+    # The clearance is computed only up to this maximum.
     if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M:
         more = "at least "
     else:

@@ -2,19 +2,20 @@ r"""Dubins paths: shortest forward paths with a minimum turning radius.
 
 The shortest path with minimum radius r has three pieces (Dubins 1957). The pieces are
 arcs of radius r to the left (L) or right (R) and straight lines (S). The six possible
-words are LSL, LSR, LRL and their mirror images. The lengths are in units of r. Let d be
-the distance between the poses, a and b the headings relative to the line between the
-poses, and p the length of the middle piece. The words that begin with L satisfy
+sequences of pieces are LSL, LSR, LRL and their mirror images. All lengths are in units
+of r. Let d be the distance between the poses, a and b the headings relative to the line
+between the poses, and p the length of the middle piece. The sequences LSL and LSR
+satisfy
 
 $$ LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b) $$
 
-and LRL satisfies cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. With a
-free arrival heading, the shortest path is an arc and a straight line (Bui et al.,
-1994). If the end is inside a turning circle, the path has two arcs instead.
+and LRL satisfies cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. If the
+final heading is free, the shortest path consists of an arc and a straight line (Bui et
+al., 1994). If the end is inside a turning circle, the path consists of two arcs.
 
-The available packages (`dubins`, wrappers of one C file) are unmaintained and have no
-wheels.
+The available Python packages (`dubins` and other wrappers of the same C file) are
+unmaintained and have no wheels.
 """
 
 from __future__ import annotations
@@ -32,14 +33,15 @@ _FULL_TURN = 2 * math.pi
 """Angle of a full turn, rad."""
 
 _ROUNDING = 1e-9
-"""Rounding error of distances (in radii) and angles (rad)."""
+"""Tolerance for rounding errors of distances (in radii) and angles (rad)."""
 
 
 class DubinsPath(NamedTuple):
     """Path of three pieces.
 
     Attributes:
-        turns: direction of each piece: 1 left, 0 straight, -1 right.
+        turns: direction of each piece, which is 1 for left, 0 for straight and -1 for
+            right.
         lengths: length of each piece, m.
         length: path length, m.
     """
@@ -52,15 +54,15 @@ class DubinsPath(NamedTuple):
 def shortest_path(
     start: Pose, x: float, y: float, heading: float | None, radius: float
 ) -> ArcSequence:
-    """Return the three arcs of the shortest path from a pose to a pose or point.
+    """Return the three arcs of the shortest path from a pose to a pose or a point.
 
-    An arc may have length 0.
+    An arc may have the length 0.
 
     Args:
         start: start pose.
         x: x of the end, m.
         y: y of the end, m.
-        heading: heading at the end, or None for any heading, rad.
+        heading: heading at the end, rad. With None, the heading at the end is free.
         radius: turning radius, m.
     """
     path = dubins_path(
@@ -72,14 +74,9 @@ def shortest_path(
 
 @compiled
 def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the shortest Dubins path.
+    """Return the shortest Dubins path between two poses (m, rad).
 
-    Args:
-        x, y, heading: start pose, m and rad.
-        to_x, to_y, to_heading: end pose, m and rad.
-        any_heading: whether the heading at the end is free, so that `to_heading` is
-            ignored.
-        radius: turning radius, m.
+    If `any_heading` is set, the heading at the end is free and `to_heading` is ignored.
     """
     dx = (to_x - x) / radius
     dy = (to_y - y) / radius
@@ -90,7 +87,6 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
         s = np.sin(heading)
         u = c * dx + s * dy
         w = c * dy - s * dx
-        # If start and end coincide, the path has no length.
         if np.sqrt(u * u + w * w) < _ROUNDING:
             best = DubinsPath(nothing, nothing, 0.0)
         for side in (1.0, -1.0):
@@ -99,8 +95,8 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
         d = np.sqrt(dx * dx + dy * dy)
         line = np.arctan2(dy, dx)
         if d < _ROUNDING:
-            # The line between coinciding points has no direction, so rounding could add
-            # a full turn.
+            # The line between two coinciding points has no direction. Rounding could
+            # therefore add a full turn.
             d = 0.0
             line = heading
         for side in (1.0, -1.0):
@@ -114,10 +110,11 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
 
 @kernel_only
 def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the shortest of `best` and the words that begin with L or R.
+    """Return the shortest path among `best` and the sequences that begin with L or R.
 
-    The words begin with L if `side` is 1, and with R if it is -1. The distance d is in
-    radii, and the headings a and b are relative to the line between the poses.
+    The sequences begin with L if `side` is 1, and with R if `side` is -1. The distance
+    d is in units of the radius. The headings a and b are relative to the line between
+    the poses.
     """
     sa = np.sin(a)
     sb = np.sin(b)
@@ -128,8 +125,8 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
     if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
-        # If the turning circles coincide, the straight line has no direction, and the
-        # path is a single arc.
+        # If the turning circles coincide, the straight line has no direction. The path
+        # is then a single arc.
         square = 0.0
         turn = b
     p = np.sqrt(max(square, 0.0))
@@ -143,8 +140,8 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
         turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
         lengths = (_wrapped(turn - a), p, _wrapped(turn - b))
         best = _shorter(best, (side, 0.0, -side), lengths)
-    # In LRL, a third circle touches both turning circles, which must be close to each
-    # other.
+    # In LRL, a third circle touches the two turning circles, which must be close to
+    # each other.
     cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
     if abs(cosine) <= 1:
         p = _FULL_TURN - np.arccos(cosine)
@@ -156,19 +153,19 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
 
 @kernel_only
 def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
-    """Return the shortest of `best` and two words to a point, in radii.
+    """Return the shortest path among `best` and two paths to a point, in radii.
 
-    With `side` 1 the words are LS and RL, and the point is u ahead of the start and w
-    to the left. With `side` -1 the words are RS and LR, and the point is w to the
-    right.
+    If `side` is 1, the two paths are LS and RL, and the point is at the distance u
+    ahead of the start and w to the left. If `side` is -1, the two paths are RS and LR,
+    and the point is at the distance w to the right.
     """
     away = u * u + (w - 1) * (w - 1)
     if away >= 1:
         tangent = np.arctan2(u, 1 - w) - np.arccos(1 / np.sqrt(away))
         lengths = (_wrapped(tangent), np.sqrt(away - 1), 0.0)
         return _shorter(best, (side, 0.0, 0.0), lengths)
-    # If the point is inside the left turning circle, the path turns right about (0,
-    # -1), then left on a tangent circle.
+    # If the point is inside the left turning circle, the path first turns right about
+    # the point (0, -1) and then left on a tangent circle.
     far = np.sqrt(u * u + (w + 1) * (w + 1))
     opening = np.arccos(min(1.0, (3 + far * far) / (4 * far)))
     for sign in (1.0, -1.0):
@@ -190,7 +187,7 @@ def _shorter(best, turns, lengths):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _wrapped(angle):  # type: ignore[no-untyped-def]
-    """Return an angle in [0, 2 pi), where a full turn within rounding is 0."""
+    """Return an angle in [0, 2π). A full turn within the tolerance gives 0."""
     angle = angle - _FULL_TURN * np.floor(angle / _FULL_TURN)
     if angle < _FULL_TURN - _ROUNDING:
         return max(angle, 0.0)

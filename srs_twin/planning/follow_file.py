@@ -102,11 +102,7 @@ class FollowFile(ControllerSection):
             )
 
     def controller(self, context: ControllerContext) -> Controller:
-        """See `ControllerSection.controller`. The first call computes the plan.
-
-        Raises:
-            InputError: start or goal is not possible.
-        """
+        """See `ControllerSection.controller`. The first call computes the plan."""
         planner: ScenarioPlanner = context.products["planner"]
         body = planner.footprint
         problem = planner.problem
@@ -148,15 +144,7 @@ class FollowFile(ControllerSection):
         robot: RobotFile,
         planner: PlannerSection,
     ) -> ConditionsFile:
-        """Return the conditions of following, for margins with a probability.
-
-        Args:
-            plant: name of the plant, "analytical" or "twin".
-            contact: contact of the twin, or None for the analytical model.
-            chambers: kind of pneumatics.
-            robot: robot file, which contains the spreads of the modules.
-            planner: planner section.
-        """
+        """Return the conditions for which a margin is selected from measurements."""
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(
             {

@@ -2,19 +2,21 @@
 
 The `Follower` implements Section 5.2.2. A camera measures poses, which are averaged
 over a gait period. A `Predictor` extrapolates the mean pose, and a steering law
-(`Steering`) computes the offset. The offset reaches the gait or ILC after a command
-delay. The run ends at the goal, or earlier for one of the reasons in `ENDINGS`.
+(`Steering`) computes the offset. The gait (or the iterative learning control) receives
+the offset after a command delay. The run ends at the goal, or earlier for one of the
+reasons in `ENDINGS`.
 
 If the snake deviates too far from its path or its body approaches an obstacle, the
 follower requests a new plan. The new plan has the margin of the first plan or, if
 necessary, a fraction of this margin.
 
 Symbols:
-    s: position along the path from its start, m.
+    s: position along the path, measured from the start of the path, m.
     n: cross-track error, i.e. signed distance from the path, positive to the left, m.
     κ: path curvature, positive to the left, 1/m.
-    ℓ: response length of the curvature to a change of offset, m (`Conditions.response_length`).
-    d, g: disturbance (1/m) and gain of the turning, estimated by the `Predictor`.
+    ℓ: response length of the curvature to a change of offset, m
+        (`Conditions.response_length`).
+    d, g: disturbance (1/m) and gain of the curvature, which the `Predictor` estimates.
 """
 
 from __future__ import annotations
@@ -54,41 +56,40 @@ ENDINGS = {
     "no_room": "no path with the required margin",
     "gait_ended": "the gait has ended",
 }
-"""Endings of a run with their explanations. Only the first ending is a success."""
+"""Reasons why a run ends, with explanations. Only the first reason is a success."""
 
 STUCK_FRACTION = 0.1
-"""Fraction of the footprint's speed below which a snake counts as slow.
+"""Fraction of the footprint's speed below which a snake is considered slow.
 
-A snake that is slow for `STUCK_PERIODS` is stuck.
+A snake that is slow for `STUCK_PERIODS` is considered stuck.
 """
 STUCK_PERIODS = 6
-"""Duration of slow motion after which a snake is stuck, in gait periods."""
+"""Duration of slow motion after which a snake is considered stuck, in gait periods."""
 RETRY_PERIODS = 2
 """Minimum time between two requests for a new plan, in gait periods."""
 _MIN_CHANGE = 1e-3
 """Minimum change of the offset that is sent to the gait."""
 _WINDOW_M = 0.3
-"""Distance along the path within which the next nearest point is searched, m.
+"""Distance along the path within which the nearest point is searched, m.
 
-The search is local because paths may cross themselves.
+The search is local because a path may cross itself.
 """
 
 _UNKNOWN = (
     Pose(math.nan, math.nan, math.nan),
     PathPoint(math.nan, math.nan, math.nan, math.nan),
 )
-"""Pose and path coordinates before the first frame."""
+"""Pose and path coordinates before the first camera frame."""
 
 Replan = Callable[[Pose, float], Plan]
-"""Function that plans from a pose with a fraction of the margin."""
+"""Function of a pose and a fraction of the margin that returns a new plan."""
 
 
 class ReplanResult(NamedTuple):
     """Result of a request for a new plan.
 
     Attributes:
-        plan: new plan, if one was found.
-        reason: reason why there is no plan with the full margin.
+        reason: reason why no plan with the full margin was found.
         fraction: fraction of the margin that the new plan keeps.
     """
 
@@ -98,17 +99,17 @@ class ReplanResult(NamedTuple):
 
 
 _HORIZON_M = 0.6
-"""Length of path ahead on which the body is checked for obstacles, m."""
+"""Length of the path ahead of the snake that is checked for obstacles, m."""
 _CHECKED_PIECES = 8
 """Number of pieces into which `_HORIZON_M` is divided."""
 _RESERVE_FRACTION = 0.3
 """Clearance below which a new plan is requested, as a fraction of the margin."""
 _MARGIN_FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
-"""Fractions of the margin that are tried in turn for a new plan."""
+"""Fractions of the margin for a new plan, tried in this order."""
 _OPTIONAL = ("close", "run_up", "fault", "start")
-"""Reasons for a new plan without which the snake may continue along the old plan."""
+"""Reasons for requesting a new plan where the snake may also keep the old plan."""
 _UNCOUNTED = ("run_up", "fault", "start")
-"""Reasons for a new plan that does not count as one of `Conditions.max_replans`."""
+"""Reasons for requesting a plan that do not count towards `Conditions.max_replans`."""
 
 _PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")
 """Fields of a world that affect plans. The floor affects only the plants."""
@@ -116,20 +117,18 @@ _PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")
 
 @dataclass(frozen=True)
 class Conditions:
-    """Conditions of following: sensing, delays and limits.
+    """Sensing, delays and limits of a follower.
 
     Attributes:
-        camera: motion capture.
         delay: command delay, s.
         response_length: response length ℓ of the curvature, m.
-        max_cross_track_error: cross-track error at which a new plan is requested, or None for no
-            request, m.
-        max_replans: maximum number of new plans.
+        max_cross_track_error: cross-track error at which a new plan is requested, m.
+            With None, no new plan is requested.
         lead_in: length of the straight lead-in of the first path, m. At the end of the
-            lead-in, the rest of the path is planned again from the actual pose, if
+            lead-in, the rest of the path is planned again from the measured pose, if
             possible.
-        lag: transport delay of the robot, after which the frames show the effect of a
-            command, s.
+        lag: transport delay of the robot, s. The camera frames show the effect of a
+            command after this time.
     """
 
     camera: Camera
@@ -143,32 +142,25 @@ class Conditions:
 
 @dataclass(eq=False)
 class Follower(Controller):
-    """Controller that follows a plan; see the module docstring.
+    """Controller that follows a plan, as described in the module docstring.
 
     Attributes:
-        gait: controller with an `offset`: a `Gait` or an `ILC`.
-        steering: steering law.
-        plan: plan to follow. A plan without a path ends the run at once.
-        goal: goal of the centre of mass.
+        gait: controller with an `offset`, which is a `Gait` or an `ILC`.
+        plan: plan to follow. If the plan has no path, the run ends immediately.
         footprint: footprint of the snake, which limits the offset.
-        conditions: camera, delays and limits.
-        body: footprint of the plan, which is recorded with the run, by default
-            `footprint`.
+        body: footprint with which the plan was computed. This footprint is recorded
+            with the run, and its default is `footprint`.
         world: world, which is recorded with the run.
-        replan: planner for new plans, or None.
-        submit: function that runs the planner in another thread. Without it, the snake
-            waits for the planner.
-        min_margin_fraction: minimum fraction of the margin in a new plan. If it is above 0, a
-            run ends (`no_room`) when no such plan is found, or when the body approaches
-            an obstacle and no new plan is left.
-        allows_contact: whether the body may lean on obstacles, so that approaching an obstacle
-            requires no new plan.
-        finished: whether the run has ended.
-        ending: key of `ENDINGS`, or None before the end.
-        plans: time (s) and plan for each plan, where the first time is 0.
-
-    Raises:
-        InputError: the gait has no offset or no frequency.
+        replan: planner for new plans, or None if the run has no new plans.
+        submit: function that runs the planner in another thread. If `submit` is None,
+            the snake waits for the planner.
+        min_margin_fraction: minimum fraction of the margin in a new plan. If this
+            fraction is above 0, a run ends with `no_room` when no such plan is found,
+            or when the body approaches an obstacle and no further plan is allowed.
+        allows_contact: whether the body may lean on obstacles. If so, an approaching
+            obstacle causes no new plan.
+        ending: key of `ENDINGS`, or None if the run has not ended.
+        plans: time (s) and plan for each plan. The time of the first plan is 0.
     """
 
     kind = "follow"
@@ -284,7 +276,7 @@ class Follower(Controller):
         return valves
 
     def request_replan(self, reason: str) -> None:
-        """Request a new plan at the next frame.
+        """Request a new plan at the next camera frame.
 
         If no new plan is found, the snake continues along the old plan.
         """
@@ -293,7 +285,8 @@ class Follower(Controller):
     def load_state_dict(self, memory: Mapping[str, Any]) -> None:
         """See `Stateful.load_state_dict`.
 
-        The steering law starts on the path of the last plan before it gets its state.
+        The steering law is initialised with the path of the last plan before its state
+        is loaded.
         """
         segments = memory["plans"][-1][1].segments
         if segments:
@@ -302,7 +295,7 @@ class Follower(Controller):
         super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of gait and follower, NaN before the first frame."""
+        """Return the signals of gait and follower, with NaN before the first frame."""
         pose, point = self._position
         return self.gait.signals() | {
             "offset_commanded": self._commanded,
@@ -353,8 +346,8 @@ class Follower(Controller):
             return
         steering = self.steering
         later = time + self.conditions.delay
-        # The law needs the pose at the time when the frames show the effect of the
-        # command.
+        # The steering law needs the pose at the time when the camera frames show the
+        # effect of the command.
         shows = later + self.conditions.lag
         if steering.predicts:
             pose = predictor.predict(mean.time, mean.pose, shows)
@@ -363,7 +356,7 @@ class Follower(Controller):
         turning = predictor.turning, predictor.disturbance, predictor.gain
         offset = steering.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
-        # An offset at its limit is sent even after a small change.
+        # An offset at its limit is sent even if it has changed only slightly.
         if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (
             self._low,
             self._high,
@@ -379,8 +372,8 @@ class Follower(Controller):
         moved = self._predictor.moved
         goal = self.goal
         max_cross_track_error = self.conditions.max_cross_track_error
-        # Only distances over whole periods show progress, because a snake moves back
-        # and forth within each period.
+        # The snake moves back and forth within each gait period, so progress is
+        # measured over whole periods.
         if moved is None or moved > self._stuck_distance:
             self._moved_at = time
         if time - self._moved_at > STUCK_PERIODS * self._period:
@@ -396,7 +389,8 @@ class Follower(Controller):
             self._request_plan(time, here, reason)
         elif self._leading_in and point.s >= self.conditions.lead_in:
             self._leading_in = False
-            # The estimates are discarded, because the gait was still learning.
+            # The estimates are discarded, because they include periods in which the
+            # gait was still learning.
             self._predictor.reset_turning()
             self._request_plan(time, here, "run_up")
         elif max_cross_track_error is not None and time >= self._not_before:
@@ -414,8 +408,8 @@ class Follower(Controller):
         )
         for k in range(_CHECKED_PIECES):
             on = self._path.pose(point.s + k * piece)
-            # Each piece of the expected return is approximated by an arc with the
-            # curvature of the path.
+            # On each piece of the expected motion back to the path, the body is checked
+            # on an arc with the curvature of the path.
             first, last = (
                 self.steering.predict_cross_track(point.n, slope, (k + i) * piece)
                 for i in (0, 1)
@@ -450,7 +444,8 @@ class Follower(Controller):
                     f"{ENDINGS['no_room']}: {reason}, and no new plan is left",
                 )
             elif self._tries == self.conditions.max_replans:
-                # One more try ensures that the event occurs only once.
+                # The number of tries exceeds the maximum by one, so that the event is
+                # reported only once.
                 self._tries += 1
                 text = (
                     f"{reason}: keeping the old plan, all {self.conditions.max_replans} new"

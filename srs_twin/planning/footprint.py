@@ -6,10 +6,10 @@ path the body stays within
 
 $$ -r(κ) ≤ n ≤ l(κ), $$
 
-where n is the distance to the left of the path, l the left and r the right edge. Along
-the arc, the footprint extends from `behind` the centre of mass (the tail) to `ahead` of
-it (the head). Offset, speed and edges are tabulated by curvature and interpolated
-linearly.
+where n is the distance to the left of the path, l is the left edge and r is the right
+edge. Along the arc, the footprint extends from the tail, at the distance `behind` from
+the centre of mass, to the head, at the distance `ahead`. Offset, speed and edges are
+tabulated by curvature and interpolated linearly.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ COLUMNS = ("offsets", "curvatures", "speeds", "left", "right")
 """Columns of a footprint table. Each column has one value per offset."""
 
 CURVATURE_TOLERANCE = 1e-9
-"""Tolerance for curvatures beyond the ends of the table, 1/m."""
+"""Tolerance for curvatures outside the range of the table, 1/m."""
 
 
 @dataclass(frozen=True)
 class FootprintRow:
-    """Row of a footprint table; see `Footprint`."""
+    """Row of a footprint table, with the quantities of `Footprint`."""
 
     offset: float
     speed: float
@@ -44,12 +44,13 @@ class Transient:
     """Deviation from the steady footprint after a change of offset.
 
     Attributes:
-        before, after: old and new offset.
-        left, right: extra widths of the edges, m.
-        length: length of the path after the change on which the edges are wider, m.
-        dx, dy: final displacement forward and to the left, relative to an instant
+        before, after: offset before and after the change.
+        left, right: extra widths of the left and right edges, m.
+        length: length of the path after the change along which the edges are wider, m.
+        dx, dy: final displacement forward and to the left, relative to an instantaneous
             change, m.
-        dheading: final turn to the left, relative to an instant change, rad.
+        dheading: final heading change to the left, relative to an instantaneous change,
+            rad.
     """
 
     before: float
@@ -64,7 +65,7 @@ class Transient:
 
 @dataclass(frozen=True)
 class Footprint:
-    """Footprint of a robot for one gait and supply pressure, in order of offset.
+    """Footprint of a robot for one gait and supply pressure.
 
     Attributes:
         name: short name.
@@ -73,11 +74,11 @@ class Footprint:
         curvatures: curvatures of the path of the centre of mass in ascending order,
             positive to the left, 1/m.
         speeds: speeds of the centre of mass, m/s.
-        left, right: distances of the edges from the path, m.
-        ahead, behind: distances from the centre of mass to head and tail along the
-            path, m.
-        transients: measured changes of offset, empty if the offset acts at once, as the
-            dissertation assumes.
+        left, right: distances of the left and right edges from the path, m.
+        ahead, behind: distances from the centre of mass to the head and to the tail
+            along the path, m.
+        transients: measured responses to changes of offset. Without measurements, a new
+            offset acts instantly, as the dissertation assumes.
     """
 
     name: str
@@ -103,15 +104,15 @@ class Footprint:
         ahead: float = 0.0,
         behind: float = 0.0,
     ) -> Footprint:
-        """Return the box of the dissertation with a constant width (Fig. 54, Table 9).
+        """Return a footprint of constant width, as in Fig. 54 and Table 9.
 
-        In turns the box is shifted outward, because the inner edge approaches the path
-        while the outer edge hardly moves (Table 8). The box of the dissertation has no
-        length.
+        In turns the edges are shifted outward, because the inner edge approaches the
+        path while the outer edge hardly moves (Table 8). In the dissertation, `ahead`
+        and `behind` are 0.
 
         Args:
             width: distance between the edges, m.
-            shift: shift of both edges in the tightest turn, m.
+            shift: shift of the two edges in the tightest turn, m.
             speed: speed of the centre of mass, m/s.
             curvature: curvature of the tightest turn, 1/m.
             offset: offset of the tightest turn.
@@ -135,17 +136,17 @@ class Footprint:
 
     @property
     def tightest(self) -> tuple[float, float]:
-        """Maximum curvatures to the right and to the left, both positive, 1/m."""
+        """Maximum curvatures to the right and to the left as positive numbers, 1/m."""
         return -self.curvatures[0], self.curvatures[-1]
 
     @property
     def narrowest(self) -> float:
-        """Minimum distance of an edge from the path at any curvature, m."""
+        """Minimum distance of an edge from the path over all curvatures, m."""
         return min(*self.left, *self.right)
 
     @property
     def backward(self) -> Footprint:
-        """Footprint without transients for travel in the opposite direction."""
+        """Footprint for travel in the opposite direction, without transients."""
         return replace(
             self,
             offsets=tuple(-value for value in reversed(self.offsets)),
@@ -159,18 +160,19 @@ class Footprint:
         )
 
     def reduced(self, turn_fraction: float = 1.0, margin: float = 0.0) -> Footprint:
-        """Return the footprint with a smaller range of curvatures and wider edges.
+        """Return the footprint with a smaller range of curvatures and with wider edges.
 
         A follower corrects errors with the turns that a plan does not use. The margin
         allows for the remaining errors.
 
         Args:
-            turn_fraction: fraction of the tightest curvatures that is kept, at most 1.
-            margin: width added to both edges, m.
+            turn_fraction: ratio of the new to the old maximum curvature, at most 1.
+            margin: width added to each edge, m.
         """
         low = turn_fraction * self.curvatures[0]
         high = turn_fraction * self.curvatures[-1]
-        # Rows too close to the new limits would give intervals of almost no width.
+        # Rows close to the new limits are dropped, because the table intervals would
+        # have almost no width.
         inner = [
             k
             for k in self.curvatures
@@ -188,7 +190,7 @@ class Footprint:
         )
 
     def at(self, curvature: float) -> FootprintRow:
-        """Return the interpolated row at a curvature (1/m).
+        """Interpolate the table at a curvature (1/m).
 
         Raises:
             InputError: the curvature is outside the table.
@@ -209,11 +211,11 @@ class Footprint:
         )
 
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
-        """Return the extra left and right width and the length of a transient, m.
+        """Return the extra left width, extra right width and length of a transient, m.
 
-        The widths are interpolated between the measured sizes of a change. A change
-        beyond the measured range has the widths of the largest measured change. If
-        several measured changes have equal size, the widest transient is used.
+        The widths are interpolated between measured changes of different size. A change
+        larger than all measured changes has the widths of the largest measured change.
+        If several measured changes have equal size, the widest transient is used.
         """
         measured = self._measured(after - before)
         if not measured:
@@ -222,17 +224,17 @@ class Footprint:
         for size, t in measured:
             left, right = widest.get(size, (0.0, 0.0))
             widest[size] = max(left, t.left), max(right, t.right)
-        # The length of a linear response does not depend on the size of the change.
         return *_interpolated(abs(after - before), widest), max(
             t.length for _, t in measured
         )
 
     @property
     def response_length(self) -> float | None:
-        """Response length ℓ of the curvature to a change of offset, or None, m.
+        """Response length ℓ of the curvature to a change of offset, m.
 
-        After a change Δκ of the curvature, a first-order response lags in heading by Δκ
-        ℓ = −dheading. The value is a least-squares estimate over all transients.
+        After a change Δκ of the curvature, the heading of a first-order response lags
+        by Δκ ℓ = −dheading. The value is a least-squares estimate over all transients,
+        or None if the footprint has no transients.
         """
         changes = np.array(
             [
@@ -246,20 +248,20 @@ class Footprint:
         return None
 
     def lag(self, before: float, after: float) -> tuple[float, float]:
-        """Return the delay δ and the length T of a transition arc (`planner`), m.
+        """Return the delay δ and the length T of a transition arc (see `planner`), m.
 
-        Both lengths are interpolated between the measured sizes of a change and
-        constant beyond them. Without measured changes in this direction, they are 0.
+        The two lengths are interpolated between measured changes of different size, and
+        constant outside the measured range. If no change in this direction was
+        measured, the lengths are 0.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):
             step = self._curvature(t.after) - self._curvature(t.before)
             if t.dheading * step < 0:
-                # The module `planner` derives dheading = −Δκ δ and dy = Δκ m/2.
                 delay = -t.dheading / step
                 moment = 2 * t.dy / step
-                # The curvature of an arc shorter than its delay would change in the
-                # wrong direction (κ_t in `planner`).
+                # If T were shorter than δ, the curvature κ_t would change in the wrong
+                # direction.
                 known.setdefault(size, []).append((delay, max(moment / delay, delay)))
         if not known:
             return 0.0, 0.0
@@ -267,7 +269,7 @@ class Footprint:
         return _interpolated(abs(after - before), means)
 
     def _measured(self, change: float) -> list[tuple[float, Transient]]:
-        # The sizes are rounded, because 0.3 − 0.2 is not exactly 0.1.
+        # Rounding makes sizes such as 0.3 − 0.2 and 0.1 equal.
         return [
             (round(abs(t.after - t.before), 9), t)
             for t in self.transients
@@ -288,7 +290,7 @@ def _interpolated(
 
 
 def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
-    """Return the errors of a footprint as pairs of field and message."""
+    """Return the errors of a footprint as pairs of field name and message."""
     problems = []
     rows = len(footprint.offsets)
     for name in COLUMNS[1:]:
@@ -296,7 +298,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             problems.append((name, f"{len(values)} values for {rows} offsets"))
     for name in ("offsets", "curvatures"):
         values = getattr(footprint, name)
-        # Interpolation over a column needs increasing values.
+        # Linear interpolation needs strictly increasing values.
         if any(b <= a for a, b in pairwise(values)):
             problems.append(
                 (
@@ -319,9 +321,9 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             )
         )
     for side, name in enumerate(("left", "right")):
-        # An inner edge must not reach the centre of curvature, where κ n = 1.
+        # The inner edge must not reach the centre of curvature, where κ n = 1.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
-        # The edges include the largest transient after any change to this offset.
+        # The edges include the widest transient after any change to this offset.
         extra = [
             max(
                 footprint.transient(before, after)[side] for before in footprint.offsets
@@ -343,11 +345,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
 
 
 def validate_footprint(footprint: Footprint) -> Footprint:
-    """Return a footprint unchanged if it is valid.
-
-    Raises:
-        InputError: the footprint is inconsistent, or a number is not finite.
-    """
+    """Return a footprint unchanged if it is valid."""
     columns = (getattr(footprint, name) for name in COLUMNS)
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
     if not np.isfinite(numbers).all():

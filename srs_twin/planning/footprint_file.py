@@ -1,14 +1,16 @@
-"""Footprint files: tables of footprints with sources, and excursions of followers.
+"""Footprint files: footprint tables with sources, and excursions of followers.
 
 A file contains the table of a `Footprint` in the form of Table 8, where each column has
-a unit, a status and a source. The published footprints are in calibration/footprints,
-and `srs-twin calibrate footprint` measures new ones.
+a unit, a status and a source. The directory calibration/footprints contains the
+published footprints, and the command `srs-twin calibrate footprint` measures new
+footprints.
 
-For margins with a probability, the file contains the maximum excursion beyond the
-footprint in each of n runs on random paths. The excursion of a new run does not exceed
-the k-th smallest value with a probability of at least k/(n + 1), for any distribution.
-The method is split conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin
-of probability p is the value with k = ⌈(n + 1) p⌉.
+From the file, a margin can be computed that a run respects with a given probability.
+For this purpose the file contains the maximum excursion beyond the footprint in each of
+n runs on random paths. The probability that the excursion of a new run does not exceed
+the k-th smallest value is at least k/(n + 1), for any distribution. The method is split
+conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin for the probability
+p is the value with k = ⌈(n + 1) p⌉.
 """
 
 from __future__ import annotations
@@ -30,13 +32,13 @@ from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
 from srs_twin.robot.sourced import Record, Status, bounded
 
 MEASURED_ON_TWIN = "measured on the twin"
-"""First words of the source of curvatures that were measured on a twin."""
+"""First words of the `source` text for curvatures that were measured on a twin."""
 
 Fraction = Annotated[float, bounded(0.0, 1.0)]
 Excursion = Annotated[float, bounded(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
 LOST_M = 1e3
-"""Excursion that stands for a run that does not arrive, m."""
+"""Value that is stored as the excursion of a run that does not arrive, m."""
 
 Rows = Field(min_length=3, max_length=101)
 Offsets = Record[
@@ -108,10 +110,10 @@ class ConditionsFile(StrictModel):
         return self
 
     def covers(self, other: ConditionsFile) -> bool:
-        """Return whether results under these conditions are bounds for others.
+        """Return whether a margin measured under these conditions is valid for `other`.
 
-        Plant, contact, chambers, follower and lead-in must agree, and no number of the
-        other conditions may make following more difficult.
+        The plant, contact model, chamber model, follower and lead-in must agree. No
+        number of the other conditions may make following more difficult.
         """
         same = ("plant", "contact", "chambers", "follower", "lead_in_m")
         return all(
@@ -122,10 +124,7 @@ class ConditionsFile(StrictModel):
         )
 
     def excess_difficulty(self, other: ConditionsFile) -> float:
-        """Return how much more difficult these conditions are than covered conditions.
-
-        The value is the sum of the relative differences.
-        """
+        """Return the sum of relative differences by which `other` is less difficult."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
         return float(
             sum((own - covered) / own for own, covered in pairs if own > covered)
@@ -133,7 +132,7 @@ class ConditionsFile(StrictModel):
 
 
 SPREADS = ("gain_spread", "tau_spread", "bias_spread_rad")
-"""Keys of the standard deviations of module parameters, as in a robot file."""
+"""Keys of the standard deviations of module parameters in a robot file."""
 _DIFFICULTIES = (
     *SPREADS,
     "turn_fraction",
@@ -141,7 +140,7 @@ _DIFFICULTIES = (
     "position_noise_m",
     "heading_noise_rad",
 )
-"""Keys whose larger values make following more difficult."""
+"""Keys whose values make following more difficult if they are larger."""
 
 
 class ExcursionsFile(StrictModel):
@@ -178,7 +177,7 @@ class TransientFile(StrictModel):
     """Turn of the path to the left, rad, -3.15 to 3.15 (default 0)."""
 
     def transient(self) -> Transient:
-        """Return the change as a `Transient`."""
+        """Return the measured change as a `Transient`."""
         return Transient(*self.model_dump().values())
 
 
@@ -253,12 +252,15 @@ class FootprintFile(StrictModel):
 
     @property
     def twin_contact(self) -> ContactName | None:
-        """Contact of the twin that was measured, or None without a twin."""
+        """Contact model of the twin on which the footprint was measured.
+
+        The value is None if the footprint was not measured on a twin.
+        """
         measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
         return self.contact or (UNSTATED_CONTACT if measured else None)
 
     def mismatch(self, contact: ContactName) -> str | None:
-        """Return a warning if the contact differs from the measured twin."""
+        """Return a warning if the contact model differs from the measured model."""
         own = self.twin_contact
         if own in (None, contact):
             return None
@@ -269,7 +271,7 @@ class FootprintFile(StrictModel):
         )
 
     def footprint(self) -> Footprint:
-        """Return the footprint without sources."""
+        """Return the footprint without the sources of its values."""
         columns = {name: tuple(getattr(self, key).value) for name, key in _KEYS.items()}
         changes = self.transients.changes if self.transients else []
         return Footprint(
@@ -282,7 +284,7 @@ class FootprintFile(StrictModel):
         )
 
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
-        """Yield the location and message of each inconsistency."""
+        """Yield the location and the message of each inconsistency."""
         rows = len(self.offset.value)
         for key in (*_KEYS.values(),)[1:] if self.spread else ():
             count = len(getattr(self.spread, key))
@@ -293,20 +295,16 @@ class FootprintFile(StrictModel):
 
 
 def load_footprint_file(name_or_path: StrPath) -> FootprintFile:
-    """Load and check a footprint file by its shipped name (gen4_table8) or path.
-
-    Raises:
-        InputError: the file is not found or cannot be read.
-        InputFileError: the file is not valid.
-    """
+    """Load and check a footprint file by its shipped name (gen4_table8) or its path."""
     return load_model(FootprintFile, find_file("footprint", name_or_path))
 
 
 def load_footprint(name_or_path: StrPath) -> Footprint:
-    """Load a footprint by its shipped name (gen4_table8) or path.
+    """Load a footprint by its shipped name (gen4_table8) or by the path of its file.
 
     Raises:
-        InputError, InputFileError: the file is refused by `load_footprint_file`.
+        InputError: the file is not found or cannot be read.
+        InputFileError: the file is not a valid footprint file.
     """
     return load_footprint_file(name_or_path).footprint()
 
@@ -314,17 +312,7 @@ def load_footprint(name_or_path: StrPath) -> Footprint:
 def save_footprint(
     file: FootprintFile, path: StrPath, *, header: Sequence[str] = ()
 ) -> None:
-    """Write a footprint file atomically.
-
-    Args:
-        file: footprint file.
-        path: output path.
-        header: lines of a comment at the top of the file.
-
-    Raises:
-        InputFileError: the table is not a valid footprint.
-        InputError: the file cannot be written.
-    """
+    """Write a footprint file atomically, with `header` as a comment at the top."""
     document = Document(os.fspath(path))
     for loc, message in file.contradictions():
         document.report(loc, message)
@@ -339,25 +327,16 @@ def save_footprint(
 
 @dataclass(frozen=True)
 class Margin:
-    """Width added to the edges of a footprint, m.
-
-    Attributes:
-        path: margin on all of the path.
-        lead_in: margin on the straight lead-in.
-    """
+    """Width added to the edges of a footprint, m."""
 
     path: float = 0.0
     lead_in: float = 0.0
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return the excursion (m) that a new run does not exceed with a probability.
-
-    Raises:
-        InputError: there are too few runs, or too many runs did not arrive.
-    """
+    """Return the excursion (m) that a new run respects with a given probability."""
     count = len(excursions)
-    # The tolerance absorbs the rounding error of products such as 20 · 0.95.
+    # The tolerance allows for the rounding error of products such as 20 · 0.95.
     rank = math.ceil((count + 1) * probability - 1e-9)
     if rank > count:
         least = math.ceil(probability / (1 - probability) - 1e-9)
@@ -379,16 +358,12 @@ def margin_for(
     probability: float,
     conditions: Sequence[ConditionsFile],
 ) -> Margin:
-    """Return the margin for a run under each of several conditions.
+    """Return the margin with which a run succeeds under each of several conditions.
 
     Args:
         measured: measured excursions.
         probability: probability that a whole run stays within the margin.
-        conditions: conditions of the run, one per plant.
-
-    Raises:
-        InputError: no measurement covers the conditions, or a measurement has too few
-            runs.
+        conditions: conditions of the run, one entry per plant.
     """
     paths = [0.0]
     lead_ins = [0.0]
@@ -401,8 +376,8 @@ def margin_for(
                 f"no deviations from the path have been measured for {text}; `srs-twin"
                 " calibrate margin` measures them"
             )
-        # Only one block is used, because runs would exceed the minimum over several
-        # blocks more often than the probability states.
+        # Only one set of measurements is used. The minimum over several sets would be
+        # exceeded more often than the probability states.
         block = min(
             covering, key=lambda block: block.conditions.excess_difficulty(condition)
         )

@@ -1,17 +1,17 @@
 """Proof that no path exists, and a lower bound on path lengths.
 
-The proof and the bound hold for paths with any turns. Let the clearance w be the
+The proof and the bound hold for paths with arbitrary turns. Let the clearance w be the
 minimum distance of an edge from the path. Consider a point o of an obstacle that is
-closer than w to a smooth path. If the nearest point of the path is not an end, then o
-is straight across from it and within the edges, which is a collision. Therefore the
-nearest point is an end, and all points of the path within w of o are within 2 w of this
-end.
+closer than w to a smooth path. If the nearest point of the path is not an end of the
+path, then o lies on the normal to the path at this point and between the edges, which
+is a collision. Therefore the nearest point is an end of the path, and all points of the
+path within the distance w of o are within 2 w of this end.
 
-Hence a collision-free path is contained in the free space. The free space consists of
-the bounds reduced by w, without the obstacles grown by w, and of discs of radius 2 w
-around both ends. No path exists if start and goal are in different connected
-components. Otherwise the shortest line in the component is a lower bound on the path
-length.
+Hence the free space contains every collision-free path. The free space consists of the
+bounds reduced by w, without the obstacles enlarged by w, and of discs of radius 2 w
+around the two ends of the path. No path exists if the start and the goal are in
+different connected components. Otherwise the shortest line in the component is a lower
+bound on the path length.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 _FINE_CHORDS = 32
 """Number of chords per quarter circle in the proof.
 
-Chords lie inside the circle, so that the approximation only widens gaps.
+The chords lie inside the circle, so the polygon underestimates the obstacle.
 """
 _COARSE_CHORDS = 4
-"""Number of chords per quarter circle in the length bound, small to save time."""
+"""Number of chords per quarter circle in the length bound. Few chords save time."""
 _ROUNDING_M = 1e-9
 """Tolerance for lines along the boundary of the free space, m."""
 
@@ -44,7 +44,7 @@ def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
     Args:
         start: start pose.
-        goal: goal, within whose radius the path may end anywhere.
+        goal: goal. The path may end anywhere within the radius of the goal.
         world: obstacles and bounds.
         clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """
@@ -52,11 +52,11 @@ def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
 
 def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> float:
-    """Return a lower bound on the length of any path, infinite if none exists, m.
+    """Return a lower bound (m) on the length of any path, or infinity if none exists.
 
     Args:
         start: start pose.
-        goal: goal, within whose radius the path may end anywhere.
+        goal: goal. The path may end anywhere within the radius of the goal.
         world: obstacles and bounds.
         clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """
@@ -65,9 +65,9 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
     component = _free_component(start, goal, world, clearance, _COARSE_CHORDS)
     if component is None:
         return math.inf
-    # A shortest line bends only at corners of the free space, so the algorithm is A* on
-    # the visibility graph. The visibility of a line is tested only when it reaches the
-    # front of the queue.
+    # The shortest line bends only at corners of the free space, so the algorithm is A*
+    # on the visibility graph. The visibility of a line is tested only when the line is
+    # taken from the queue.
     free = component.buffer(_ROUNDING_M, join_style="mitre")
     shapely.prepare(free)
     corners = np.array(
@@ -119,8 +119,8 @@ def _free_component(
 
     here = shapely.Point(start.x, start.y)
     there = shapely.Point(goal.x, goal.y)
-    # The factor makes the polygons contain the discs around both ends, because the free
-    # space must not be too small.
+    # The factor makes the polygons contain the discs around the two ends, because the
+    # free space must not be underestimated.
     around = 1 / math.cos(math.pi / (4 * chords))
     ends = [
         here.buffer(2 * clearance * around, quad_segs=chords),

@@ -1,16 +1,17 @@
 """Guidance of the search in cluttered worlds: grid distances and narrow passages.
 
 The first search uses the Dubins length as heuristic, which ignores obstacles. If the
-first search does not succeed at once, a second tree also uses
+first search does not succeed immediately, a second tree also uses
 
-- the distance to the goal on a grid around obstacles. This estimate is not a lower
-  bound, because grid paths are up to 8 % longer than straight lines. Passages narrower
-  than a cell may be missing or too wide. Therefore the tree finds some path quickly,
-  but not necessarily the shortest path.
-- entry poses of narrow passages. Poses on arcs of fixed length rarely hit a passage
-  that is hardly wider than the body. At the centre of a passage, two obstacles have
-  their shortest distance, and no other obstacle is nearer. The tree tries Dubins paths
-  to an entry pose so far ahead of the centre that the last transient ends before it.
+- the distance to the goal on a grid around obstacles. This distance is not a lower
+bound, because grid paths are up to 8 % longer than straight lines. Passages narrower
+than a cell may be missing or too wide. The second tree therefore finds a path quickly,
+but the path may not be the shortest path.
+- entry poses of narrow passages. Arcs of fixed length rarely end at a pose from which
+the body fits through a passage that is hardly wider than the body. The centre of a
+passage is the middle of the shortest line between two obstacles, if no other obstacle
+is nearer. The second tree tries Dubins paths to an entry pose. The distance between the
+entry pose and the centre is so large that the last transient ends before the centre.
 """
 
 from __future__ import annotations
@@ -31,31 +32,35 @@ NO_PASSAGES = np.empty((0, 4))
 """Empty result of `find_passages`."""
 
 _MAX_WIDTH = 2.0
-"""Maximum width of a narrow passage, in widths of the straight body.
+"""Maximum width of a narrow passage, relative to the width of the straight body.
 
 The search finds wider passages without guidance.
 """
 
 _ENTRY_CLEARANCE_M = 1e-3
-"""Distance from the head to the narrowest point when the straight path begins, m."""
+"""Distance from the head to the narrowest point where the straight path begins, m."""
 
 _ROUND_CLEARANCE = 0.3
-"""Additional distance from round obstacles, which narrow the approach, in body
-widths."""
+"""Additional distance from round obstacles, which narrow the approach, relative to the
+body width.
+"""
 
 _DISTANCE_TOLERANCE_M = 1e-6
-"""Difference below which two distances count as equal, m."""
+"""Difference below which two distances are considered equal, m."""
 
 _MIN_SPACING = 0.1
-"""Distance below which two passages count as one, in body widths."""
+"""Distance below which two passages are considered identical, relative to the body
+width.
+"""
 
 
 class GridHeuristic(NamedTuple):
     """Distance to the goal on a grid.
 
     Attributes:
-        distance: distance from each cell to the goal, infinite without a path, m, shape
-            (columns, rows). The array is empty without a heuristic.
+        distance: distance from each cell to the goal, m, shape (columns, rows). The
+            distance is infinite if no path exists. An empty array disables the
+            heuristic.
         west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
     """
@@ -67,12 +72,12 @@ class GridHeuristic(NamedTuple):
 
 
 NO_HEURISTIC = GridHeuristic(np.empty((0, 0)), 0.0, 0.0, 1.0)
-"""Heuristic that is 0 everywhere."""
+"""Disabled heuristic, which is 0 at every position."""
 
 
 @compiled
 def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
-    """Return the grid distance from a position to the goal, or 0 if unknown, m."""
+    """Return the grid distance (m) to the goal, or 0 if it is unknown."""
     column = int(np.floor((x - heuristic.west) / heuristic.cell))
     row = int(np.floor((y - heuristic.south) / heuristic.cell))
     if (
@@ -89,15 +94,15 @@ def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
 def grid_heuristic(
     goal: Goal, start: Pose, world: World, clearance: float, margin: float
 ) -> GridHeuristic:
-    """Return the distances to a goal for points that keep a clearance from obstacles.
+    """Return the grid distances to a goal for points with a clearance from obstacles.
 
     Args:
         goal: goal of the path.
         start: pose that the grid must contain.
         world: obstacles and bounds.
         clearance: minimum distance from obstacles, m.
-        margin: distance by which the grid of a world without bounds extends beyond
-            obstacles, start and goal, m.
+        margin: distance by which the grid extends beyond the obstacles, the start and
+            the goal if the world has no bounds, m.
     """
     from scipy.sparse.csgraph import dijkstra
 
@@ -111,7 +116,8 @@ def grid_heuristic(
     row = int((goal.y - south) / cell)
     column = min(column, len(x) - 1)
     row = min(row, len(y) - 1)
-    # The search starts at the goal, because it then gives the distances of all cells.
+    # Dijkstra's algorithm starts at the goal and computes the distances of all cells at
+    # once.
     distance = dijkstra(
         _grid_graph(free, cell), directed=False, indices=column * len(y) + row
     )
@@ -182,17 +188,11 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
 
 
 def find_passages(world: World, body: Footprint) -> np.ndarray:
-    """Return the narrow passages of a world, in both directions.
+    """Return the narrow passages of a world in each of the two directions.
 
-    A passage may have several entry poses.
-
-    Args:
-        world: obstacles and bounds.
-        body: footprint of the snake.
-
-    Returns:
-        Entry pose x, y (m) and heading (rad), and length of the straight path through
-        the passage (m), shape (n, 4).
+    A passage may have several entry poses. A row contains the entry pose x, y (m) and
+    heading (rad), and the length (m) of the straight path through the passage, shape
+    (n, 4).
     """
     straight = body.at(0.0)
     width = straight.left + straight.right
@@ -200,14 +200,14 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
 
 
 def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[float]]]:
-    """Return the centre and direction across of each narrow gap, narrowest first."""
+    """Return the centre and the direction across each narrow gap, sorted by width."""
     import shapely
 
     ends, radii = _thick_lines(world)
     if len(ends) < 2:
         return []
-    # Circles are points, because shapely computes no distance from a line without
-    # length.
+    # Circles are represented by points, because shapely computes no distance from a
+    # line of length 0.
     circles = len(world.obstacles)
     lines = np.concatenate(
         [shapely.points(ends[:circles, 0]), shapely.linestrings(ends[circles:])]
@@ -217,7 +217,7 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     one, other = tree.query(
         lines, predicate="dwithin", distance=_MAX_WIDTH * width + radii + largest
     )
-    # Each pair of obstacles is kept once.
+    # The query returns each pair of obstacles twice.
     one, other = one[one < other], other[one < other]
     near = shapely.get_coordinates(
         shapely.shortest_line(lines[one], lines[other])
@@ -233,7 +233,7 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     normal = across / distance[:, None]
     centre = near[:, 0] + normal * (radii[one[kept]] + gap / 2)[:, None]
     points = shapely.points(centre)
-    # A pair is dropped if another obstacle is between the two obstacles, or if the
+    # A pair is dropped if another obstacle lies between the two obstacles, or if the
     # centre is inside a polygon.
     at, obstacle = tree.query(points, predicate="dwithin", distance=gap / 2 + largest)
     nearer = (
@@ -244,7 +244,7 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     is_open = ~(
         np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points)
     )
-    # The passages are sorted by width, because only the narrowest of several close
+    # The passages are sorted by width, because only the narrowest of several nearby
     # passages is kept.
     ordered = sorted(
         zip(
@@ -276,8 +276,8 @@ def _entry_poses(
     straight = body.at(0.0)
     transient = max((change.length for change in body.transients), default=0.0)
     width = straight.left + straight.right
-    # The middle between the edges, and not the centre of mass, follows the middle of
-    # the passage.
+    # The snake is centred in the passage if the middle between its edges follows the
+    # middle of the passage. The centre of mass is not in the middle between the edges.
     lateral = (straight.right - straight.left) / 2
     ahead = body.ahead + _ENTRY_CLEARANCE_M
     passages: list[tuple[float, float, float, float]] = []
@@ -287,7 +287,7 @@ def _entry_poses(
             continue
         kept.append((x, y))
         for sign in (1.0, -1.0):
-            # The snake passes perpendicular to the shortest line between the obstacles,
+            # The snake moves perpendicular to the shortest line between the obstacles,
             # in either direction.
             heading = math.atan2(-sign * across_x, sign * across_y)
             c = math.cos(heading)

@@ -51,22 +51,21 @@ _MEANINGS = {
     "following_time_s": "time from start to end of the path",
     "replans": "number of plans after the first",
 }
-"""Meanings of the metrics of a run that follows a plan."""
+"""Descriptions of the metrics of a run that follows a plan."""
 
 FOLLOWING_UNITS = units_of(_MEANINGS)
 """Units of the metrics of a run that follows a plan."""
 
 DISSERTATION_HALF_WIDTH_M = 0.025
-"""Half the width of the box of the dissertation (Section 5.2), m."""
+"""Half the width of the footprint in the dissertation (Section 5.2), m."""
 DISSERTATION_SHIFT_M = 0.01
-"""Shift of the dissertation's box in the tightest turn, m."""
+"""Shift of the dissertation's footprint in the tightest turn, m."""
 DISSERTATION_TIGHTEST = math.pi / 3 / 0.2
-"""Curvature of the tightest turn of Section 5.2, which turns 60 degrees in 0.2 m,
-1/m."""
+"""Curvature of the tightest turn in Section 5.2, 60 degrees in 0.2 m, 1/m."""
 
 
 def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
-    """Return the metadata of a follower, or None for a run without a follower."""
+    """Return the metadata of the follower, or None if the run has no follower."""
     control = trajectory.metadata.get("control")
     if isinstance(control, Mapping):
         metadata = control.get("following")
@@ -79,14 +78,14 @@ def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
 
 @dataclass(frozen=True)
 class Leg:
-    """Part of a run under one plan: samples of the trajectory, and path of the plan."""
+    """Part of a run that follows one plan."""
 
     samples: slice
     segments: tuple[Segment, ...]
 
 
 def legs(trajectory: Trajectory) -> Iterator[Leg]:
-    """Yield the part of a run under each plan that has a path."""
+    """Yield the part of a run for each plan that has a path."""
     metadata = following(trajectory)
     plans = metadata["plans"] if metadata else []
     begins = [
@@ -127,30 +126,30 @@ def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
 
 
 def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics of a run that followed a plan, which are None for other runs.
+    """Return the metrics of a run that followed a plan. They are None for other runs.
 
-    The following metrics refer to the current plan at each sample:
+    The following metrics refer to the plan that is active at each sample:
 
     - ``cross_track_rms_m`` and ``cross_track_max_m``: distance of the centre of mass
-      from the path.
-    - ``inside_fraction``: fraction of samples at which the whole body is between the edges
-      of the planned footprint. Connectors and middles of segments represent the body,
-      with half the body width to both sides. The path is extended by straight lines for
-      head and tail.
-    - ``inside_50mm_fraction``: fraction of samples at which the body is inside the 50 mm
-      box of the dissertation.
+    from the path.
+    - ``inside_fraction``: fraction of samples at which the whole body is between the
+    edges of the planned footprint. The body is represented by points at half the body
+    width to the left and right of the connectors and of the middles of the segments.
+    The path is extended by straight lines at the head and at the tail.
+    - ``inside_50mm_fraction``: fraction of samples at which the body is inside the
+    footprint of the dissertation, which is 50 mm wide.
 
     Metrics at the end of the run:
 
     - ``goal_reached``: 1 if the centre of mass is within the goal's radius and the body
-      never overlapped an obstacle, otherwise 0. Overlap is possible only on the
-      analytical plant.
+    never overlapped an obstacle, otherwise 0. An overlap is possible only on the
+    analytical plant.
     - ``arrival_error_m``: distance of the centre of mass from the goal.
     - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period
-      and extrapolated to the end. It is None for a goal without a heading.
+    and extrapolated to the end. The value is None if the goal has no heading.
 
-    The duration is ``following_time_s``, the number of new plans is ``replans``, and
-    the metrics ``plan_…`` describe the first plan.
+    The metric ``following_time_s`` is the duration, ``replans`` is the number of new
+    plans, and the metrics ``plan_…`` describe the first plan.
     """
     metadata = following(trajectory)
     if metadata is None:
@@ -169,7 +168,7 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 def plan_metrics(
     found: bool, segments: tuple[Segment, ...], nodes: int
 ) -> dict[str, float | None]:
-    """Return the metrics of a plan without a run."""
+    """Return the metrics of a plan that is not simulated."""
     from srs_twin.planning.problem import Plan, PlanOutcome
 
     plan = Plan(PlanOutcome.FOUND, "", segments)
@@ -206,7 +205,8 @@ def _mean_heading(trajectory: Trajectory) -> float:
     if period <= 0:
         return float(heading[-1])
     at = np.linspace(time[-1] - period, time[-1], 201)
-    # The heading oscillates with the gait, but its mean over a whole period does not.
+    # The heading oscillates with the gait, but the mean heading over a whole period
+    # does not oscillate.
     values = np.interp(at, time, heading)
     return float(np.trapezoid(values, at) / period + (values[-1] - values[0]) / 2)
 
@@ -227,7 +227,7 @@ def _deviation(
     deviation, outline, curvature = (
         np.concatenate(arrays) for arrays in zip(*deviations, strict=True)
     )
-    # The dissertation shifts its box outward in proportion to the curvature.
+    # The dissertation shifts the edges outward in proportion to the curvature.
     shift = DISSERTATION_SHIFT_M * np.clip(-curvature / DISSERTATION_TIGHTEST, -1, 1)
     return {
         "cross_track_rms_m": rms(deviation),
@@ -240,9 +240,9 @@ def _deviation(
 
 
 def beyond(trajectory: Trajectory) -> np.ndarray:
-    """Return how far the body is beyond the planned footprint, shape (samples,), m.
+    """Return how far the body exceeds the planned footprint, m, shape (samples,).
 
-    The distance is negative inside the edges.
+    The distance is negative if the body is inside the edges.
     """
     metadata = following(trajectory)
     assert metadata is not None, "a run that followed a plan"
@@ -263,9 +263,9 @@ def _path_deviations(
     """Yield the deviations from the path of each plan.
 
     Yields:
-        Cross-track errors of the centre of mass, m, shape (samples,), and of the body
-        points, m, shape (samples, k), and the path curvature at these points, 1/m,
-        shape (samples, k).
+        Cross-track errors of the centre of mass (m, shape (samples,)) and of the body
+        points (m, shape (samples, k)), and the path curvature at the body points (1/m,
+        shape (samples, k)).
     """
     from srs_twin.planning.path import ReferencePath
 
@@ -279,7 +279,7 @@ def _path_deviations(
         )
         curvature = np.array([a.curvature for a in leg.segments])
         ends = np.cumsum([a.length for a in leg.segments])
-        # The straight extension beyond the end of the path has the curvature 0.
+        # The extension of the path is straight, so its curvature is 0.
         here = np.append(curvature, 0.0)[np.searchsorted(ends, s)]
         yield (
             path.coordinates(trajectory.com[leg.samples])[1],
@@ -289,21 +289,20 @@ def _path_deviations(
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:
-    """Return points beside connectors and segment middles, shape (samples, k, 2), m."""
+    """Return points to the left and right of the body, m, shape (samples, k, 2)."""
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     centres, heading = centre_points(trajectory)
     return offset_to_sides(centres, heading, half)
 
 
 def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return connectors and middles of segments, m, and the headings there."""
+    """Return the connectors and the segment middles, m, and the headings there."""
     position = trajectory.position
     theta = trajectory.stack("connector_heading")
     chord = position[:, :-1] - position[:, 1:]
-    # A positive bend turns the head end to the left, as the glossary defines.
     bend = np.diff(-theta, axis=1)
-    # The middle of an arc is on the outside of the bend, at the distance
-    # chord · tan(bend/4)/2 from the chord.
+    # The middle of an arc lies on the outside of the bend, at the distance chord ·
+    # tan(bend/4)/2 from the chord.
     sagitta = np.tan(np.clip(bend, -3.0, 3.0) / 4)[..., None] / 2
     middle = (position[:, :-1] + position[:, 1:]) / 2 + sagitta * np.stack(
         [chord[..., 1], -chord[..., 0]], -1

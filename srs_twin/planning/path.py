@@ -1,8 +1,9 @@
 """Paths of arcs, and path coordinates relative to a path.
 
-The coordinate s (m) is the position along the path from its start. The coordinate n (m)
-is the distance to the left (see `arcs`). Straight lines extend the path at both ends,
-because the body reaches beyond the centre of mass.
+The coordinate s (m) is the position along the path, measured from the start of the
+path. The coordinate n (m) is the distance to the left of the path (see `arcs`).
+Straight lines extend the path at the start and at the end, because the body reaches
+beyond the centre of mass.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Pose
 
 EXTENSION_M = 2.0
-"""Length of the straight extensions, longer than any body, m."""
+"""Length of the straight extensions, m. The length exceeds the length of any body."""
 
 
 @dataclass(frozen=True)
@@ -62,19 +63,18 @@ def make_segment(
 def path_from_arcs(
     start: Pose, arcs: ArcSequence, footprint: Footprint
 ) -> tuple[Segment, ...]:
-    """Return the path of consecutive arcs, merging neighbours of equal curvature.
+    """Return the path of consecutive arcs, and merge neighbours of equal curvature.
 
     Args:
         start: start pose.
-        arcs: curvature (1/m) and length (m) of each arc. Arcs without length are
-            dropped.
-        footprint: source of offsets and speeds.
+        arcs: curvature (1/m) and length (m) of each arc. Arcs of length 0 are dropped.
+        footprint: footprint from which offsets and speeds are interpolated.
     """
     merged: list[list[float]] = []
     for curvature, length in arcs:
         if length <= 0:
             continue
-        # Curvatures that differ by less than 1e-12 1/m differ by rounding errors only.
+        # A difference of less than 1e-12 1/m between curvatures is a rounding error.
         if merged and math.isclose(merged[-1][0], curvature, abs_tol=1e-12):
             merged[-1][1] += length
         else:
@@ -87,12 +87,12 @@ def path_from_arcs(
 
 
 class PathSteps(NamedTuple):
-    """Short steps along a path, for integrals over its length.
+    """Short steps along a path, for integrals over the path length.
 
     Attributes:
         poses: x, y (m) and heading (rad) in the middle of each step, shape (n, 3).
         lengths: step lengths, m, shape (n,).
-        left, right: edges of the footprint, m, shape (n,).
+        left, right: distances of the left and right edges from the path, m, shape (n,).
     """
 
     poses: np.ndarray
@@ -104,7 +104,7 @@ class PathSteps(NamedTuple):
 def path_steps(
     segments: Sequence[Segment], footprint: Footprint, spacing: float
 ) -> PathSteps:
-    """Return steps of at most `spacing` (m) along a path."""
+    """Divide a path into steps of at most `spacing` (m)."""
     rows: list[tuple[float, ...]] = []
     for segment in segments:
         count = max(math.ceil(segment.length / spacing), 1)
@@ -124,7 +124,7 @@ def path_steps(
 
 
 class PathPoint(NamedTuple):
-    """Position s and n (m), with heading (rad) and curvature (1/m) of the path."""
+    """Path coordinates s, n (m), and heading (rad) and curvature (1/m) of the path."""
 
     s: float
     n: float
@@ -133,7 +133,7 @@ class PathPoint(NamedTuple):
 
 
 class ReferencePath:
-    """Path of a plan with lookup by position and by path length.
+    """Path of a plan with search for the nearest point of the path.
 
     Attributes:
         length: path length, m.
@@ -142,11 +142,7 @@ class ReferencePath:
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
-        """Prepare the lookup.
-
-        Args:
-            segments: arcs of a plan, at least one.
-        """
+        """Prepare the path from the arcs of a plan, at least one."""
         first = segments[0].start
         last = segments[-1].end
         before = (
@@ -175,16 +171,16 @@ class ReferencePath:
     def nearest(
         self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf
     ) -> PathPoint:
-        """Return the path coordinates of a point, with s between two limits, m."""
+        """Return the path coordinates of a point, where s is between two limits (m)."""
         return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return s and n (m), each of shape (k,), for points of shape (k, 2), m."""
+        """Return s and n (m), each of shape (k,), for points (m) of shape (k, 2)."""
         rows = _nearest_of_all(np.ascontiguousarray(points, dtype=float), self.arcs)
         return rows[:, 0], rows[:, 1]
 
     def curvature(self, s: float) -> float:
-        """Return the curvature (1/m) at s (m), which is 0 on the extensions."""
+        """Return the curvature (1/m) at s (m). The extensions have the curvature 0."""
         return float(self.arcs[self._arc_index(s), 3])
 
     def pose(self, s: float) -> Pose:
@@ -211,14 +207,14 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         last = min(length, high - begin)
         if first > last:
             continue
-        # The formula needs the point in the frame at the start of the arc.
+        # The formula needs the point in the coordinate frame at the start of the arc.
         c = np.cos(arcs[k, 2])
         sn = np.sin(arcs[k, 2])
         dx = x - arcs[k, 0]
         dy = y - arcs[k, 1]
         n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)
-        # The formula gives s between -π/|κ| and π/|κ|. On an arc of more than half a
-        # turn, a negative s may therefore need an additional full turn.
+        # The formula returns s between -π/|κ| and π/|κ|. On an arc of more than half a
+        # turn, a full turn is therefore added to a negative s if necessary.
         if s < 0 and curvature != 0 and s + 2 * np.pi / abs(curvature) <= last:
             s += 2 * np.pi / abs(curvature)
         s = min(max(s, first), last)

@@ -1,4 +1,4 @@
-"""Plots, notebook pages and Rerun recordings of plans and following runs."""
+"""Plots, notebook pages and Rerun recordings of plans and of runs that follow them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from srs_twin.planning.problem import Plan, Problem
 
 _SPACING_M = 0.01
-"""Distance between drawn points of a path, m."""
+"""Distance between the drawn points of a path, m."""
 
 _FOOTPRINT_COLOUR = "#c9dcec"
 _PATH_COLOUR = STYLES["plan"].color
@@ -48,13 +48,10 @@ _EDGE_COLOUR = "#78a5cd"
 def segment_points(
     segment: Segment, offset: float = 0.0, behind: float = 0.0, ahead: float = 0.0
 ) -> np.ndarray:
-    """Return points along a segment, about a centimetre apart, m, shape (n, 2).
+    """Return points along a segment at a spacing of about 1 cm, m, shape (n, 2).
 
-    Args:
-        segment: segment of a plan.
-        offset: distance of the points to the left of the segment, m.
-        behind: length of the extension before the start, m.
-        ahead: length of the extension beyond the end, m.
+    The points lie at the distance `offset` (m) to the left of the segment. The segment
+    is extended by the lengths `behind` and `ahead` (m).
     """
     low = -behind
     high = segment.length + ahead
@@ -74,13 +71,9 @@ def segment_points(
 def following_plot(
     trajectories: Mapping[str, Trajectory], spec: RobotSpec
 ) -> Figure | None:
-    """Plot a plan with the paths and bodies of the runs, or return None without a plan.
+    """Plot a plan with the paths and bodies of its runs, if there is a plan.
 
-    All runs have a common first plan. Later plans of each run are thin lines.
-
-    Args:
-        trajectories: trajectory of each plant.
-        spec: simulated robot.
+    The runs share the first plan. Later plans of each run are thin lines.
     """
     followers = {
         plant: metadata
@@ -105,13 +98,7 @@ def following_plot(
 
 @drawing
 def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figure:
-    """Plot a plan without runs.
-
-    Args:
-        problem: world, goal and footprint of the plan.
-        segments: path, which may be empty.
-        title: plot title.
-    """
+    """Plot a plan that has not been simulated. The sequence `segments` may be empty."""
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     axes.set_title(title, fontsize=10, wrap=True)
     return figure
@@ -126,7 +113,6 @@ def _sheet(
 ) -> tuple[Figure, Axes]:
     figure, (axes,) = panels(6.0)
     for segment in segments:
-        # The footprint is drawn first, so that it does not hide obstacles.
         axes.add_patch(
             Polygon(
                 _band(segment, footprint),

@@ -1,4 +1,4 @@
-"""Plan of a scenario without a simulation, with the path quality and the files."""
+"""Plan of a scenario that is not simulated, with its path quality and its files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.scenario import Scenario
 
 _ROUNDING = 1e-9
-"""Length below which a distance counts as 0, m."""
+"""Length below which a distance is considered 0, m."""
 
 PLAN = "plan.json"
 """File name of the plan."""
@@ -33,10 +33,11 @@ class PathQuality:
     """Quality of a planned path.
 
     Attributes:
-        length_over_least: length relative to the minimum length around the obstacles,
-            dimensionless. It is None if the start is within the goal's radius, where
-            the minimum length is 0.
-        clearance_m: clearance beyond the edges that must stay free, m.
+        length_over_least: length of the path divided by the minimum length around the
+            obstacles, dimensionless. The value is None if the start is within the
+            radius of the goal, where the minimum length is 0.
+        clearance_m: distance of the obstacles from the edges of the footprint beyond
+            the required margin, m.
     """
 
     length_over_least: float | None
@@ -50,7 +51,8 @@ class ScenarioPlan:
     Attributes:
         scenario: planned scenario.
         plan: result of the planner.
-        files: names of the written files, empty without an output folder.
+        files: names of the written files. The tuple is empty if no output folder was
+            given.
     """
 
     scenario: Scenario
@@ -77,7 +79,7 @@ class ScenarioPlan:
         return PathQuality(ratio, checker.clearance(result.segments))
 
     def document(self) -> dict[str, object]:
-        """Return the content of plan.json."""
+        """Return the contents of plan.json."""
         result = self.plan
         problem = self.scenario.planner.problem
         return {
@@ -106,18 +108,19 @@ def plan_scenario(
     out: StrPath | None = None,
     set: Overrides = (),
 ) -> ScenarioPlan:
-    """Plan the path of a scenario without simulating it, as `srs-twin plan`.
+    """Plan the path of a scenario without simulating it.
 
-    The function `plan` takes a problem instead of a scenario.
+    The command `srs-twin plan` calls this function. The function `plan` takes a problem
+    instead of a scenario.
 
     Args:
         scenario: name or path of a scenario with a planner, or a loaded scenario.
-        out: output folder, or None to write nothing.
+        out: output folder, or None to write no files.
         set: values that override scenario fields, as described in `load_scenario`.
 
     Raises:
-        InputError: the scenario is not valid or has no planner, or start or goal is not
-            possible.
+        InputError: the scenario is not valid or has no planner, or its start or goal is
+            in an obstacle or outside the bounds.
     """
     loaded = load_scenario(scenario, set=set)
     if loaded.planner is None:

@@ -1,16 +1,17 @@
 r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs.
 
-A change of curvature from κ_a to κ_b = κ_a + Δκ is not instant, because the body
+A change of curvature from κ_a to κ_b = κ_a + Δκ is not instantaneous, because the body
 responds gradually to a change of offset. The path turns by Δκ δ less than after an
-instant change (`Transient.dheading` = −Δκ δ), and is displaced to the side by
-`Transient.dy` = Δκ m/2. To first order, one transition arc of length T and curvature
+instantaneous change (`Transient.dheading` = −Δκ δ), and is displaced to the side by
+`Transient.dy` = Δκ m/2. To first order, this effect equals the effect of one transition
+arc of length T and curvature
 
-$$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}, $$
+$$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}. $$
 
-has the measured effect. If the arc begins δ before the planned change, the heading of
-the plan is unchanged and the path is displaced by Δκ (m − δ²)/2. Therefore the search
-aims at a goal that is displaced to the other side. A follower that sends each offset δ
-ahead keeps the body on the path.
+If the arc begins at the distance δ before the planned change, the heading of the plan
+is unchanged and the path is displaced by Δκ (m − δ²)/2. Therefore the search uses a
+goal that is displaced in the opposite direction. A follower that sends each offset at
+the distance δ before the change keeps the body on the path.
 """
 
 from __future__ import annotations
@@ -34,19 +35,20 @@ from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""Widths that are added to both edges for more clearance, in widths of the straight
-body."""
+"""Widths added to each edge for a larger clearance, relative to the width of the
+straight body.
+"""
 _MAX_WIDER_NODES = 4000
-"""Maximum number of nodes of the search for a wider body."""
+"""Maximum number of expanded nodes in the search for a wider body."""
 _COST_SPACING_M = 0.02
 """Maximum distance between points at which the clearance is evaluated, m."""
 
 _AIM_ITERATIONS = 6
 """Maximum number of corrections of the goal in `plan_with_transitions`."""
 _SHAPING_MARGINS_M = (0.0, 0.01, 0.02, 0.03)
-"""Widths that are added in turn to both edges, m.
+"""Widths added to each edge, tried in this order, m.
 
-The path with transitions must be free with the original edges.
+The path with transitions must be collision-free with the original edges.
 """
 
 
@@ -56,11 +58,11 @@ def plan(problem: Problem, settings: Settings | None = None) -> Plan:
 
     Args:
         problem: planning problem.
-        settings: search settings.
+        settings: search settings, or None for the default settings.
 
     Raises:
-        InputError: start or goal is in an obstacle or outside the bounds, or a number
-            is not allowed.
+        InputError: the start or the goal is in an obstacle or outside the bounds, or a
+            number is not allowed.
     """
     settings = settings or Settings()
     touch = settings.touch_limits
@@ -104,16 +106,16 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
     distance = np.full(len(points), np.inf)
     for _, core, radius in obstacle_shapes(problem.world):
         distance = np.minimum(distance, shapely.distance(points, core) - radius)
-    # As a simple bound, the wider edge is used on both sides.
+    # As a simple bound, the wider of the two edges is used on each side.
     clearance = np.maximum(distance - np.maximum(steps.left, steps.right), 0.0)
     return float(np.dot(steps.lengths, 1 + weight * np.exp(-clearance / width)))
 
 
 @functools.cache
 def _compile() -> None:
-    """Load or compile the kernels, so that they do not count against a time limit."""
-    # A straight path would not use all kernels, so the problem has obstacles in the way
-    # and a transient.
+    """Compile the kernels or load them from the cache before the time limit starts."""
+    # The problem has obstacles on the straight path and a transient, so that all
+    # kernels are used.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
@@ -131,18 +133,14 @@ def with_transitions(
 ) -> tuple[Segment, ...]:
     """Return a path with transition arcs.
 
-    If there is no room for an arc, the curvature still jumps.
-
-    Args:
-        segments: path without transition arcs.
-        footprint: footprint with the transients, without which the path is unchanged.
+    If there is no space for an arc, the curvature of the path still jumps. If the
+    footprint has no transients, the path is returned unchanged.
     """
     if not segments:
         return ()
     arcs: list[tuple[float, float]] = []
     remaining = segments[0].length
     for here, after in zip(segments, segments[1:], strict=False):
-        # The module docstring defines the delay δ and the length T.
         delay, length = footprint.lag(here.offset, after.offset)
         if length == 0 or delay > remaining or length - delay > after.length:
             delay = 0.0
@@ -161,8 +159,9 @@ def plan_with_transitions(
 ) -> Plan:
     """Plan a path with transition arcs.
 
-    The path is free with its transients and ends within the goal's tolerances. If no
-    such path is found, the plan has no transition arcs, and its reason says so.
+    The path is collision-free with its transients and ends within the goal's
+    tolerances. If no such path is found, the plan has no transition arcs, and its
+    reason says so.
 
     Args:
         problem: problem that starts at the end of `begin`.
@@ -170,10 +169,7 @@ def plan_with_transitions(
         begin: fixed first segments of the path.
 
     Returns:
-        Plan with the total nodes and time of all searches.
-
-    Raises:
-        InputError: the problem is refused by `plan`.
+        Plan with the total number of nodes and the total time of all searches.
     """
     plans: list[Plan] = []
 
@@ -217,7 +213,7 @@ def _search_with_transitions(
                 if checker.is_path_free(path):
                     return replace(result, segments=path)
                 break
-            # This is a fixed-point iteration, which displaces the goal by the remaining
+            # This is a fixed-point iteration: the goal is displaced by the remaining
             # error.
             aim = _corrected_aim(aim, problem.goal, end)
     reason = (

@@ -1,4 +1,4 @@
-"""Moves of a search: arcs with transients, which widen the edges, and short cuts."""
+"""Arcs of a search, with transients that widen the edges, and shortening of paths."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ Wide turns have small transients.
 _SHORTENING_ROUNDS = 4
 """Maximum number of shortening rounds."""
 _MIN_SAVING = 1e-4
-"""Fraction of the path length below which a saving ends the shortening."""
+"""Relative reduction of the path length below which the shortening stops."""
 _RETREAT = 0.97
-"""Ratio of the distances of successive tries.
+"""Ratio of the distances of successive tries for a short cut.
 
-With this ratio the number of tries grows only with the logarithm of the distance.
+With this ratio the number of tries is proportional to the logarithm of the distance.
 """
 
 
@@ -42,18 +42,19 @@ class MotionPrimitives(NamedTuple):
 
     Attributes:
         curvatures: curvatures in ascending order, 1/m, shape (n,).
-        left, right: edges of the footprint for each curvature, m, shape (n,).
+        left, right: distances of the left and right edges from the path for each
+            curvature, m, shape (n,).
         transients: extra left width, extra right width and length (m) of the transient
-            after a change of curvature, shape (n + 1, n, 3). Row n applies at the
-            start.
-        children: indices of the curvatures that lead to a node's children, shape
-            (m,).
+            after a change of curvature, shape (n + 1, n, 3). Row n is for the start of
+            the path.
+        children: indices of the curvatures of the arcs that lead to the children of a
+            node, shape (m,).
         radius_factors: turning radii of the tested Dubins paths relative to the minimum
-            radius, starting with 1, shape (k,).
-        dubins_moves: indices of right turn, straight line and left turn for each
-            factor, shape (k, 3).
-        length: primitive length, m.
-        ahead, behind: distances from the centre of mass to head and tail, m.
+            radius, shape (k,). The first factor is 1.
+        dubins_moves: indices of the curvatures of the right turn, the straight line and
+            the left turn for each factor, shape (k, 3).
+        length: length of an arc, m.
+        ahead, behind: distances from the centre of mass to the head and to the tail, m.
     """
 
     curvatures: np.ndarray
@@ -74,10 +75,10 @@ class ArcState(NamedTuple):
     Attributes:
         x, y: position, m.
         heading: heading, rad.
-        move: index of the curvature of the arc, or the number of curvatures at the
-            start.
-        left, right: extra widths of the edges, m.
-        lasting: remaining length of the wider edges, m.
+        move: index of the curvature of the last arc, or the number of curvatures at the
+            start of the path.
+        left, right: extra widths of the left and right edges, m.
+        lasting: remaining length along which the edges are wider, m.
     """
 
     x: float
@@ -92,11 +93,7 @@ class ArcState(NamedTuple):
 def make_motion_primitives(
     primitives: Primitives, footprint: Footprint
 ) -> MotionPrimitives:
-    """Return the primitives, the tightest and wider turns, and the straight line.
-
-    Raises:
-        InputError: a primitive is tighter than the footprint allows.
-    """
+    """Return the primitives with the tightest turns, wider turns and straight line."""
     right, left = footprint.tightest
     both = min(right, left)
     # The method `at` raises an error if a primitive is too tight for the footprint.
@@ -104,8 +101,8 @@ def make_motion_primitives(
         footprint.at(float(tightest))
     own = [*primitives.curvatures, -right, -both, 0.0, both, left]
     wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
-    # Rounding merges equal curvatures. Clipping keeps the rounded values within the
-    # range of the footprint.
+    # Rounding merges curvatures that differ by rounding errors. Clipping keeps the
+    # rounded values within the range of the footprint.
     curvatures = np.unique(np.round([*own, *wide], 12))
     curvatures = np.clip(curvatures, -right, left)
     rows = [footprint.at(float(k)) for k in curvatures]
@@ -133,20 +130,15 @@ def make_motion_primitives(
 
 @compiled
 def initial_state(x, y, heading, primitives):  # type: ignore[no-untyped-def]
-    """Return the arc state at the start of a path, without a previous move."""
+    """Return the arc state at the start of a path, where no arc precedes."""
     return ArcState(x, y, heading, len(primitives.curvatures), 0.0, 0.0, 0.0)
 
 
 @compiled
 def follow_dubins_path(state, path, factor, primitives, grid):  # type: ignore[no-untyped-def]
-    """Return whether a Dubins path is free, and the arc state at its end.
+    """Return whether a Dubins path is collision-free, and the arc state at its end.
 
-    Args:
-        state: initial arc state.
-        path: Dubins path.
-        factor: index of the turning radius in `MotionPrimitives.radius_factors`.
-        primitives: arcs that the snake can follow.
-        grid: obstacles and bounds.
+    `factor` is an index of `MotionPrimitives.radius_factors`.
     """
     free = True
     for piece in range(3):
@@ -161,14 +153,9 @@ def follow_dubins_path(state, path, factor, primitives, grid):  # type: ignore[n
 
 @compiled
 def follow_arc(state, move, length, primitives, grid):  # type: ignore[no-untyped-def]
-    """Return whether an arc is free, and the arc state at its end.
+    """Return whether an arc is collision-free, and the arc state at its end.
 
-    Args:
-        state: initial arc state.
-        move: index of the curvature.
-        length: arc length, m.
-        primitives: arcs that the snake can follow.
-        grid: obstacles and bounds.
+    `move` is the index of the curvature, and `length` is the arc length (m).
     """
     x = state.x
     y = state.y
@@ -178,7 +165,7 @@ def follow_arc(state, move, length, primitives, grid):  # type: ignore[no-untype
     right = change[1]
     lasting = change[2]
     if state.lasting > 0:
-        # Of two overlapping transients, the larger width and length apply.
+        # If two transients overlap, the maximum of their widths and lengths is used.
         left = max(state.left, left)
         right = max(state.right, right)
         lasting = max(state.lasting, lasting)
@@ -189,7 +176,7 @@ def follow_arc(state, move, length, primitives, grid):  # type: ignore[no-untype
         primitives.left[move],
         primitives.right[move],
     )
-    # Only the first part of the arc has wider edges.
+    # Only the first part of the arc has the wider edges.
     first = min(lasting, length)
     free = True
     if first > 0:
@@ -212,11 +199,11 @@ def shorten_path(
     grid: ObstacleGrid,
     radius: float,
 ) -> ArcSequence:
-    """Return a collision-free path with the same ends that is not longer.
+    """Return a collision-free path between the same ends that is not longer.
 
     Args:
         start: start pose.
-        path: collision-free path, with curvatures of the moves.
+        path: collision-free path, whose curvatures are curvatures of the primitives.
         primitives: arcs that the snake can follow.
         grid: obstacles and bounds.
         radius: turning radius of the short cuts, m.
@@ -229,7 +216,7 @@ def shorten_path(
     for turn in range(_SHORTENING_ROUNDS):
         before = math.fsum(lengths)
         # Each round divides the path more finely, so that short cuts can begin and end
-        # at other poses.
+        # at other poses than before.
         counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
         pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
         indices, lengths = _cut_corners(*start, *pieces, primitives, grid, radius)
@@ -242,11 +229,11 @@ def shorten_path(
 
 @allocating
 def _cut_corners(x, y, heading, indices, lengths, primitives, grid, radius):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Follow a path, and take the longest free short cut from each pose."""
+    """Replace parts of a path by the longest free short cut from each pose."""
     count = len(indices)
     state = initial_state(x, y, heading, primitives)
     distances = np.zeros(count + 1)
-    # These are the arc states at the ends of the pieces of the original path.
+    # The list contains the arc states at the ends of the pieces of the original path.
     states = [state]
     for k in range(count):
         _, state = follow_arc(state, indices[k], lengths[k], primitives, grid)
@@ -279,7 +266,6 @@ def _cut_corners(x, y, heading, indices, lengths, primitives, grid, radius):  # 
                     end, last, indices, lengths, states, primitives, grid
                 ):
                     break
-            # The next try is at a nearer pose. The steps shrink with the distance.
             last = k + min(last - k - 1, int(_RETREAT * (last - k)))
         if last > k:
             for piece in range(3):
@@ -308,7 +294,7 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 
 @allocating
 def _stays_free(state, k, indices, lengths, states, primitives, grid):  # type: ignore[no-untyped-def]
-    """Return whether the path from piece k on is free after a changed arc state."""
+    """Return whether the path from piece k on is free for a changed arc state."""
     while k < len(indices):
         original = states[k]
         covered = (

@@ -20,15 +20,15 @@ from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.trajectory import HtmlResult
 
 _MAX_LEVELS = 5
-"""Maximum number of levels. At the fifth level, arcs are 16 times shorter than at
-the first."""
+"""Maximum number of levels. At the fifth level, arcs are 16 times shorter than at the
+first level.
+"""
 
 _MAX_COORDINATE_M = 2000.0
-"""Maximum coordinate of start and goal, because the search's cell indices are
-limited, m."""
+"""Maximum coordinate of start and goal, which limits the cell indices, m."""
 
 _KINK_ROUNDING = 1e-6
-"""Maximum heading jump that counts as a rounding error, rad."""
+"""Maximum heading jump that is considered a rounding error, rad."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class TouchLimits:
     """Limits and cost of leaning on obstacles, as explained in `touch`.
 
     Attributes:
-        hard: footprint whose edges must stay free of obstacles.
+        hard: footprint whose edges must not touch obstacles.
         core: half the width of the body, m.
         stiffness: force per displacement of one connector, N/m.
-        floor: friction of the body on the floor across its heading, N.
+        floor: maximum lateral friction force of the body on the floor, N.
     """
 
     hard: Footprint
@@ -54,9 +54,9 @@ class PlannedContact:
 
     Attributes:
         obstacle: name of the obstacle, such as "obstacle 2".
-        begin, end: path lengths at start and end of the contact, m.
+        begin, end: path lengths at the start and the end of the contact, m.
         depth: maximum overlap, m.
-        force: estimated contact force, averaged over time, N.
+        force: mean of the estimated contact force over time, N.
     """
 
     obstacle: str
@@ -72,22 +72,22 @@ class Settings:
 
     Attributes:
         nodes: maximum number of expanded nodes.
-        seconds: limit on the wall time, or None for no limit, s. The limit is checked
+        seconds: limit on the wall time, s, or None for no limit. The limit is checked
             at least every 16,000 nodes. With a limit, the result depends on the
             machine.
-        weight: weight of the lower bound on the remaining length. With 1 the path is
-            the shortest. A larger weight expands fewer nodes, and the path is at most
-            this many times longer.
-        levels: number of resolutions, 1 to 5. Each level halves the arcs and cells of
-            the previous level.
+        weight: weight of the lower bound on the remaining length. With the weight 1,
+            the search finds the shortest path. With a weight w > 1, the search expands
+            fewer nodes, and the path is at most w times as long as the shortest path.
+        levels: number of resolutions, 1 to 5. Each level halves the lengths of the arcs
+            and cells of the previous level.
         smooth: whether to shorten the path after the search.
         clearance_weight: extra cost of one metre of path that touches an obstacle, m.
-            The cost falls by a factor e per body width of clearance. If it is above 0,
-            the search is repeated for wider bodies.
-        improve: whether to continue at finer levels for a shorter path while the budget
-            lasts.
-        touch_limits: limits and cost of leaning on obstacles, or None to keep clear of
-            them.
+            The cost decreases by a factor e per body width of clearance. If this weight
+            is above 0, the search is repeated for wider bodies.
+        improve: whether to search for a shorter path at finer levels until the budget
+            is spent.
+        touch_limits: limits and cost of leaning on obstacles, or None if the body must
+            not touch obstacles.
     """
 
     nodes: int = 200_000
@@ -128,8 +128,8 @@ class Problem:
         start: initial pose of the straight snake.
         goal: goal of the centre of mass.
         world: obstacles and bounds.
-        footprint: area that the body covers, and its tightest turns.
-        primitives: motion primitives, by default chosen by the planner.
+        footprint: area that the body covers in each possible turn.
+        primitives: motion primitives, or None if the planner chooses them.
     """
 
     start: Pose
@@ -140,12 +140,7 @@ class Problem:
 
 
 def check_problem(problem: Problem) -> None:
-    """Check that a problem can be solved as stated.
-
-    Raises:
-        InputError: start or goal is in an obstacle or outside the bounds, or a number
-            is not allowed.
-    """
+    """Check that start and goal are collision-free and that all numbers are allowed."""
     validate_footprint(problem.footprint)
     start = problem.start
     goal = problem.goal
@@ -235,18 +230,18 @@ class PlanOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class Plan(HtmlResult):
-    """Result of a planner, which is identical for equal problems on all machines.
+    """Result of a planner. Equal problems have identical plans on all machines.
 
     Attributes:
         outcome: outcome of planning.
         reason: explanation of the outcome, with a remedy.
-        segments: arcs of the path, empty unless a path was found.
+        segments: arcs of the path. The tuple is empty if no path was found.
         expanded: number of expanded nodes.
-        touches: parts of the path that lean on obstacles, or None without
-            `Settings.touch_limits`.
-        seconds: wall time, which comparisons of plans ignore, s.
-        problem: problem with the edges that must stay free, which comparisons of plans
-            ignore.
+        touches: parts of the path that lean on obstacles, or None if
+            `Settings.touch_limits` is None.
+        seconds: wall time, s. Comparisons of plans ignore the wall time.
+        problem: problem with the edges that must not collide. Comparisons of plans
+            ignore the problem.
     """
 
     page: ClassVar[str] = "plan"
@@ -261,7 +256,7 @@ class Plan(HtmlResult):
 
     @cached_property
     def least_length(self) -> float:
-        """Lower bound on the length of any path, regardless of curvature, m."""
+        """Lower bound on the length of any path with arbitrary curvature, m."""
         assert self.problem is not None, "set by plan()"
         problem = self.problem
         return min_path_length(
@@ -285,14 +280,14 @@ class Plan(HtmlResult):
 
     @property
     def end(self) -> Pose | None:
-        """Pose at the end of the path, or None without segments."""
+        """Pose at the end of the path, or None if the path has no segments."""
         if self.segments:
             return self.segments[-1].end
         return None
 
     @property
     def max_heading_jump(self) -> float:
-        """Maximum heading jump between segments, or 0 without jumps, rad."""
+        """Maximum heading jump between two segments, rad."""
         pairs = zip(self.segments, self.segments[1:], strict=False)
         jumps = (
             abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi))
@@ -304,7 +299,7 @@ class Plan(HtmlResult):
         return 0.0
 
     def after(self, begin: tuple[Segment, ...]) -> Plan:
-        """Return the plan with additional segments before the path."""
+        """Return the plan with additional segments before its path."""
         done = math.fsum(segment.length for segment in begin)
         touches = self.touches and tuple(
             replace(touch, begin=touch.begin + done, end=touch.end + done)
@@ -313,7 +308,7 @@ class Plan(HtmlResult):
         return replace(self, segments=(*begin, *self.segments), touches=touches)
 
     def with_edges_of(self, problem: Problem) -> Plan:
-        """Return the plan with offsets and speeds for another problem's footprint."""
+        """Return the plan with offsets and speeds from another problem's footprint."""
         arcs = [(segment.curvature, segment.length) for segment in self.segments]
         return replace(
             self, segments=path_from_arcs(problem.start, arcs, problem.footprint)

@@ -143,15 +143,11 @@ class PlannerSection(ExtensionSection):
         ]
 
     def check_run(self, product: ScenarioPlanner) -> None:
-        """See `ExtensionSection.check_run`. The check computes the plan."""
+        """See `ExtensionSection.check_run`. This check computes the plan."""
         product.plan()
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
-        """Return the goal of the plan.
-
-        Raises:
-            InputError: the scenario has no goal.
-        """
+        """Return the goal of the plan."""
         if goal is None:
             raise InputError("the scenario has no goal; set world.goal")
         return goal
@@ -162,13 +158,7 @@ class PlannerSection(ExtensionSection):
     ) -> Plan:
         """Return the plan of a problem.
 
-        Args:
-            problem: planning problem.
-            wider: additional width of the footprint on the straight lead-in, m.
-            limits: limits of leaning on obstacles, or None to keep clear of them.
-
-        Raises:
-            InputError: start or goal is not possible.
+        `wider` is an additional width (m) of the footprint on the straight lead-in.
         """
 
 
@@ -257,7 +247,7 @@ class BestFirstFile(PlannerSection):
                     f"the straight lead-in of {self.lead_in_m:g} m touches {hit}; set a"
                     " shorter lead_in_m"
                 )
-            # The lead-in is fixed, so the search starts at its end.
+            # The lead-in is fixed, so the search starts at the end of the lead-in.
             problem = replace(problem, start=begin[-1].end)
         settings = replace(self.build(), touch_limits=limits)
         if self.shape_changes:
@@ -280,7 +270,7 @@ class GivenFile(PlannerSection):
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
         """Return the end of the path."""
-        # The path is given, so its end replaces the scenario's goal.
+        # The end of the given path replaces the goal of the scenario.
         end = self._path(start, footprint)[-1].end
         return Goal(end.x, end.y, end.heading, goal.radius if goal else 0.05)
 
@@ -315,11 +305,9 @@ class ScenarioPlanner:
     """Planner of a scenario.
 
     Attributes:
-        file: planner section.
-        footprint: footprint of the robot with all its turns and without margin.
-        problem: problem whose footprint has fewer turns and includes the margin.
-        margin: footprint margin.
-        touch_limits: limits of leaning on obstacles, or None to keep clear of them.
+        footprint: footprint of the robot with all turns and without margin.
+        problem: problem whose footprint has a smaller range of turns and includes the
+            margin.
     """
 
     file: PlannerSection
@@ -329,15 +317,11 @@ class ScenarioPlanner:
     touch_limits: TouchLimits | None = None
 
     def plan(self) -> Plan:
-        """Return the plan, which is computed only once for both plants and the report.
-
-        Raises:
-            InputError: start or goal is not possible.
-        """
+        """Return the plan, which is computed once for the plants and the report."""
         return _plan(self)
 
     def plan_uncached(self) -> Plan:
-        """Compute the plan without the cache; see `plan`."""
+        """Compute the plan without using the cache."""
         wider = max(self.margin.lead_in - self.margin.path, 0.0)
         return self.file.find(self.problem, wider, self.touch_limits)
 

@@ -1,17 +1,17 @@
 """Compiled kernels of the best-first search over arcs (hybrid A*).
 
-A node is a pose that is reached from the start by arcs. The key of a node is g + w h,
-where g is the length of the path so far, h the Dubins length to the goal at the
-tightest curvature, and w the weight. The length h is a lower bound on the remaining
-length, and along an arc it decreases by at most the arc's length. Therefore keys never
-decrease for w = 1. For w > 1 the path is at most w times as long as the shortest path
-on these arcs and cells.
+A node is a pose that is reached from the start by arcs. Nodes are expanded in the order
+of g + w h, where g is the length of the path so far, h is the Dubins length to the goal
+at the tightest curvature, and w is the weight. The length h is a lower bound on the
+remaining length. Along an arc, h decreases by at most the length of the arc. For w = 1,
+the values g + h of the expanded nodes therefore never decrease. For w > 1, the path is
+at most w times as long as the shortest path on these arcs and cells.
 
-When a node is expanded, the Dubins path from the node to the goal is tested. If it is
-free, it completes a plan. The open list is a binary heap. The closed set is a hash
-table with one node per cell of poses, which only a node with a shorter path replaces.
-This makes the search finite but incomplete, since another pose of the cell might have
-had a free continuation.
+When a node is expanded, the Dubins path from the node to the goal is tested. If this
+Dubins path is collision-free, it completes a plan. The open list is a binary heap. The
+closed set is a hash table with one node per cell of poses. Only a node with a shorter
+path replaces the node of a cell. The search is therefore finite but incomplete: a pose
+that was dropped might have had a collision-free continuation.
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ FULL = 4
 """Result of `expand` if the arrays are full."""
 
 _INDEX_BITS = 26
-"""Number of bits for a row or a column in the key of a cell. The sector has 11 bits."""
+"""Number of bits for the row or the column of a cell in its key."""
 _INDEX_OFFSET = 1 << (_INDEX_BITS - 1)
-"""Offset that makes rows and columns positive."""
+"""Offset that makes the row and column numbers positive."""
 
 _COST_TOLERANCE = 1e-9
-"""Minimum improvement of a path length that replaces a node, m."""
+"""Minimum reduction of the path length for which a node is replaced, m."""
 _PASSAGE_INTERVAL = 4
 """Number of expanded nodes after which narrow passages are tried again.
 
-A passage costs far more computing time than an arc.
+Testing a passage takes far more time than testing an arc.
 """
 _PASSAGE_REACH = 6.0
 """Distance beyond which a narrow passage is not tried, in turning radii."""
@@ -72,10 +72,10 @@ class Node(NamedTuple):
     Attributes:
         x, y: position, m.
         heading: heading, rad.
-        cost: length of the path so far, m.
+        cost: length of the path from the start to the node, m.
         bound: lower bound on the remaining length, m.
-        left, right: extra widths of the edges due to transients, m.
-        lasting: remaining length of the wider edges, m.
+        left, right: extra widths of the left and right edges due to transients, m.
+        lasting: remaining length along which the edges are wider, m.
     """
 
     x: float
@@ -96,10 +96,12 @@ class Frontier(NamedTuple):
 
     Attributes:
         nodes: fields of each `Node`, shape (capacity, 8).
-        links: parent (-1 for a root) and move from the parent, shape (capacity, 2).
-        keys, heap: keys (m) and nodes in heap order, shape (capacity,).
-        cells: cell key of each slot of the hash table, shape (slots,), where the number
-            of slots is a power of 2.
+        links: index of the parent node (-1 for a root) and index of the arc from the
+            parent, shape (capacity, 2).
+        keys, heap: values g + w h (m) and node indices in heap order, shape
+            (capacity,).
+        cells: cell key in each slot of the hash table, shape (slots,). The number of
+            slots is a power of 2.
         owners: 1 + index of the node that represents the cell, or 0 for an empty slot,
             shape (slots,).
         counts: numbers of created, open and expanded nodes, shape (3,).
@@ -115,8 +117,9 @@ class Frontier(NamedTuple):
 
 
 def empty_frontier(capacity: int) -> Frontier:
-    """Return the state of a new search for up to `capacity` nodes."""
-    # With at least twice as many slots as nodes, few slots must be probed.
+    """Return the state of a new search with space for `capacity` nodes."""
+    # If the table has at least twice as many slots as nodes, collisions of keys are
+    # rare.
     slots = 1 << (2 * capacity - 1).bit_length()
     nodes = np.empty((capacity, len(Node._fields)))
     links = np.empty((capacity, 2), dtype=np.int32)
@@ -142,7 +145,7 @@ def enlarged(frontier: Frontier) -> Frontier:
 
 @compiled
 def push(frontier, node, key):  # type: ignore[no-untyped-def]
-    """Put a node on the heap."""
+    """Add a node to the heap."""
     keys = frontier.keys
     heap = frontier.heap
     place = frontier.counts[OPEN]
@@ -160,7 +163,7 @@ def push(frontier, node, key):  # type: ignore[no-untyped-def]
 
 @compiled
 def pop(frontier):  # type: ignore[no-untyped-def]
-    """Remove and return the node with the minimum key of a heap that is not empty."""
+    """Remove the node with the minimum key from the heap, and return the node."""
     keys = frontier.keys
     heap = frontier.heap
     frontier.counts[OPEN] -= 1
@@ -187,16 +190,14 @@ def pop(frontier):  # type: ignore[no-untyped-def]
 
 @compiled
 def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the hash table slot of a pose's cell, and enter the cell if it is new.
+    """Return the hash table slot for the cell of a pose, and add the cell if it is new.
 
-    Args:
-        cell: cell size, m.
-        sector: heading width of a cell, by which 2π is divisible, rad.
+    `cell` is the cell size (m). `sector` is the heading range of a cell (rad), by which
+    2π is divisible.
     """
     row = np.int64(np.floor(x / cell)) + _INDEX_OFFSET
     column = np.int64(np.floor(y / cell)) + _INDEX_OFFSET
     turns = heading / (2 * np.pi)
-    # The heading is wrapped to a full turn.
     layer = np.int64(np.floor((turns - np.floor(turns)) * 2 * np.pi / sector))
     return _key_slot(
         frontier, (layer << (2 * _INDEX_BITS)) | (row << _INDEX_BITS) | column
@@ -205,8 +206,8 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
 
 @kernel_only
 def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
-    # Fibonacci hashing multiplies by 2⁶⁴ divided by the golden ratio. An overflow of
-    # the product does no harm.
+    # Fibonacci hashing multiplies the key by 2⁶⁴ divided by the golden ratio. An
+    # integer overflow of the product is harmless.
     last = frontier.cells.shape[0] - 1
     slot = ((key * np.int64(-7046029254386353131)) >> 20) & last
     while frontier.owners[slot] != 0 and frontier.cells[slot] != key:
@@ -227,13 +228,13 @@ class Target(NamedTuple):
 
     Attributes:
         x, y: position, m.
-        heading: heading, ignored if `any_heading` is set, rad.
-        any_heading: whether the arrival heading is free.
+        heading: heading, rad. The heading is ignored if `any_heading` is set.
         radius: position tolerance, m.
         heading_tolerance: heading tolerance, rad.
-        bound_radius: minimum turning radius to either side, for the lower bound, m.
-        dubins_radius: turning radius of the Dubins paths, which is possible to both
-            sides, m.
+        bound_radius: minimum of the turning radii to the left and to the right, for the
+            lower bound, m.
+        dubins_radius: turning radius of the Dubins paths, which is possible to the left
+            and to the right, m.
     """
 
     x: float
@@ -250,14 +251,12 @@ class SearchSpec(NamedTuple):
     """Parameters of a search.
 
     Attributes:
-        primitives: arcs that the snake can follow.
-        target: goal of the search.
-        grid: obstacles and bounds.
         cell: side of a cell of poses, m.
-        sector: heading width of a cell, by which 2π is divisible, rad.
+        sector: heading range of a cell, by which 2π is divisible, rad.
         weight: weight w of the lower bound.
-        heuristic: grid distances that may increase the key, but do not prune nodes.
-        passages: entry poses and lengths of narrow passages; see
+        heuristic: grid distances, which may increase the key of a node but exclude no
+            node.
+        passages: entry poses and lengths of narrow passages, as returned by
             `guidance.find_passages`.
     """
 
@@ -293,7 +292,7 @@ def _path_to_goal(x, y, heading, target, radius):  # type: ignore[no-untyped-def
 
 @compiled
 def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
-    """Add a start pose, unless the cell of the pose already has one."""
+    """Add a start pose, unless the cell of the pose already contains a node."""
     slot = cell_slot(frontier, x, y, heading, spec.cell, spec.sector)
     bound = lower_bound(x, y, heading, spec.target)
     if frontier.owners[slot] == 0:
@@ -309,7 +308,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
     Args:
         frontier: state of the search, which is modified.
         spec: search parameters.
-        best: length of the best plan so far, m. Nodes without a chance of a shorter
+        best: length of the best plan so far, m. Nodes that cannot lead to a shorter
             plan are dropped.
         count: maximum number of nodes.
     """
@@ -318,7 +317,8 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
     while frontier.counts[OPEN] > 0:
         if frontier.counts[EXPANDED] >= until:
             return PAUSED, -1
-        # A node may leave the heap only if all its children fit into the arrays.
+        # A node may be removed from the heap only if the arrays have space for all its
+        # children.
         children = (
             primitives.children.shape[0]
             + primitives.dubins_moves.shape[0] * spec.passages.shape[0]
@@ -328,7 +328,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
         node = pop(frontier)
         at = _node(frontier, node)
         slot = cell_slot(frontier, at.x, at.y, at.heading, spec.cell, spec.sector)
-        # A node is skipped if a shorter path to its cell has replaced it.
+        # A node is skipped if another node with a shorter path now represents its cell.
         if frontier.owners[slot] != node + 1 or at.cost + at.bound >= best:
             continue
         frontier.counts[EXPANDED] += 1
@@ -374,9 +374,9 @@ def _try_passages(frontier, node, spec, best):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[no-untyped-def]
-    """Add the child at the exit of a narrow passage if a Dubins path leads to it.
+    """Add a node at the exit of a narrow passage if a Dubins path leads to the passage.
 
-    The move of the child is −1 − passage n − factor, where n is the number of radius
+    The index of the arc is −1 − passage n − factor, where n is the number of radius
     factors.
     """
     primitives = spec.primitives
@@ -425,15 +425,15 @@ def _is_taken(frontier, slot, cost):  # type: ignore[no-untyped-def]
 @kernel_only
 def _open_node(frontier, slot, parent, move, node, spec):  # type: ignore[no-untyped-def]
     child = _add_node(frontier, slot, parent, move, node)
-    # The key is g + w h. Grid distances may increase h, which is then no lower bound.
+    # The key is g + w h. Grid distances may increase h, and then h is no lower bound.
     rest = max(node.bound, grid_distance(spec.heuristic, node.x, node.y))
     push(frontier, child, node.cost + spec.weight * rest)
 
 
 @kernel_only
 def _add_node(frontier, slot, parent, move, node):  # type: ignore[no-untyped-def]
-    # The new node replaces the former owner of the cell, which is skipped when it is
-    # popped.
+    # The new node replaces the previous node of the cell. The previous node is skipped
+    # when it is removed from the heap.
     child = frontier.counts[NODES]
     frontier.counts[NODES] += 1
     frontier.owners[slot] = child + 1

@@ -27,25 +27,26 @@ from srs_twin.planning.search_kernels import (
 from srs_twin.robot.world import Goal, Pose
 
 _INITIAL_CAPACITY = 4096
-"""Initial number of nodes, which is enough for easy problems and is increased when
-needed."""
+"""Initial number of nodes. This number suffices for easy problems and is increased when
+needed.
+"""
 
 _BOUND_SLACK = 1e-6
 """Relative reduction of the turning radius for the lower bound.
 
-At the end of a tightest turn, rounding may put the goal inside the turning circle,
-where the Dubins length is larger by a full turn.
+At the end of a tightest turn, rounding errors may put the goal inside the turning
+circle. The Dubins length would then be larger by a full turn.
 """
 
 _GOAL_SPREAD = (0.0, -0.7, 0.7)
 """Coordinates of start positions of a backward search, in units of the goal's radius.
 
-The factor 0.7 keeps the corners of this square pattern within the radius.
+With the factor 0.7, the corners of this square pattern are within the radius.
 """
 
 
 def make_target(goal: Goal, footprint: Footprint) -> Target:
-    """Return a goal in the form that the kernels need."""
+    """Return a goal in the form that the compiled kernels use."""
     right, left = footprint.tightest
     x, y, heading = Pose(goal.x, goal.y, goal.heading or 0.0)
     tolerances = float(goal.radius), float(goal.heading_tolerance)
@@ -54,13 +55,7 @@ def make_target(goal: Goal, footprint: Footprint) -> Target:
 
 
 class SearchTree:
-    """Best-first search that can be paused and resumed.
-
-    Args:
-        roots: start poses.
-        spec: search parameters.
-        backward: whether the tree solves the reversed problem, from the goal.
-    """
+    """Best-first search that can be paused and resumed."""
 
     def __init__(
         self, roots: list[Pose], spec: SearchSpec, *, backward: bool = False
@@ -74,7 +69,7 @@ class SearchTree:
 
     @property
     def way(self) -> str:
-        """Direction of the tree in words."""
+        """Direction of the tree as text."""
         if self.backward:
             return "back from the goal"
         return "on from the start"
@@ -85,9 +80,10 @@ class SearchTree:
         return int(self.frontier.counts[EXPANDED])
 
     def grow(self, count: int, best: float) -> ArcSequence | None:
-        """Expand up to `count` nodes, and return a plan shorter than `best`, if any.
+        """Expand up to `count` nodes and return a plan shorter than `best` (m), if any.
 
-        The arcs of the plan always lead from start to goal.
+        The arcs of the returned plan lead from the start to the goal, even if the tree
+        searches backward.
         """
         until = self.expanded + count
         while True:
@@ -100,7 +96,7 @@ class SearchTree:
             return None
         arcs = self._path(int(node), connected=event == CONNECTED)
         if self.backward:
-            # A left turn of the path becomes a right turn of the reversed path.
+            # A left turn of the path is a right turn of the reversed path.
             return [(-curvature, length) for curvature, length in reversed(arcs)]
         return arcs
 
@@ -112,7 +108,7 @@ class SearchTree:
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
             heading = None if target.any_heading else target.heading
-            # This is the Dubins path that the kernel has tested.
+            # This Dubins path is the path that the kernel has tested.
             arcs = shortest_path(
                 end, target.x, target.y, heading, target.dubins_radius
             )[::-1]
@@ -137,12 +133,12 @@ class SearchTree:
 
 
 def goal_poses(goal: Goal, sector: float) -> list[Pose]:
-    """Return poses within a goal's tolerances, beginning with the goal.
+    """Return poses within the tolerances of a goal. The first pose is the goal itself.
 
-    A goal with a free heading has one pose per sector (rad).
+    If the heading of the goal is free, each heading sector (rad) has one pose.
     """
     if goal.heading is None:
-        # Further poses in a sector would fall into an occupied cell.
+        # A second pose in a sector would be in an occupied cell.
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
         headings = [

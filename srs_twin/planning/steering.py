@@ -1,31 +1,33 @@
 r"""Steering along a path: a Smith predictor for the pose, and the steering laws.
 
 The mean pose over a gait period T lags by T/2, and a command takes effect after a
-delay. The predictor extrapolates the pose over both times with a unicycle model. The
-curvature of the model follows the footprint's curvature at the commanded offset φ, with
-a first-order response over the path length ℓ (`Footprint.response_length`),
+delay. The predictor extrapolates the pose over T/2 and over the delay with a unicycle
+model. The curvature κ of the model approaches the curvature of the footprint at the
+commanded offset φ, with a first-order response over the path length ℓ
+(`Footprint.response_length`),
 
 $$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v (g κ + d) . $$
 
-The speed v is measured. A snake whose modules differ does not turn exactly like its
-footprint. A Kalman filter estimates this difference as a gain g and a disturbance d
-(1/m).
+The speed v is measured. A snake whose modules have different properties does not turn
+exactly like its footprint. A Kalman filter estimates the deviation as a gain g and a
+disturbance d (1/m).
 
-`WaypointSteering` is the law of Section 5.2.2. The snake visits the nodes of the plan in
-turn. The offset is limited and proportional to the bearing of the next node minus the
-heading. When the snake is within a threshold of a node, it heads for the next node.
+`WaypointSteering` is the law of Section 5.2.2. The snake visits the nodes of the plan
+one after another. The offset is limited, and proportional to the bearing of the next
+node minus the heading. When the distance between the snake and a node is below a
+threshold, the snake steers towards the next node.
 
-`PathTracking` is a law of this project. Let n be the cross-track error and e the heading
-error, both predicted for the time at which the command takes effect. The curvature
+`PathTracking` is a law of this project. Let n be the cross-track error and e the
+heading error, predicted for the time at which the command takes effect. The curvature
 
 $$ κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n}
    - \frac{2ζ}{L}\,\bigl(1 + ℓ\tfrac{d}{ds}\bigr)(e - e_n) - d,
    \qquad e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr) $$
 
-makes n decay over the length L like a second-order system with damping ζ. Two terms
-compensate the response length ℓ. The planned curvature is taken ℓ ahead, and the
-derivative of the error, which the model provides without noise, is fed back. The
-footprint gives the offset for κ/g.
+reduces n over the length L like a second-order system with damping ratio ζ. Two terms
+compensate the response length ℓ: the planned curvature is evaluated at s + ℓ, and the
+derivative of the heading error is added. The model provides this derivative without
+noise. The offset is interpolated from the footprint at the curvature κ/g.
 """
 
 from __future__ import annotations
@@ -52,15 +54,16 @@ _GAIN_LIMITS = (0.4, 2.5)
 """Minimum and maximum estimate of the gain."""
 
 _PRIOR_STD = np.array([0.2, 0.3])
-"""Initial standard deviations of d, in tightest curvatures, and of g.
+"""Initial standard deviations of d, relative to the tightest curvature, and of g.
 
-The values are explained in docs/course.md.
+The documentation page docs/course.md explains these values.
 """
 _WALK_STD = np.array([0.1, 0.1])
 """Standard deviations of the random walk of d and g per √(gait period)."""
 _CURVATURE_STD = 0.02
-"""Standard deviation of a curvature measured over a gait period, in tightest
-curvatures."""
+"""Standard deviation of a curvature measured over a gait period, relative to the
+tightest curvature.
+"""
 
 _HISTORY_PERIODS = 2.5
 """Length of the stored history of the model in gait periods."""
@@ -68,22 +71,23 @@ _HISTORY_PERIODS = 2.5
 _Sample = tuple[float, ...]
 """Time (s), x, y (m) and heading (rad).
 
-Samples of the model also contain the heading change due to the footprint alone (rad).
+Samples of the model also contain the part of the heading change that the footprint
+predicts (rad).
 """
 _time = itemgetter(0)
 
 
 class Predictor(Stateful):
-    """Smith predictor of the pose, with estimates of speed and turning.
+    """Smith predictor of the pose, with estimates of speed, gain and disturbance.
 
     Attributes:
-        speed: measured speed, m/s. Until two means one period apart are available, it
-            is the footprint's speed.
+        speed: measured speed, m/s. The speed of the footprint is used until two mean
+            poses one period apart are available.
         disturbance: estimated disturbance d, 1/m.
         gain: estimated gain g.
         curvature: current curvature of the model, 1/m.
-        moved: distance between the last mean position and the mean position a period
-            earlier, or None until both are available, m.
+        moved: distance between the last mean position and the mean position one period
+            earlier, m, or None until these two positions are available.
     """
 
     state_attributes = (
@@ -101,14 +105,7 @@ class Predictor(Stateful):
     def __init__(
         self, footprint: Footprint, period: float, delay: float, response_length: float
     ) -> None:
-        """Start a run.
-
-        Args:
-            footprint: curvature and speed of each offset.
-            period: gait period, s.
-            delay: command delay, s.
-            response_length: response length ℓ, m.
-        """
+        """Start a run with the period (s), command delay (s) and response length (m)."""
         self._offsets = np.array(footprint.offsets)
         self._curvatures = np.array(footprint.curvatures)
         self._period = period
@@ -138,14 +135,14 @@ class Predictor(Stateful):
         return self.gain * self.curvature + self.disturbance
 
     def command(self, time: float, offset: float) -> None:
-        """Advance the model, which is ahead of the snake by the command delay."""
+        """Integrate the model, which leads the snake by the command delay."""
         before, x, y, heading, total_turn = self._model[-1]
         step = time - before
         if step <= 0:
             return
         final = float(np.interp(offset, self._offsets, self._curvatures))
         length = self.speed * step
-        # Over the length, dκ/ds = (κ_final - κ)/ℓ has an exponential solution.
+        # The equation dκ/ds = (κ_final - κ)/ℓ has an exponential solution.
         if self._response_length > 0:
             decay = math.exp(-length / self._response_length)
         else:
@@ -164,13 +161,13 @@ class Predictor(Stateful):
         _drop_before(self._model, time - _HISTORY_PERIODS * self._period - self._delay)
 
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
-        """Process a mean pose, and estimate speed and turning over whole periods.
+        """Process a mean pose. Update the estimates if the mean covers a whole period.
 
         Args:
             time: current time, s.
-            middle: middle of the averaging window, s.
+            middle: middle of the averaging interval, s.
             mean: mean pose.
-            whole: whether the window covers a whole gait period.
+            whole: whether the averaging interval covers a whole gait period.
         """
         means = self._means
         means.append((middle, mean.x, mean.y, mean.heading))
@@ -187,7 +184,8 @@ class Predictor(Stateful):
         duration = middle - begin
         low, high = (fraction * self._nominal for fraction in _SPEED_LIMITS)
         self.speed = min(max(self.moved / duration, low), high)
-        # The nominal turn is the heading change due to the footprint in this interval.
+        # The nominal turn is the heading change that the footprint predicts for this
+        # interval.
         nominal = self._at(middle)[4] - self._at(begin)[4]
         length = max(self.moved, 1e-6 + low * duration)
         periods = (time - self._updated) / self._period
@@ -199,15 +197,16 @@ class Predictor(Stateful):
     def _update_turning(self, measured: float, nominal: float, periods: float) -> None:
         """Update gain and disturbance with a Kalman filter (measured = d + g nominal).
 
-        `measured` is the measured curvature and `nominal` the curvature of the
+        `measured` is the measured curvature and `nominal` is the curvature of the
         footprint, 1/m. `periods` is the number of gait periods since the last update.
         """
         if periods <= 0:
             return
         self._covariance += np.diag((_WALK_STD * self._scale) ** 2 * periods)
-        # The row is the derivative of the measured curvature with respect to d and g.
+        # The observation matrix is the derivative of the measured curvature with
+        # respect to d and g.
         row = np.array([1.0, nominal])
-        # The averaging windows overlap, so all frames of a period count as one
+        # The averaging intervals overlap, so all frames of a period count as one
         # measurement.
         cross = self._covariance @ row
         weights = cross / (
@@ -222,7 +221,7 @@ class Predictor(Stateful):
             max(self.gain + float(weights[1]) * innovation, _GAIN_LIMITS[0]),
             _GAIN_LIMITS[1],
         )
-        # The covariance of both parameters is reduced by one scalar measurement.
+        # One scalar measurement reduces the covariance of d and g.
         self._covariance -= np.outer(weights, cross)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
@@ -231,10 +230,11 @@ class Predictor(Stateful):
         Args:
             middle: time of the mean pose, s.
             mean: mean pose.
-            time: time of the prediction, at most the delay from now, s.
+            time: time of the prediction, at most the command delay after the current
+                time, s.
         """
-        # The motion of the model since the mean pose is rotated into the frame of the
-        # mean pose.
+        # The motion of the model since the time of the mean pose is rotated into the
+        # frame of the mean pose.
         _, x0, y0, heading0, _ = self._at(middle)
         _, x, y, heading, _ = self._at(time)
         turn = mean.heading - heading0
@@ -245,8 +245,8 @@ class Predictor(Stateful):
         return Pose(mean.x + c * dx - s * dy, mean.y + s * dx + c * dy, heading + turn)
 
     def _at(self, time: float) -> _Sample:
-        """Return the model state that belongs to a time of the snake."""
-        # The model is ahead of the snake by the command delay.
+        """Return the state of the model at a time of the snake."""
+        # The model leads the snake by the command delay.
         time -= self._delay
         model = self._model
         k = bisect_right(model, time, key=_time)
@@ -259,17 +259,18 @@ class Predictor(Stateful):
 
 
 def _drop_before(samples: list[_Sample], before: float) -> None:
-    """Delete samples before a time, except the last, if they are more than half."""
+    """Delete the samples before a time, except the last, if they are more than half."""
     old = bisect_right(samples, before, key=_time) - 1
     if 2 * old > len(samples):
         del samples[:old]
 
 
 DAMPING = 1.0
-"""Damping ratio ζ of the cross-track error. The value is critical, without
-overshoot."""
+"""Damping ratio ζ of the cross-track error. Critical damping has no overshoot."""
 _MAX_APPROACH = 0.7
-"""Maximum heading towards the path, rad."""
+"""Maximum angle between the heading and the path when the snake approaches the path,
+rad.
+"""
 
 
 @dataclass(frozen=True)
@@ -277,11 +278,12 @@ class SteeringInput:
     """Input of a steering law.
 
     Attributes:
-        pose: predicted pose, or the mean pose over a period for laws without
+        pose: predicted pose, or the mean pose over a period for laws that use no
             prediction.
         place: path coordinates of the pose.
         curvature: curvature of the model at the time of the pose, 1/m.
-        disturbance, gain: disturbance d (1/m) and gain g estimated by the `Predictor`.
+        disturbance, gain: disturbance d (1/m) and gain g, which the `Predictor`
+            estimates.
     """
 
     pose: Pose
@@ -297,8 +299,8 @@ class Steering(Stateful, ABC):
     Attributes:
         predicts: whether the input contains the predicted pose instead of the mean
             pose.
-        node: index of the next node (`WaypointSteering`), or number of passed segments of the
-            plan.
+        node: index of the next node in `WaypointSteering`, otherwise the number of
+            segments of the plan that the snake has passed.
     """
 
     state_attributes = ("node",)
@@ -308,11 +310,11 @@ class Steering(Stateful, ABC):
 
     @abstractmethod
     def begin(self, path: ReferencePath) -> None:
-        """Start on a new path."""
+        """Initialise the law for a new path."""
 
     @abstractmethod
     def offset(self, state: SteeringInput) -> float:
-        """Return the desired offset, which the follower limits."""
+        """Return the desired offset. The follower limits this offset."""
 
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
         """Return the expected cross-track error farther along the path, m.
@@ -331,13 +333,13 @@ class WaypointSteering(Steering):
     predicts = False
 
     def __init__(self, gain: float = 0.6, node: float = 0.2, near: float = 0.2) -> None:
-        """Set the parameters, whose defaults are explained in docs/course.md.
+        """Set the parameters. The page docs/course.md explains the default values.
 
         Args:
             gain: offset per bearing error, 1/rad.
             node: distance between nodes along the path, m. The last node is the end of
                 the path.
-            near: distance at which a node counts as reached, m.
+            near: distance at which a node is considered reached, m.
         """
         self._gain = gain
         self._spacing = node
@@ -379,10 +381,10 @@ class PathTracking(Steering):
         lookahead: float = 0.15,
         response_length: float = 0.05,
     ) -> None:
-        """Set the parameters, whose defaults are explained in docs/course.md.
+        """Set the parameters. The page docs/course.md explains the default values.
 
         Args:
-            footprint: table of the offset for each curvature.
+            footprint: footprint from which the offset of a curvature is interpolated.
             lookahead: length L over which a cross-track error decays, m.
             response_length: response length ℓ, m.
         """
@@ -410,8 +412,8 @@ class PathTracking(Steering):
         approach = -min(
             max(n / (2 * DAMPING * self._length), -_MAX_APPROACH), _MAX_APPROACH
         )
-        # The derivative of the heading error along the path comes from the model
-        # instead of noisy differences.
+        # The derivative of the heading error along the path is computed from the model,
+        # because differences of measurements are noisy.
         rate = (
             state.curvature
             - state.place.curvature
@@ -431,7 +433,8 @@ class PathTracking(Steering):
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
         """See `Steering.predict_cross_track`.
 
-        The result solves n'' = −2 n'/L − n/L², the closed loop for ζ = 1.
+        The result solves n'' = −2 n'/L − n/L², the equation of the closed loop for ζ =
+        1.
         """
         return (n + (n / self._length + slope) * ahead) * math.exp(
             -ahead / self._length

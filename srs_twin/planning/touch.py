@@ -1,27 +1,27 @@
-r"""Plans that lean on obstacles (`planner: {contact: allowed}`).
+r"""Plans in which the body leans on obstacles (`planner: {contact: allowed}`).
 
-A footprint contains the side-to-side motion of the gait. Where an edge of the footprint
+A footprint contains the lateral motion of the gait. Where an edge of the footprint
 overlaps an obstacle, the obstacle limits this motion, and the body presses against the
 obstacle. The planner may therefore reduce the edges to
 
 $$ e_{hard} = c + (1 - σ)(e - c), $$
 
-where e is the edge of the footprint, c half the width of the body and σ =
+where e is the edge of the footprint, c is half the width of the body and σ is
 `TOUCH_FRACTION`. Since e_hard ≥ c, the body itself never passes through an obstacle.
 
 The estimated contact force limits the overlap δ. A connector that is displaced by δ
-between two fixed neighbours bends both adjacent segments by 2δ/L, where L is the
-distance between connectors. The elastic energy 4kδ²/L² of both bends, where k is the
-bending stiffness, gives the force Kδ with K = 8k/L². The obstacle displaces the body as
-soon as this force exceeds the friction on the floor, μ_n m g. The lateral wave of
-amplitude A = e − c reaches the obstacle in a fraction arccos(1 − δ/A)/π of the period.
-The mean force on one side is therefore
+between two fixed neighbours bends each of the two adjacent segments by 2δ/L, where L is
+the distance between connectors. The elastic energy 4kδ²/L² of the two bends, where k is
+the bending stiffness, gives the force Kδ with K = 8k/L². The obstacle displaces the
+body when this force exceeds the friction on the floor, μ_n m g. The lateral wave with
+the amplitude A = e − c reaches the obstacle during a fraction arccos(1 − δ/A)/π of the
+period. The mean force on one side is therefore
 
 $$ F = \frac1π \arccos\Bigl(1 - \frac{δ}{A}\Bigr) \min(Kδ,\, μ_n m g), $$
 
-and a metre of path with the forces F_l and F_r on both sides costs 1 + (F_l + F_r)/(μ_n
-m g) metres. Edges and overlaps include the margin of the plan, because the body may
-deviate from its path by this margin.
+and a metre of path with the forces F_l and F_r on the left and on the right costs 1 +
+(F_l + F_r)/(μ_n m g) metres. Edges and overlaps include the margin of the plan, because
+the body may deviate from its path by this margin.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ from srs_twin.robot.world import Bounds
 TOUCH_FRACTION = 0.5
 """Maximum fraction σ of the space between body and edge that may overlap an obstacle.
 
-Generation 2 passes gaps of 0.75 footprint widths on both plants, but does not reliably
-pass gaps of 0.6 widths (docs/planning.md).
+A snake of generation 2 passes gaps of 0.75 footprint widths on each of the two plants,
+but does not reliably pass gaps of 0.6 footprint widths (docs/planning.md).
 """
 
 _LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Overlaps that are tried in turn, as fractions of the maximum overlap."""
+"""Overlaps as fractions of the maximum overlap, tried in this order."""
 _MAX_NODES = 10_000
-"""Maximum number of nodes of the search for each overlap below the maximum."""
+"""Maximum number of expanded nodes in the search for each overlap below the maximum."""
 _SPACING_M = 0.01
 """Maximum distance between points of a path at which the overlap is evaluated, m."""
 _MIN_DEPTH_M = 1e-4
@@ -64,7 +64,10 @@ Search = Callable[[Problem, Settings], Plan]
 
 
 def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
-    """Return the limits of leaning for a robot and its footprint without margin."""
+    """Return the limits of leaning on obstacles for a robot and its footprint.
+
+    The footprint must not include a margin.
+    """
     core = spec.geometry.width / 2
     hard_left, hard_right = (
         tuple(core + (1 - TOUCH_FRACTION) * max(edge - core, 0.0) for edge in edges)
@@ -78,9 +81,10 @@ def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
 
 
 def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
-    """Return a problem whose edges overlap by a fraction of the maximum overlap.
+    """Return a problem whose edges may overlap obstacles by a fraction of the maximum.
 
-    The body cannot lean on the bounds of the world, so they are narrowed as well.
+    The body cannot lean on the bounds of the world, so the bounds are reduced by the
+    overlap.
     """
     body = problem.footprint
     world = problem.world
@@ -95,13 +99,7 @@ def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
 
 
 def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Plan:
-    """Return the plan with the lowest cost among plans with increasing overlap.
-
-    Args:
-        search: planner for one footprint.
-        problem: start, goal, world and body with its full edges.
-        settings: search settings.
-    """
+    """Return the plan with the lowest cost among plans with increasing overlap."""
     limits = settings.touch_limits
     assert limits is not None, "the caller plans with touch"
     best = None
@@ -125,7 +123,7 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
                     reason = result.reason
                 best = replace(result, touches=touches, reason=reason)
                 lowest = cost
-    # Without a path, the reason is taken from the search with the narrowest edges.
+    # If no path is found, the reason is taken from the search with the narrowest edges.
     if best is None:
         return replace(result, touches=())
     return best
@@ -136,10 +134,9 @@ class _Overlaps:
     """Overlaps of the footprint with obstacles along a path.
 
     Attributes:
-        names: obstacle names.
         s: path length in the middle of each step, m, shape (steps,).
         steps: step lengths, m, shape (steps,).
-        depth, force: overlap (m) with each obstacle, and mean contact force (N), shape
+        depth, force: overlap (m) with each obstacle and mean contact force (N), shape
             (obstacles, steps).
     """
 
@@ -189,7 +186,7 @@ def _overlaps(
             np.cos(heading) * dy > np.sin(heading) * dx, path.left, path.right
         )
         depth[k] = np.maximum(edge - (np.hypot(dx, dy) - radius), 0.0)
-        # The body touches the obstacle in this fraction of the gait period.
+        # The body touches the obstacle during this fraction of the gait period.
         fraction = (
             np.arccos(
                 np.clip(1 - depth[k] / np.maximum(edge - limits.core, 1e-9), -1, 1)

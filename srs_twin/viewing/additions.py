@@ -20,10 +20,9 @@ class FloorLine(NamedTuple):
     """Line drawn on the floor.
 
     Attributes:
-        name: entity name.
-        strips: polylines (n, 2), m.
+        strips: polylines, each of shape (n, 2), m.
         color: colour, #rrggbb.
-        radius: half width, m.
+        radius: half the line width, m.
     """
 
     name: str
@@ -33,13 +32,10 @@ class FloorLine(NamedTuple):
 
 
 class FollowedSignal(NamedTuple):
-    """Recorded signal that gets its own plot.
+    """Recorded signal that is plotted separately.
 
     Attributes:
-        column: trajectory column.
-        entity: entity name.
         factor: factor that converts the SI value to the plotted unit.
-        title: plot title.
     """
 
     column: str
@@ -54,9 +50,7 @@ class RunPictures:
     The base class adds nothing.
 
     Attributes:
-        kind: kind of experiment.
-        legend: colour (#rrggbb) of each line on the floor, keyed by its label.
-        signals: additional plotted signals.
+        legend: colour (#rrggbb) of each line on the floor, by label.
     """
 
     kind: ClassVar[str] = ""
@@ -70,28 +64,24 @@ class RunPictures:
     def figures(
         self, runs: Mapping[str, Trajectory], spec: RobotSpec
     ) -> dict[str, Figure]:
-        """Return additional figures for the report, keyed by caption.
+        """Return additional figures for the report, keyed by their captions.
 
-        Args:
-            runs: trajectories, keyed by plant.
-            spec: robot.
+        `runs` contains the trajectory of each plant.
         """
         return {}
 
     def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:
         """Return lines to draw on the floor.
 
-        Args:
-            run: trajectory.
-            latest: whether to return the lines at the end of the run instead of the
-                start.
+        If `latest` is true, the lines are for the end of the run, otherwise for its
+        start.
         """
         return []
 
 
 @cache
 def additions() -> tuple[RunPictures, ...]:
-    """Return all installed additions."""
+    """Return the additions of all installed extensions."""
     return tuple(pictures for _, pictures in objects(PICTURES))
 
 

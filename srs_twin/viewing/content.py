@@ -1,4 +1,4 @@
-"""Content of reports and recordings, and the events of a run."""
+"""Contents of reports and recordings, and the events of a run."""
 
 from __future__ import annotations
 
@@ -15,18 +15,13 @@ from srs_twin.trajectory import Event, Trajectory
 
 @dataclass(frozen=True)
 class RunContent:
-    """Content of a run for its report and its recording.
+    """Contents of the report and the recording of a run.
 
     Attributes:
-        spec: robot.
-        trajectories: trajectories, keyed by plant. If there is a twin, a recording
-            draws all other plants as ghosts.
+        trajectories: trajectory of each plant. If one of the plants is a twin, a
+            recording draws all other plants as ghosts.
         comparison: differences between the plants over time, or None.
-        measured: differences from the measured robot, keyed by plant.
-        world: obstacles and objects.
-
-    Raises:
-        InputError: a trajectory is missing or empty.
+        measured: differences from the measured robot for each plant.
     """
 
     spec: RobotSpec
@@ -56,7 +51,7 @@ def events_of(run: Trajectory) -> list[Event]:
 
 
 def end_event(run: Trajectory) -> list[Event]:
-    """Return one event if the run ended early, or an empty list."""
+    """Return the event that ended the run early, as a list of at most one event."""
     by = run.metadata.get("ended_by")
     if by is None:
         return []

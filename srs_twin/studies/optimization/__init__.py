@@ -1,1 +1,1 @@
-"""Optimisation of robot designs and gaits with the fidelities `compliant` and twin."""
+"""Optimisation of robot designs and gaits with the compliant model and the twin."""

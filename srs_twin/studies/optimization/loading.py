@@ -47,8 +47,9 @@ from srs_twin.studies.sweep.points import (
 from srs_twin.studies.uncertainty.study import compliant_scenario, on_plant
 
 SEGMENTS = "robot.segments"
-"""Variable for the number of segments. It changes all robot parameters that depend
-on the number."""
+"""Variable for the number of segments. The variable changes all robot parameters
+that depend on the number.
+"""
 
 
 class VariableFile(Section):
@@ -68,9 +69,9 @@ class VariableFile(Section):
     bound."""
 
     def value_at(self, fraction: float) -> float | int:
-        """Return the value at a fraction of the range, rounded."""
+        """Return the rounded value at a fraction of the range."""
         value = value_at(fraction, self.low, self.high, self.scale)
-        # With six digits, designs that differ only by rounding share one run.
+        # With six digits, designs that differ only by rounding errors share one run.
         return round(value) if self.whole else float(f"{value:.6g}")
 
     def share_of(self, value: float) -> float:
@@ -106,7 +107,7 @@ class ObjectiveFile(Section):
 
     @property
     def sign(self) -> float:
-        """Factor that turns the metric into a cost."""
+        """Factor that converts the metric into a cost."""
         return -1.0 if self.goal == "maximize" else 1.0
 
 
@@ -187,8 +188,9 @@ def study_json_schema() -> dict[str, object]:
 
 
 ON_BOUND = 0.01
-"""Distance from an end of a range, as a fraction of the range, below which a design
-is on the bound."""
+"""Distance from an end of a range below which a design is considered to be on the
+bound, as a fraction of the range.
+"""
 
 
 @dataclass(frozen=True)
@@ -197,7 +199,7 @@ class DesignSpace:
 
     Attributes:
         variables: range of each variable by its dotted name.
-        robot: robot of the scenario as plain data, which supplies the quantities that
+        robot: robot of the scenario as plain data, which contains the quantities that
             `hold` keeps constant.
     """
 
@@ -210,17 +212,17 @@ class DesignSpace:
         return len(self.variables)
 
     def values(self, fractions: np.ndarray) -> tuple[float | int, ...]:
-        """Return the values of a design given as fractions from 0 to 1, shape (d,)."""
+        """Return the values of a design that is given as fractions, shape (d,)."""
         ranges = zip(self.variables.values(), np.clip(fractions, 0.0, 1.0), strict=True)
         return tuple(variable.value_at(fraction) for variable, fraction in ranges)
 
     def fractions(self, values: Sequence[float]) -> np.ndarray:
-        """Return a design as fractions of the ranges, shape (d,)."""
+        """Return a design as fractions of the ranges, from 0 to 1, shape (d,)."""
         ranges = zip(self.variables.values(), values, strict=True)
         return np.array([variable.share_of(value) for variable, value in ranges])
 
     def bounds(self, fractions: np.ndarray) -> dict[str, str]:
-        """Map each variable of a design that lies on a bound to "low" or "high"."""
+        """Return "low" or "high" for each variable of a design that lies on a bound."""
         fractions_by_name = zip(
             self.variables, self.snapped(fractions[None])[0], strict=True
         )
@@ -231,7 +233,7 @@ class DesignSpace:
         }
 
     def snapped(self, fractions: np.ndarray) -> np.ndarray:
-        """Return designs, shape (designs, d), with rounded values."""
+        """Return designs with rounded values, shape (designs, d)."""
         return np.array(
             [self.fractions(self.values(fraction)) for fraction in fractions]
         )
@@ -272,13 +274,9 @@ class OptimizationStudy:
 
     Attributes:
         name: name of the study and of the output folder.
-        file: validated file.
-        scenario: varied scenario.
-        space: design space.
-        experiments: experiment at each fidelity: "compliant", if it can run the
-            scenario, and "twin".
-        document: study file as plain data.
-        changes: fields that differ from the study file, as listed in `title`.
+        experiments: experiment of the twin, and experiment of the model "compliant" if
+            this model can simulate the scenario.
+        changes: fields that differ from the study file, as text.
     """
 
     name: str
@@ -305,13 +303,7 @@ def load_study(
     Args:
         study: name or path of the study. A loaded study is returned unchanged.
         set: scenario fields to fix by dotted path, in addition to the fixed fields of
-            the file. `seed` sets the random seed of the study.
-
-    Raises:
-        InputError: the file does not exist or cannot be read, or a loaded study is to
-            be changed.
-        InputFileError: the file is invalid. The message lists all problems, one per
-            line.
+            the file. The field `seed` sets the random seed of the study.
     """
     if isinstance(study, OptimizationStudy):
         refuse_changes("study", set)

@@ -26,18 +26,20 @@ def optimize(
     changed: bool = False,
     progress: Progress = quiet,
 ) -> StudyResult:
-    """Search for the best robot or gait, like the command `srs-twin optimize`.
+    """Search for the best robot or gait.
 
-    Finished runs are kept in `out`, so an interrupted search can resume there.
+    The command `srs-twin optimize` calls this function. Finished runs are stored in
+    `out`, so an interrupted search can be resumed with the same folder.
 
     Args:
         study: name of a shipped study, path of a study file, or a loaded study.
-        out: output folder, or None to write nothing.
+        out: output folder, or None to write no files.
         set: scenario fields to fix, as described in `load_study`.
         engine: name of the engine ("local", "ray" or "warp"), or an engine object.
         workers: number of parallel runs, or None for one per processor.
-        changed: whether runs of another study in `out` may be reused; see `StudyRuns`.
-        progress: callback that reports finished runs and the maximum number of runs.
+        changed: whether runs of another study in `out` may be reused (see `StudyRuns`).
+        progress: function that is called with the number of finished runs and the
+            maximum number of runs.
 
     Raises:
         InputError: the study is not valid, the engine is not available, or the folder
@@ -46,8 +48,9 @@ def optimize(
     loaded = load_study(study, set=set)
     budget = loaded.file.budget
     total = budget.twin + (budget.compliant if "compliant" in loaded.experiments else 0)
-    # After the search, the initial scenario runs with the nominal and all drawn robots.
-    # Each reported design runs with two refinements and with all drawn robots.
+    # After the search, the initial scenario is simulated with the nominal robot and
+    # with all random robots. Each reported design is simulated with two refinements and
+    # with all random robots.
     total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
     progress(loaded.name, total, None)
 
@@ -61,7 +64,7 @@ def optimize(
             result = StudyResult.evaluate(loaded, search(loaded, runs), runs)
         if out is None:
             return result
-        # Imported here, because matplotlib would delay the search.
+        # Importing matplotlib at the top would delay the search.
         from srs_twin.studies.optimization.report import write_result
 
         return replace(result, files=write_result(result, folder))

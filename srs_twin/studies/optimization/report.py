@@ -1,4 +1,4 @@
-"""Output files of a study: JSON document, evaluations, best designs and plots."""
+"""Output files of a study: JSON document, table of runs, best designs and plots."""
 
 from __future__ import annotations
 
@@ -48,15 +48,7 @@ def draw_convergence(
     *,
     maximize: bool,
 ) -> CaptionedFigure:
-    """Draw the objective of the twin's runs and the best feasible value so far.
-
-    Args:
-        values: objective of each run, shape (runs,).
-        feasible: mask of runs that satisfy the constraints, shape (runs,).
-        label: axis label of the objective.
-        initial: value of the unmodified scenario.
-        maximize: whether a higher objective is better.
-    """
+    """Plot the objective of the runs of the twin and the best feasible value so far."""
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
     number = np.arange(1, len(values) + 1)
@@ -88,7 +80,7 @@ def draw_front(
     labels: Sequence[str],
     initial: Sequence[float | None],
 ) -> CaptionedFigure:
-    """Draw the two objectives of all runs, shape (runs, 2), and the Pareto front."""
+    """Plot the two objectives of all runs, shape (runs, 2), and the Pareto front."""
     figure = Figure(figsize=(6.5, 4.2), layout="constrained")
     axes = figure.subplots()
     axes.plot(*values.T, "o", color=_RUN_COLOR, markersize=4, label="runs of the twin")
@@ -112,14 +104,7 @@ def draw_front(
 def draw_parallel(
     space: DesignSpace, runs: Sequence[Run], ranks: np.ndarray, best: Sequence[Run]
 ) -> CaptionedFigure:
-    """Draw designs as parallel coordinates, with the better designs more prominent.
-
-    Args:
-        space: design space.
-        runs: runs of the twin.
-        ranks: rank of each run, shape (runs,).
-        best: best designs, whose bounds are marked.
-    """
+    """Plot designs as parallel coordinates, with thicker lines for better designs."""
     places = np.arange(space.size)
     figure = Figure(figsize=(max(6.5, 1.1 * space.size), 3.6), layout="constrained")
     axes = figure.subplots()
@@ -164,10 +149,9 @@ BOUND_MARK = "†"
 
 
 def write_result(result: StudyResult, folder: Path) -> tuple[str, ...]:
-    """Write all output files into a folder, all or none, and return their names.
+    """Write all output files into a folder and return their names.
 
-    Raises:
-        InputError: a file cannot be written.
+    If an error occurs, no file is written.
     """
     with replace_files(folder, PRODUCTS) as fresh:
         return _write(result, fresh)
@@ -204,11 +188,7 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
 
 
 def write_report(folder: Path, result: StudyResult) -> list[str]:
-    """Write plots and HTML page and return their names.
-
-    Raises:
-        InputError: a file cannot be written.
-    """
+    """Write the plots and the HTML page, and return their names."""
     document = result.document()
     figures = _figures(result, document)
     pictures = []
@@ -255,7 +235,7 @@ def _figures(
     else:
         members = [[run.metric(goal.metric) for goal in goals] for run in best]
         figures[front] = draw_front(values, np.array(members), labels, start)
-    # Infeasible runs rank last.
+    # Infeasible runs have the lowest ranks.
     ranks = np.argsort(np.lexsort((costs(study, twin)[:, 0], violation)))
     figures[parallel] = draw_parallel(study.space, twin, ranks, best)
     return figures
@@ -309,7 +289,7 @@ def _interval_text(
 
 
 def bound_lines(document: StudyDocument) -> list[str]:
-    """Return a sentence for each bound on which a best design lies."""
+    """Return a sentence for each bound on which one of the best designs lies."""
     designs: dict[str, list[str]] = {}
     for design in document["best"]:
         for name, bound in design["on_bound"].items():
@@ -328,7 +308,7 @@ def bound_lines(document: StudyDocument) -> list[str]:
 
 
 def mark_bound(value: float, on_bound: bool) -> str:
-    """Return the value of a variable as text, marked if it is on a bound."""
+    """Return a value as text, with a mark if the variable is on a bound."""
     text = f"{value:.4g}"
     if on_bound:
         return text + BOUND_MARK

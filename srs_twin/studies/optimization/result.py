@@ -1,4 +1,4 @@
-"""Result of a study: best designs, their accuracy and robustness, and their gains."""
+"""Result of a study: best designs with their accuracy, robustness and gains."""
 
 from __future__ import annotations
 
@@ -35,15 +35,16 @@ PICTURES = ("convergence.png", "front.png", "parallel.png")
 PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 
 _MAX_REFINEMENT_CHANGE = 0.01
-"""Maximum relative change due to a refinement of the twin at which a result counts
-as converged."""
+"""Maximum relative change due to a refinement of the twin for which a result is
+considered converged.
+"""
 
 _MIN_RANKED = 4
 """Minimum number of runs for a rank correlation."""
 
 
 class Gain(TypedDict):
-    """Relative gain over the initial scenario, and its 95 % interval over robots."""
+    """Relative gain over the initial scenario and its 95 % interval over robots."""
 
     fraction: float | None
     interval_95: list[float | None] | None
@@ -90,14 +91,13 @@ class StudyDocument(TypedDict):
 
 @dataclass(frozen=True)
 class EvaluatedDesign:
-    """Design with further runs that show how far its result can be trusted.
+    """Design with additional runs that show the accuracy of its result.
 
     Attributes:
-        run: run of the twin.
-        refined: runs with half the time step and with twice the hinges; empty for the
-            initial scenario.
-        samples: runs with drawn robots, which are identical for all designs; may be
-            empty.
+        refined: run with half the time step and run with twice the number of hinges.
+            The initial scenario has no such runs.
+        samples: runs with random robots, if any. All designs use the same random
+            robots.
     """
 
     run: Run
@@ -105,7 +105,7 @@ class EvaluatedDesign:
     samples: tuple[Row, ...] = field(repr=False)
 
     def sampled(self, name: str) -> np.ndarray:
-        """Return a metric of the samples, shape (samples,)."""
+        """Return a metric of the runs with random robots, shape (samples,)."""
         return np.array([metric_of(row, "twin", name) for row in self.samples])
 
     def refinement_change(self, name: str) -> float | None:
@@ -125,9 +125,10 @@ class StudyResult:
         study: optimised study.
         runs: runs of the search.
         initial: unmodified scenario with the fixed fields.
-        designs: best designs, best first.
-        files: written files; empty without an output folder.
-        improvement: expected improvement by a further run; see `Optimum`.
+        designs: best designs in descending order of quality.
+        files: names of the written files. The tuple is empty if no output folder was
+            given.
+        improvement: expected improvement by one more run, as described in `Optimum`.
     """
 
     study: OptimizationStudy
@@ -141,7 +142,7 @@ class StudyResult:
     def evaluate(
         cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns
     ) -> StudyResult:
-        """Run the initial scenario, and refinements and samples of the best designs.
+        """Run the initial scenario and the additional runs of the best designs.
 
         Raises:
             InputError: a row cannot be written.
@@ -206,7 +207,7 @@ class StudyResult:
 
     @property
     def warning(self) -> str | None:
-        """Warning if the budget ended the search too early, otherwise None."""
+        """Warning if the budget was too small for the search, otherwise None."""
         if self.improvement is None or self.improvement <= MAX_IMPROVEMENT:
             return None
         gain = f"{100 * self.improvement:.1f} %"
@@ -254,7 +255,7 @@ class StudyResult:
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Metrics of the objectives, then of the constraints."""
+        """Metrics of the objectives and of the constraints, in this order."""
         objectives = [objective.metric for objective in self.study.file.objectives]
         constraints = [constraint.metric for constraint in self.study.file.constraints]
         return tuple(dict.fromkeys([*objectives, *constraints]))
@@ -280,9 +281,9 @@ class StudyResult:
     def _fidelity_correlation(
         self, objective: ObjectiveFile
     ) -> dict[str, float | None] | None:
-        """Return the rank correlations of an objective between the two fidelities.
+        """Return the rank correlations of an objective between the two models.
 
-        The key "near" is for the better half of all designs.
+        The value with the key "near" is computed from the better half of all designs.
         """
         from scipy.stats import spearmanr
 

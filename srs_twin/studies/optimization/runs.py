@@ -1,7 +1,8 @@
 """Storage of finished runs, so that no design is simulated twice.
 
 The sequence of designs depends only on the seed and on earlier results. A resumed
-search therefore requests identical designs and reads finished runs from the store.
+search therefore requests identical designs and reads the results of finished runs from
+the store.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from srs_twin.studies.sweep.store import RowStore, SweepIdentity
 from srs_twin.studies.sweep.task import DONE, Row
 
 PLANTS = {"compliant": "analytical", "twin": "twin"}
-"""Plant that simulates each fidelity."""
+"""Name of the plant that simulates each fidelity."""
 
 RowCallback = Callable[[str, Row], None]
-"""Callback that is called with the fidelity and the row of each newly finished run."""
+"""Callback that receives the fidelity and the row of each newly finished run."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +36,8 @@ class Run:
     """Run of a design at one fidelity.
 
     Attributes:
-        part: fidelity, "compliant" or "twin".
+        part: fidelity, which is "compliant" or "twin".
         fractions: design variables as fractions of their ranges, shape (d,).
-        row: stored result.
     """
 
     part: str
@@ -50,7 +50,7 @@ class Run:
 
 
 def metric_of(row: Row, part: str, name: str) -> float:
-    """Return a metric of a row, or NaN if the run failed or has no value."""
+    """Return a metric of a row, or NaN if the run failed or the metric has no value."""
     value = row.values.get(f"{PLANTS[part]}.{name}")
     if value is None or row.status != DONE:
         return float("nan")
@@ -61,7 +61,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
     """Runs of a study in a locked folder.
 
     Attributes:
-        requested: distinct runs in the order of their first request.
+        requested: runs in the order of their first request, without duplicates.
     """
 
     def __init__(
@@ -73,20 +73,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         *,
         changed: bool = False,
     ) -> None:
-        """Open the folder.
-
-        Args:
-            study: study whose designs are run.
-            folder: folder of the runs, which is created if missing.
-            engine: engine for new runs.
-            on_row: callback for each newly finished run.
-            changed: whether `folder` may belong to another study. Valid runs are then
-                kept.
-
-        Raises:
-            InputError: the folder cannot be written, is locked, or belongs to another
-                study.
-        """
+        """Open the folder."""
         self._study = study
         self._engine = engine
         self._on_row = on_row
@@ -112,11 +99,8 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         """Return the runs of designs at one fidelity.
 
         Args:
-            part: fidelity, "compliant" or "twin".
+            part: fidelity, which is "compliant" or "twin".
             fractions: designs as fractions of the ranges, shape (designs, d).
-
-        Raises:
-            InputError: a row cannot be written.
         """
         runs = []
         rows = self.rows(
@@ -130,11 +114,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return runs
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
-        """Return the rows of changed scenarios after running the missing ones.
-
-        Raises:
-            InputError: a row cannot be written.
-        """
+        """Return the rows of scenarios after the missing rows have been computed."""
         experiment = self._study.experiments[part]
         plant = PLANTS[part]
         points = [
@@ -148,7 +128,8 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             if self._on_row is not None:
                 self._on_row(part, row)
 
-        # Starting an engine may take seconds, so it starts only if a run is missing.
+        # Starting an engine may take seconds, so the engine starts only if a run is
+        # missing.
         if missing:
             self._stores[part].collect(
                 self._engine(experiment, missing), [p.key for p in missing], on_row

@@ -1,34 +1,37 @@
 r"""Design optimisation with many runs of `compliant` and few runs of the twin.
 
 **One objective.** CMA-ES (Hansen 2016) minimises the objective of the low-fidelity
-model, and the twin runs the best designs found. From then on, a Gaussian process
-predicts the twin's result from the design and the low-fidelity result (Kennedy and
-O'Hagan 2000). New designs maximise the expected improvement
+model, and the twin simulates the best designs that were found. After that, a Gaussian
+process predicts the result of the twin from the design and the low-fidelity result
+(Kennedy and O'Hagan 2000). New designs maximise the expected improvement
 
-$$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \qquad z = (y^* - μ)/σ, $$
+$$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \qquad z =
+(y^* - μ)/σ, $$
 
 where μ and σ are the predicted mean and standard deviation at the design u, and y* is
-the best result so far. Each round selects two designs, the second as if the first had
-given its expected result. Candidates are all designs that the low-fidelity model has
-run. Every round judges many new designs, near the best ones and in the whole space, by
-interpolation between earlier results. It runs the most promising of these designs.
-Failed runs do not enter the Gaussian processes. A design whose nearest run has failed
-has an expected improvement of zero.
+the best result so far. Each round selects two designs. The second design is selected as
+if the result of the first design were equal to its expected result. Candidates are all
+designs that the low-fidelity model has simulated. In every round, the low-fidelity
+results of many new designs, near the best designs and in the whole space, are
+interpolated between earlier results. The low-fidelity model then simulates the most
+promising of the new designs. The Gaussian processes are not fitted to failed runs. If
+the nearest run of a design has failed, the expected improvement of the design is zero.
 
 **Constraints.** The low-fidelity model may violate a constraint that the twin
 satisfies, and CMA-ES avoids such designs. A Gaussian process for each constraint
-therefore predicts the twin's value. New designs are also drawn near designs that just
-violate a constraint.
+therefore predicts the value for the twin. New designs are also drawn near designs that
+violate a constraint by a small amount.
 
 **End.** After the last run, the maximum expected improvement among new designs is
-computed. If it exceeds `MAX_IMPROVEMENT`, the result contains a warning.
+computed. If this maximum exceeds `MAX_IMPROVEMENT`, the result contains a warning.
 
 **Two objectives.** The low-fidelity model is searched with several weights of a
 Tchebycheff scalarisation (Knowles 2006). New designs maximise the expected growth of
-the area dominated by the Pareto front (Emmerich et al. 2006). An end of the front can
-move far with little gain in area. Every other round therefore improves one end instead.
+the area that the Pareto front dominates (Emmerich et al. 2006). If an end of the front
+moves far, this area may grow only slightly. Every other round therefore improves one
+end of the front instead.
 
-If `compliant` cannot run a scenario, the search uses only the twin.
+If `compliant` cannot simulate a scenario, the search uses only the twin.
 """
 
 from __future__ import annotations
@@ -55,20 +58,22 @@ _BATCH_SIZE = 2
 
 _NEIGHBOUR_STD = 0.08
 """Maximum standard deviation of new candidates about the best designs, as a fraction
-of the ranges."""
+of the ranges.
+"""
 
 _NEIGHBOURS = {1: 8, 2: 16}
-"""Number of new candidates per round, by number of objectives."""
+"""Number of new candidates per round, for each number of objectives."""
 
 _INITIAL_FRACTION = 0.3
-"""Fraction of the twin's budget for the initial designs."""
+"""Fraction of the runs of the twin that are spent on the initial designs."""
 
 _EDGE_OVERDRAW = 0.2
-"""Width by which samples are drawn beyond the ranges, as a fraction. Clipping then
-puts some samples on the bounds, where optima often are."""
+"""Distance by which samples may lie outside the ranges, as a fraction of the ranges.
+Clipping then moves some samples to the bounds, where optima often are.
+"""
 
 _MIN_DISTANCE = 1e-3
-"""Distance below which two designs are treated as identical."""
+"""Distance below which two designs are considered identical."""
 
 MAX_REPORTED = 3
 """Maximum number of designs reported for a study with one objective."""
@@ -77,29 +82,35 @@ _OPTIMUM_DISTANCE = 0.1
 """Minimum distance between two reported designs."""
 
 _CMA_FRACTION = 0.6
-"""Fraction of the low-fidelity budget for CMA-ES. The rest is for candidates."""
+"""Fraction of the low-fidelity runs that are spent on CMA-ES. The remaining runs are
+spent on candidates.
+"""
 
 _POPULATION = 12
 """Population size of CMA-ES."""
 
 _SCREENED = 256
-"""Number of neighbours that are judged without a run. Equally many designs of the
-whole space are judged."""
+"""Number of new designs near the best designs that are evaluated by interpolation in
+a round. The same number of designs in the whole space is evaluated.
+"""
 
 _SMOOTHING = 1e-9
 """Smoothing of the interpolated low-fidelity results, which keeps the equations
-regular."""
+regular.
+"""
 
 MAX_IMPROVEMENT = 0.005
 """Maximum expected improvement without a warning, as a fraction of the best result."""
 
 _IMPROVEMENT_DRAWS = 64
-"""Number of draws of a candidate's results from which the expected gain in area is
-computed."""
+"""Number of random results of a candidate from which the expected growth of the area
+is computed.
+"""
 
 _FAILURE_PENALTY_SD = 10.0
 """Penalty for a failed run, and for violating a constraint by one standard
-deviation, in standard deviations of the objective."""
+deviation, in standard deviations of the objective.
+"""
 
 
 @dataclass(frozen=True)
@@ -107,12 +118,12 @@ class Optimum:
     """Result of a search.
 
     Attributes:
-        best: best runs of the twin at a minimum distance from each other, best first.
-            With two objectives these runs are the Pareto front, sorted by the first
-            objective.
-        runs: all runs in order.
-        improvement: maximum expected improvement by a further run, as a fraction of the
-            best result. With two objectives or without a feasible run it is None.
+        best: best runs of the twin in descending order of quality, at a minimum
+            distance from each other. With two objectives, these runs are the Pareto
+            front, sorted by the first objective.
+        improvement: maximum expected improvement by one more run, as a fraction of the
+            best result. The value is None if there are two objectives or no feasible
+            runs.
     """
 
     best: tuple[Run, ...]
@@ -121,15 +132,7 @@ class Optimum:
 
 
 def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
-    """Find the best designs within the budget.
-
-    Args:
-        study: study with variables, objectives, constraints and budget.
-        runs: store that runs the designs.
-
-    Raises:
-        InputError: no run of the twin has a result, or a row cannot be written.
-    """
+    """Find the best designs within the budget."""
     state = _Search(study, runs)
     if "compliant" in study.experiments:
         state.search_compliant()
@@ -149,7 +152,7 @@ def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
 def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
     """Return the violations of the constraints, shape (runs, limits).
 
-    The value of a satisfied constraint is at most 0.
+    The violation of a satisfied constraint is at most 0.
     """
     limits = [
         (constraint.metric, sign, limit)
@@ -189,7 +192,7 @@ def _cma() -> Any:
 
 
 class _Search:
-    """State of a search. The method `iterate` runs one round."""
+    """State of a search. The method `iterate` performs one round."""
 
     def __init__(self, study: OptimizationStudy, runs: StudyRuns) -> None:
         self._study = study
@@ -202,14 +205,15 @@ class _Search:
         self._round = 0
 
     def search_compliant(self) -> None:
-        """Search the low-fidelity model with CMA-ES and several objective weights."""
+        """Search the low-fidelity model with CMA-ES for several objective weights."""
         cma = _cma()
         budget = int(_CMA_FRACTION * self._study.file.budget.compliant)
         weights = self._weights_of(
             np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1)
         )
-        # Constraints may divide the space, so that one descent cannot reach the best
-        # designs. The samples therefore get as many runs as each descent.
+        # Constraints may divide the space, so that one search from a single start
+        # cannot reach the best designs. The samples therefore get as many runs as each
+        # search.
         sampled = max(2 * self._size, budget // (len(weights) + 1))
         self._run("compliant", self._sample_space(sampled))
         for k, weight in enumerate(weights):
@@ -260,7 +264,7 @@ class _Search:
         return self._study.file.budget.twin - len(self._twin_runs)
 
     def iterate(self) -> bool:
-        """Run the twin at the best candidates; return False if no candidate is left."""
+        """Run the twin at the best candidates. Return False if no candidate is left."""
         candidates = self._candidates()
         if not candidates:
             return False
@@ -282,7 +286,8 @@ class _Search:
             if score[k] < 0:
                 break
             chosen.append(candidates[k].fractions)
-            # The next design is chosen as if this run had given its expected result.
+            # The next design is selected as if the result of this run were its expected
+            # result.
             assumed_costs = np.vstack([assumed_costs, mean[k]])
         self._run("twin", np.array(chosen))
         self._round += 1
@@ -291,7 +296,7 @@ class _Search:
     def expected_improvement(self) -> float | None:
         """Return the maximum expected improvement as a fraction of the best result.
 
-        With two objectives, or without a feasible design, the result is None.
+        The result is None if there are two objectives or no feasible designs.
         """
         best = self.best()[:1]
         if self._objectives > 1 or (excesses(self._study, best) > 0).any():
@@ -425,7 +430,8 @@ class _Search:
         objective = self._improved_objective
         best = optima = self.best()
         if self._objectives == 1:
-            # The penalised cost also ranks designs that just violate a constraint.
+            # The penalised cost also ranks designs that violate a constraint by a small
+            # amount.
             best = best[:1]
             order = np.argsort(self._scalarise(self._twin_runs, np.ones(1)))
             optima = tuple(self._twin_runs[k] for k in order[:MAX_REPORTED])
@@ -439,8 +445,9 @@ class _Search:
         centres = np.array([run.fractions for run in parents])
         std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
-        # One variable of every third candidate is redrawn from the whole range, half of
-        # the time on a bound, so that the search can reach other optima.
+        # In every third candidate, one variable is drawn again from the whole range,
+        # and set to a bound in half of the cases. The search can therefore reach other
+        # optima.
         third = np.arange(0, count, 3)
         new[third, self._rng.integers(self._size, size=len(third))] = np.clip(
             self._rng.uniform(-0.5, 1.5, size=len(third)), 0.0, 1.0
@@ -478,7 +485,8 @@ class _Search:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return predicted means and standard deviations, shape (candidates, outputs).
 
-        Without `low_fidelity` outputs, the low-fidelity model runs where necessary.
+        If `low_fidelity` is None, the low-fidelity model simulates candidates where
+        necessary.
         """
         known = self._twin_runs
         outputs = self._outputs(known)
@@ -492,9 +500,9 @@ class _Search:
                 x = np.column_stack([fractions, scaled[:, column]])
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
-                # Results far from the optimum would distort the fit near the optimum.
-                # The worst third is clipped and not removed, because the search must
-                # know where these designs are.
+                # Results far from the optimum would reduce the accuracy of the fit near
+                # the optimum. The worst third is clipped instead of removed, because
+                # the search must know where these designs are.
                 order = rows[np.argsort(y[rows])]
                 better = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
                 y = np.minimum(y, y[better[-1]])
@@ -538,8 +546,9 @@ class _Search:
     ) -> np.ndarray:
         """Return the expected improvement of each candidate, shape (candidates,).
 
-        `mean`, `sd` and the `known` outputs of the twin have one column per output. If
-        the objective is None, the improvement is the growth of the dominated area.
+        The arrays `mean`, `sd` and `known` (results of the twin) have one column per
+        output. If the objective is None, the improvement is the growth of the dominated
+        area.
         """
         count = self._objectives
         is_feasible = (known[:, count:] <= 0).all(axis=1)
@@ -564,9 +573,9 @@ class _Search:
 def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the growth of the dominated area by each point, shape (…).
 
-    Points of shape (…, 2) contain two costs. The reference point that bounds the area
-    lies beyond both ends of the front by the extent of the front, so that moving an end
-    is a gain.
+    Points of shape (…, 2) contain two costs. The area is bounded by a reference point.
+    In each coordinate, this point lies beyond the end of the front by the extent of the
+    front, so that a new end of the front increases the area.
     """
     members = known[front(known)]
     members = members[np.argsort(members[:, 0])]
@@ -574,8 +583,8 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
         np.ptp(members, axis=0), 1e-9 + 1e-3 * np.abs(members).max(axis=0)
     )
     reference = members.max(axis=0) + extent
-    # The dominated area is a staircase. Between two neighbours on the front, the level
-    # is the second cost of the left neighbour.
+    # The boundary of the dominated area is a step function. Between two neighbouring
+    # points of the front, its value is the second cost of the left point.
     edges = np.concatenate([[-np.inf], members[:, 0], [reference[0]]])
     level = np.concatenate([[reference[1]], members[:, 1]])
     width = np.clip(edges[1:] - np.maximum(points[..., :1], edges[:-1]), 0.0, None)
@@ -586,10 +595,10 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _predict_with_process(
     x: np.ndarray, y: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean and standard deviation of a Gaussian process fitted to samples.
+    """Return the mean and standard deviation of a Gaussian process fitted to samples.
 
-    A simulation has no noise, so the fitted noise is structure that a further run may
-    find. The standard deviation therefore includes it.
+    A simulation has no noise, so the fitted noise represents structure that additional
+    runs may reveal. The standard deviation therefore includes the fitted noise.
     """
     scale = max(float(y.std()), 1e-12)
     mean = float(y.mean())

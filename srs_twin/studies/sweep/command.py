@@ -52,12 +52,12 @@ class StudyOptions:
     changed: bool = False
 
     def make_engine(self) -> Engine:
-        """Return the selected engine; see `execution.make_engine` for errors."""
+        """Return the selected engine (see `execution.make_engine`)."""
         if self.engine == "local":
             from srs_twin.compute.workers import start_server
 
-            # The server is started first, so that it imports the modules of the workers
-            # while this process imports other modules.
+            # The fork server is started first, so that it imports the modules of the
+            # workers while this process imports other modules.
             start_server("srs_twin.studies.sweep.warm")
         from srs_twin.studies.sweep.execution import make_engine
 

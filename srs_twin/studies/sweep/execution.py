@@ -1,7 +1,8 @@
-"""Execution of sweeps: run the missing points, store each row at once, write the files.
+"""Execution of sweeps: run the missing points, store their rows and write the files.
 
 Engines run points in worker processes, on Ray, or in batches on an accelerator
-(`warp`). All engines give equal rows, except that `warp` computes in single precision.
+(`warp`). All engines compute equal rows, except that `warp` computes in single
+precision.
 """
 
 from __future__ import annotations
@@ -46,8 +47,9 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import Plant
 
 _RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
-"""Environment variables that turn off the usage reports of Ray and make its workers
-use the Python environment of this process."""
+"""Environment variables that disable the usage reports of Ray and make its workers
+use the Python environment of this process.
+"""
 
 _LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
 """Environment variables that restrict a local Ray instance to the loopback address."""
@@ -57,11 +59,8 @@ Engine = Callable[[Experiment, Sequence[Point]], Iterator[TaskResult[Row]]]
 def local(workers: int | None = None) -> Engine:
     """Return the engine that runs points in processes on this machine.
 
-    Threads, or `mujoco.batch` for twins of one model, would be no faster (see
-    benchmarks/sweeps.py), and a crash would end all runs.
-
-    Args:
-        workers: number of processes, or None for one per processor.
+    Threads, or batches of twins of one model (`mujoco.batch`), would not be faster (see
+    benchmarks/sweeps.py). In addition, a crash would end all runs.
     """
 
     def run(
@@ -79,11 +78,7 @@ def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
     Args:
         address: address of a cluster as in `ray.init`, or None for a local instance
             that ends with the sweep.
-        workers: number of processors of the local instance, or None for all.
-
-    Raises:
-        InputError: Ray is not installed, or both an address and a number of workers are
-            given.
+        workers: number of processors of the local instance, or None for all processors.
     """
     settings = dict(_RAY_SETTINGS)
     if address is None:
@@ -150,8 +145,9 @@ def _run_on_ray(
 
 
 Progress = Callable[[str, int, Row | None], object]
-"""Callback that reports the runs of one part of a study. It is called with None and the
-number of runs at the start of the part, and then with the row of each finished run.
+"""Callback that reports the runs of one part of a study. At the start of the part,
+it is called with the number of runs and None. Then it is called with the row of
+each finished run.
 """
 
 
@@ -162,17 +158,12 @@ def quiet(part: str, total: int, row: Row | None) -> None:
 def make_engine(
     engine: str | Engine, workers: int | None = None, address: str | None = None
 ) -> Engine:
-    """Return an engine by name. An engine object is returned unchanged.
+    """Return an engine by its name. An engine object is returned unchanged.
 
     Args:
         engine: name of the engine ("local", "ray" or "warp"), or an engine object.
         workers: number of parallel runs, or None for one per processor.
         address: address of a Ray cluster, or name of a Warp device.
-
-    Raises:
-        InputError: the arguments do not suit the engine, or the engine is not
-            available.
-        UnknownNameError: the engine does not exist.
     """
     if not isinstance(engine, str):
         return engine
@@ -190,12 +181,7 @@ def make_engine(
 def select_points(swept: Sweep, exclude: Sequence[str]) -> set[str]:
     """Return the keys of the points of a sweep that are not excluded.
 
-    Args:
-        swept: sweep whose points are selected.
-        exclude: excluded values, each as `field=value`.
-
-    Raises:
-        UnknownNameError: a field is not varied, or never has this value.
+    Each excluded value has the form `field=value`.
     """
     selected = {point.key: point.changes for point in swept.points}
     for excluded in exclude:
@@ -227,22 +213,23 @@ def sweep(
     changed: bool = False,
     progress: Progress = quiet,
 ) -> Summary:
-    """Run a scenario over grids, lists or samples of its fields, as `srs-twin sweep`.
+    """Run a scenario over grids, lists or samples of its fields.
 
-    An interrupted sweep resumes in its folder and keeps all finished rows.
+    The command `srs-twin sweep` calls this function. An interrupted sweep resumes in
+    its folder and keeps all finished rows.
 
     Args:
         sweep: name of a shipped sweep, path of a sweep file, or a loaded sweep.
-        out: output folder, or None to keep nothing but the returned rows.
+        out: output folder, or None to return the rows without storing them.
         set: scenario fields to fix, as described in `load_sweep`.
-        plants: plants that run, or None for the plants of the sweep.
-        exclude: excluded values, each as `field=value`.
+        plants: plants to simulate, or None for the plants of the sweep.
+        exclude: excluded values, each in the form `field=value`.
         engine: name of the engine ("local", "ray" or "warp"), or an engine object
             (`local`, `on_ray`, `on_device`).
         workers: number of parallel runs, or None for one per processor.
-        retry_failed: whether points with a failed row run again.
-        changed: whether the folder may belong to another version of the sweep; see
-            `open_sweep`.
+        retry_failed: whether points with a failed row are run again.
+        changed: whether the folder may belong to another version of the sweep (see
+            `open_sweep`).
         progress: callback that reports the runs.
 
     Raises:
@@ -282,13 +269,13 @@ SWEEP = "sweep.yaml"
 """File name of the sweep including its changes."""
 
 SCENARIO = "scenario.resolved.yaml"
-"""File name of the scenario with all defaults and the robot written out."""
+"""File name of the scenario that includes all default values and the robot."""
 
 PLOTS = "plots"
 """Name of the folder for plots."""
 
-# `replace_files` takes the first file as the mark of a complete set, so the summary
-# comes first.
+# The first file of `replace_files` marks a complete set, so the summary is the first
+# file.
 _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 
 
@@ -300,13 +287,9 @@ def open_sweep(
 
     Args:
         sweep: sweep to run.
-        folder: folder of rows and results, which is created if missing.
+        folder: folder of rows and results, which is created if it does not exist.
         changed: whether the folder may belong to another version of the sweep. Rows
-            that still apply are kept.
-
-    Raises:
-        InputError: the folder cannot be written, is locked, or belongs to another
-            version of the sweep.
+            that are still valid are kept.
     """
     check_output_folder(folder, _PRODUCTS)
     with RowStore(folder) as store:
@@ -325,7 +308,7 @@ class OpenSweep:
         self._check_identity(changed=changed)
 
     def missing(self, *, retry_failed: bool = False) -> tuple[Point, ...]:
-        """Return the points without a row, optionally with failed points."""
+        """Return the points without a row, and optionally the failed points."""
         existing = self._store.keys(failed=not retry_failed)
         return tuple(point for point in self.sweep.points if point.key not in existing)
 
@@ -339,22 +322,15 @@ class OpenSweep:
         points: tuple[Point, ...],
         finished: Callable[[Row], object] | None = None,
     ) -> None:
-        """Run points and store each row as it finishes; see `RowStore.collect`.
-
-        Args:
-            engine: engine for the runs.
-            points: points to run.
-            finished: callback for each stored row.
-        """
+        """Run points and store each row when its run finishes."""
         self._store.collect(
             engine(self.sweep.experiment, points), [p.key for p in points], finished
         )
 
     def finish(self) -> Summary:
-        """Write table, plots, report and summary of the stored rows, all or none.
+        """Write the table, plots, report and summary of the stored rows.
 
-        Raises:
-            InputError: a file cannot be written.
+        If an error occurs, no file is written.
         """
         with replace_files(self.folder, _PRODUCTS) as fresh:
             return self._write(fresh)
@@ -391,7 +367,7 @@ class OpenSweep:
     def _draw(self, fresh: Path, results: SweepTable) -> dict[str, str]:
         if not self.sweep.plots:
             return {}
-        # Imported here, because matplotlib would delay sweeps without plots.
+        # Importing matplotlib at the top would delay sweeps without plots.
         from srs_twin.studies.sweep.plots import draw
         from srs_twin.viewing.plots.style import save
 
@@ -484,8 +460,8 @@ def _value_text(value: object) -> str:
 
 
 BATCH_SIZE = 1024
-"""Maximum number of worlds in one batch. Each distinct robot is compiled on the CPU and
-kept in memory until its run ends.
+"""Maximum number of worlds in one batch. Each distinct robot is compiled on the CPU
+and kept in memory until its run ends.
 """
 
 
@@ -498,15 +474,12 @@ class _TwinPoint(NamedTuple):
 def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     """Return the engine that runs twins with MuJoCo Warp.
 
-    Points that Warp cannot run are run by `local` after a warning.
+    The engine `local` runs the points that Warp cannot run, after a warning.
 
     Args:
-        device: Warp device, or None for an accelerator. Without an accelerator, `local`
-            runs all points.
-        workers: number of workers of `local`.
-
-    Raises:
-        InputError: MuJoCo Warp is not installed.
+        device: Warp device, or None for an accelerator. If there is no accelerator, the
+            engine `local` runs all points.
+        workers: number of workers of the engine `local`.
     """
     batch_class = warp_batch()
     if device is None and not batch_class.accelerated():
@@ -550,7 +523,7 @@ def _batches(
     points: Sequence[Point],
     unsupported: dict[int, str],
 ) -> Iterator[list[_TwinPoint]]:
-    """Yield groups of twins for one batch; record why other points are unsupported."""
+    """Yield groups of twins for one batch, and record which points are unsupported."""
     for first in range(0, len(points), BATCH_SIZE):
         groups: dict[object, list[_TwinPoint]] = defaultdict(list)
         for number in range(first, min(first + BATCH_SIZE, len(points))):
@@ -566,7 +539,7 @@ def _batches(
 
 
 def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]:
-    """Return the timing that all runs of one batch share."""
+    """Return the time step and other timing that all runs of one batch must share."""
     timing = scenario.timing
     if "twin" not in experiment.plants:
         raise InputError("engine 'warp' runs only twins; add twin to plants")

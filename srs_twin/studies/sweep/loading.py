@@ -67,13 +67,7 @@ def load_sweep(
         sweep: name or path of the sweep. A loaded sweep is returned unchanged.
         set: scenario fields to fix by dotted path, in addition to the fixed fields of
             the file.
-        plants: plants that run instead of the plants of the file.
-
-    Raises:
-        InputError: the file does not exist or cannot be read, or a loaded sweep is to
-            be changed.
-        InputFileError: the file is invalid. The message lists all problems, one per
-            line.
+        plants: plants to simulate instead of the plants in the file.
     """
     if isinstance(sweep, Sweep):
         refuse_changes("sweep", set, plants)
@@ -117,7 +111,7 @@ def _with_changes(
     if not changes:
         return sweep
     title = marked(sweep.title, changes)
-    # The document becomes sweep.yaml, which must be loadable.
+    # The document is written to sweep.yaml, which must be loadable.
     document = {**sweep.document, "title": title[:200]}
     return replace(sweep, title=title, changes=changes, document=document)
 
@@ -128,14 +122,7 @@ def changed_base(
     written: Mapping[str, Any],
     locs: Iterable[Loc],
 ) -> list[dict[str, Any]]:
-    """Return the fields of an experiment that differ from its file.
-
-    Args:
-        experiment: experiment including the changes.
-        scenario: unmodified scenario.
-        written: sweep or study file as plain data.
-        locs: paths of the changed scenario fields.
-    """
+    """Return the fields of an experiment that differ from its file."""
     fixed = written.get("fixed")
     original = replace(experiment, base=scenario.document)
     before = original.with_fixed(fixed if isinstance(fixed, dict) else {})
@@ -145,11 +132,9 @@ def changed_base(
 def problems_at(
     points: Iterable[tuple[Loc, Experiment, Mapping[str, Value]]],
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield each distinct problem of scenarios at some points with its location.
+    """Yield each distinct problem of the scenarios at some points with its location.
 
-    Args:
-        points: location in the file, experiment, and changes of the scenario for each
-            point.
+    Each point has a location in the file, an experiment, and changes of the scenario.
     """
     reported: set[str] = set()
     for loc, experiment, changes in points:
@@ -162,13 +147,13 @@ def problems_at(
 
 
 def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
-    """Return a problem, followed by a similar name if it reports an unknown key."""
+    """Return a problem. If it reports an unknown key, a similar key is suggested."""
     needs_hint = "unknown key" in problem and "did you mean" not in problem
     return problem + (did_you_mean(field, known) if needs_hint else "")
 
 
 def locate_files(document: Document) -> bool:
-    """Resolve the paths in a sweep or study; return whether all files exist."""
+    """Resolve the paths in a sweep or study, and return whether all files exist."""
     before = len(document.problems)
     document.locate(("scenario",), "scenario")
     kinds = {format_path(loc): kind for loc, kind in path_fields(SECTIONS).items()}
@@ -184,11 +169,7 @@ def locate_files(document: Document) -> bool:
 
 
 def refuse_changes(kind: str, *changes: object) -> None:
-    """Refuse changes of a sweep or study that is already loaded.
-
-    Raises:
-        InputError: a change is given.
-    """
+    """Refuse to change a sweep or study that is already loaded."""
     if any(changes):
         raise InputError(
             f"a loaded {kind} cannot be changed; give its name or path instead"
@@ -352,7 +333,7 @@ class _Loader:
     def _test_points(
         self, sweep: Sweep
     ) -> Iterator[tuple[Loc, Experiment, Mapping[str, Value]]]:
-        """Yield a point for each varied value, with first values of other fields."""
+        """Yield a point for each varied value. Other fields have their first values."""
         experiment = sweep.experiment
         rows = [dict(zip(sweep.fields, row, strict=True)) for row in sweep.values]
         if self._file.sampling.kind == "list":

@@ -1,6 +1,6 @@
 """Plots of a sweep: a metric along one field, or against another column.
 
-Means are taken over seeds only. If further fields vary, each combination of their
+Means are computed over seeds only. If additional fields vary, each combination of their
 values has its own line.
 """
 
@@ -32,11 +32,13 @@ from srs_twin.viewing.plots.labels import field_label
 from srs_twin.viewing.plots.style import drawing, finish, side_by_side, style_of
 
 _MAX_LINES = 12
-"""Maximum number of values in a legend. More values are explained by a colour bar."""
+"""Maximum number of values in a legend. A colour bar explains larger numbers of
+values.
+"""
 
 _COLORMAP = "viridis"
 _FAILED_COLOR = "#CC3311"
-"""Colour of failed runs, which neither the plants nor the colour map use."""
+"""Colour of failed runs. The plants and the colour map do not use this colour."""
 
 _LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
 
@@ -51,15 +53,7 @@ _KEY_WIDTH = 1.3
 
 @drawing
 def draw(plot: Plot, results: SweepTable) -> Figure:
-    """Return the figure of a plot.
-
-    Args:
-        plot: plot of a sweep.
-        results: results of the sweep, whose order of rows does not matter.
-
-    Raises:
-        InputError: a column does not exist.
-    """
+    """Return the figure of a plot. The order of the rows of `results` is arbitrary."""
     owners = results.owners(plot.metric)
     # The comparison is shown only if no plant has the metric.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
@@ -148,11 +142,10 @@ class _Colors:
     """Colours of the values of `by`, explained by a legend or a colour bar.
 
     Attributes:
-        column: values of the first owner; zeros if no field distinguishes the runs.
-        groups: distinct values.
-        few: whether there is a legend.
-        norm: map from values to positions on the colour map.
-        by_group: colour of each value; empty if owners determine the colours.
+        column: values of the first owner, or zeros if no field distinguishes the runs.
+        norm: function from values to positions on the colour map.
+        by_group: colour of each value. The dict is empty if the owners determine the
+            colours.
     """
 
     def __init__(self, columns: list[ColumnValues], *, used: bool) -> None:
@@ -251,7 +244,7 @@ def _mark_failed(axes: Axes, x: np.ndarray) -> None:
 
 def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
     handles: list[Artist] = []
-    # A plan has no plant to distinguish, so it has no legend entry.
+    # A plan belongs to no plant, so it has no legend entry.
     for owner in owners if PLAN not in owners else ():
         style = _line_style(owner)
         if plot.kind == "scatter":
@@ -277,7 +270,7 @@ def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
 
 
 def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> int:
-    """Draw the means over seeds for each value of `by` and return the point count.
+    """Draw the means over seeds for each value of `by`; return the number of points.
 
     The rows of `columns` are x, y and `by`.
     """
@@ -285,7 +278,7 @@ def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) ->
     x, y, by = columns
     size, width = (3.5, 1.3) if colors.few else (2.0, 0.9)
     for i, group in enumerate(colors.groups):
-        # Each line has smaller markers than the line before, so that coinciding lines
+        # Each line has smaller markers than the previous line, so that coinciding lines
         # remain visible.
         steps = 0
         if colors.column.names and colors.few:

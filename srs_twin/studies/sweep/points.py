@@ -177,8 +177,9 @@ def sweep_json_schema() -> dict[str, object]:
 
 
 RUNNER = "srs_twin.studies.sweep.task"
-"""Module that runs a point. The keys of rows cover the sources of this module and of
-its imports."""
+"""Module that runs a point. The keys of rows depend on the source code of this
+module and of its imports.
+"""
 
 Changes = Mapping[str, Value]
 
@@ -192,7 +193,6 @@ class Point:
 
     Attributes:
         key: SHA-256 of all inputs that affect the results.
-        changes: values by field.
     """
 
     key: str
@@ -204,12 +204,11 @@ class Experiment:
     """Common inputs of all points of a sweep, small enough to be sent to every worker.
 
     Attributes:
-        base: scenario with defaults, robot and `fixed` fields, as plain data.
-        plants: plants that run; empty if the scenario is only planned.
-        periods: simulated time in periods of the gait or the reference, or None for
-            duration_s.
-        robots: robot as plain data for each name that the field `robot` takes.
-        trajectories: whether to store trajectories.
+        base: scenario with defaults, robot and `fixed` fields as plain data.
+        plants: plants to simulate. The tuple is empty if the scenario is only planned.
+        periods: simulated time in periods of the gait or the reference. If it is None,
+            the field duration_s of the scenario sets the simulated time.
+        robots: robot as plain data for each value of the field `robot`.
     """
 
     base: Mapping[str, Any] = field(repr=False)
@@ -235,9 +234,9 @@ class Experiment:
         return document
 
     def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
-        """Return a scenario with one field changed, as plain data.
+        """Return a scenario with one changed field as plain data.
 
-        The name of a robot is replaced by the content of its file.
+        The name of a robot is replaced by the contents of its file.
         """
         content: Any = self.robots.get(str(value), value) if name == "robot" else value
         path = parse_path(name)
@@ -247,7 +246,7 @@ class Experiment:
             twin = with_preset(document["plants"].get("twin", {}), value)
             return {**document, "plants": {**document["plants"], "twin": twin}}
         if len(path) == 3 and path[0] == "robot" and not isinstance(content, Mapping):
-            # A parameter that the robot file does not have needs a new record.
+            # A parameter that is not in the robot file needs a new record.
             unit = section_units(str(path[1])).get(str(path[2]))
             if unit is not None:
                 content = replace_value(None, value, unit, BY_A_SWEEP)
@@ -259,16 +258,12 @@ class Sweep:
     """Loaded and validated sweep.
 
     Attributes:
-        name: name of the sweep and of its output folder.
-        title: title of reports.
-        experiment: common inputs.
+        name: name of the sweep and of the output folder.
         fields: dotted names of the varied fields.
-        values: field values, one row per point.
-        metrics: metrics that become columns, or None for all.
-        plots: plots to draw.
+        values: values of the fields, one row per point.
+        metrics: metrics that become columns, or None for all metrics.
         versions: version of each package that affects the results.
         document: sweep file as plain data.
-        warnings: warnings for reports.
         changes: fields that differ from the sweep file.
     """
 
@@ -307,10 +302,10 @@ def _with_planner_keys(document: Any, kind: Any) -> Any:
 
 
 def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
-    """Return plain data with one value replaced, without changing the input.
+    """Return a copy of plain data in which one value is replaced.
 
-    A number that replaces a robot record keeps the unit, and its source becomes
-    `BY_A_SWEEP`.
+    If a number replaces a robot record, the record keeps the unit, and its source
+    becomes `BY_A_SWEEP`.
     """
     if not loc:
         if _is_record(data) and not isinstance(value, Mapping):
@@ -329,7 +324,7 @@ def _is_record(data: object) -> bool:
 
 
 def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all scalars; a robot parameter counts as one."""
+    """Yield the dotted names of all scalars. A robot parameter counts as one scalar."""
     if isinstance(data, Mapping) and not _is_record(data):
         for key, value in data.items():
             yield from leaf_names(value, f"{prefix}.{key}" if prefix else str(key))
@@ -339,9 +334,10 @@ def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
 def _duration(
     document: Mapping[str, Any], plants: tuple[str, ...], periods: float
 ) -> Any:
-    """Return the duration of a number of periods, rounded up to whole ticks, s.
+    """Return the duration of a number of periods, rounded up to whole time steps, s.
 
-    If the frequency or a tick is unknown, the result is the duration of the scenario.
+    If the frequency or a time step is unknown, the result is the duration of the
+    scenario.
     """
     controller = document.get("controller", {})
     frequency = (controller.get("reference") or controller).get("frequency_hz")
@@ -360,12 +356,7 @@ Varied = Mapping[str, Sequence[Value] | RangeFile]
 
 
 def sample(vary: Varied, sampling: SamplingFile) -> list[tuple[Value, ...]]:
-    """Return the points, one row each with a value per field.
-
-    Raises:
-        InputError: lists have different lengths, a range has no count, or there are too
-            many points.
-    """
+    """Return one row per point with a value for each field."""
     if sampling.kind in ("latin_hypercube", "sobol"):
         return _space_filling_points(list(vary.values()), sampling)
     lists = [_value_list(name, values) for name, values in vary.items()]

@@ -34,11 +34,11 @@ class Summary:
         folder: output folder.
         points: number of points.
         done: number of successful runs.
-        reasons: number of failed runs by message.
-        exit_code: highest exit code of the failed runs; 0 without failures.
+        reasons: number of failed runs for each error message.
+        exit_code: highest exit code of the failed runs, or 0 if no run failed.
         sha256: digest of all rows.
-        ranges: (minimum, median, maximum) of each summary metric.
-        files: written files.
+        ranges: minimum, median and maximum of each summary metric.
+        files: names of the written files.
         results: all rows.
     """
 
@@ -60,13 +60,13 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Column:
-    """Metric of one owner with a number for each run, NaN if missing."""
+    """Metric of one owner with a number for each run. A missing number is NaN."""
 
     heading: str
     numbers: np.ndarray
 
     def text(self, run: int) -> str:
-        """Return a number, rounded to the fourth digit of the column maximum."""
+        """Return a number, rounded to the fourth digit of the maximum of the column."""
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
         if np.isfinite(self.numbers[run]):
@@ -89,10 +89,8 @@ class _Column:
 def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return tables with one row per run, ordered by field values.
 
-    Args:
-        results: results of a sweep. More than `MAX_RUNS` runs are replaced by a note.
-        metrics: metrics to show for each plant and the comparison. A list metric is
-            shown by its mean.
+    If there are more than `MAX_RUNS` runs, the tables contain a note instead. A list
+    metric is shown by its mean.
     """
     failed = results.failed
     if len(failed) > MAX_RUNS:
@@ -112,12 +110,7 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
 
 
 def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return tables of means over seeds, or none if no run is repeated.
-
-    Args:
-        results: results of a sweep. Failed runs are left out.
-        metrics: metrics to show, as in `run_tables`.
-    """
+    """Return tables of means over seeds. If no run is repeated, there are no tables."""
     groups = results.groups(results.settings)
     if len(groups) == len(results.failed):
         return []
@@ -158,7 +151,7 @@ def _split_tables(
     lines: list[tuple[list[str], Any]],
     text: Callable[[_Column, Any], str],
 ) -> list[Table]:
-    """Return at least one table, each with as many metric columns as fit on a page."""
+    """Return tables with as many metric columns as fit on a page."""
     columns, note = _metric_columns(results, metrics)
     tables = []
     for first in range(0, max(len(columns), 1), _COLUMNS_PER_TABLE):
@@ -183,17 +176,7 @@ _MAX_REASONS = 20
 def write_report(
     path: Path, sweep: Sweep, summary: Summary, pictures: Mapping[str, bytes]
 ) -> None:
-    """Write the self-contained HTML page atomically.
-
-    Args:
-        path: file to write or replace.
-        sweep: sweep to report.
-        summary: summary of the sweep.
-        pictures: PNG image by title.
-
-    Raises:
-        InputError: the path cannot be written.
-    """
+    """Write the self-contained HTML page atomically."""
     results = summary.results
     metrics = shown_metrics(sweep)
     versions = [("results sha256", summary.sha256), *sweep.versions.items()]

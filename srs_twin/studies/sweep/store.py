@@ -1,7 +1,8 @@
-"""Storage of rows in an SQLite file, each written as soon as its run finishes.
+"""Storage of rows in an SQLite file. Each row is written when its run finishes.
 
-The log is not flushed to disk after every row. A killed process therefore loses no row,
-but a power failure may lose the last rows, which are then run again.
+The write-ahead log is not flushed to disk after every row. If the process is killed, no
+row is lost. After a power failure, the last rows may be lost and are then computed
+again.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ from srs_twin.studies.sweep.task import FAILED, PLAN_TIME, Row, failed_row
 FILE = "rows.sqlite"
 
 _MAX_BYTES = 1_000_000
-"""Maximum size of a value that is read (bytes), as protection against damaged files."""
+"""Maximum size of a value that is read, bytes. The limit protects against damaged
+files.
+"""
 
 
 Parsed = TypeVar("Parsed")
@@ -43,11 +46,8 @@ class SweepIdentity:
 
     Attributes:
         keys: hash of the keys of all points.
-        scenario: scenario of the experiment.
-        fields: varied fields.
-        versions: package versions.
-        sources: source hash of each module that computes rows.
-        files: content hash of each file that points read.
+        sources: hash of the source code of each module that computes rows.
+        files: hash of the contents of each file that points read.
     """
 
     keys: str
@@ -61,7 +61,7 @@ class SweepIdentity:
 _DAMAGE = (
     sqlite3.Error,
     UnicodeDecodeError,
-)  # SQLite may quote damaged text in an error message.
+)  # SQLite may include damaged text in an error message.
 
 # Exclusive locking must be set first. The log then needs no shared memory, which
 # network drives do not support.
@@ -99,19 +99,10 @@ _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
 class RowStore(contextlib.AbstractContextManager["RowStore"]):
-    """Stored rows of one sweep, and a context manager that locks the folder.
-
-    Attributes:
-        database: open SQLite database.
-    """
+    """Stored rows of one sweep, and a context manager that locks the folder."""
 
     def __init__(self, folder: Path) -> None:
-        """Open the file, and create the file and the folder if they are missing.
-
-        Raises:
-            InputError: the folder cannot be written, another sweep works in it, or the
-                file is not a store.
-        """
+        """Open the file. The file and the folder are created if they do not exist."""
         self._path = folder / FILE
         self._is_new = not os.path.lexists(self._path)
         try:
@@ -130,9 +121,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             raise self._input_error(error) from error
 
     def __exit__(self, *error: object) -> None:
-        """Unlock the folder, and delete a newly created file that has no rows."""
-        # Closing copies the log into the database. On a full disk this fails, but the
-        # rows are safe in the log.
+        """Unlock the folder, and delete a newly created file that contains no rows."""
+        # Closing the database copies the log into the database. On a full disk the copy
+        # fails, but the rows remain in the log.
         with contextlib.suppress(sqlite3.Error, OSError):
             is_empty = (
                 self._is_new
@@ -144,11 +135,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         remove_empty_folders(self._missing)
 
     def identity(self) -> SweepIdentity | None:
-        """Return the stored identity, or None if the store has no identity.
-
-        Raises:
-            InputError: the stored identity is damaged.
-        """
+        """Return the stored identity, or None if no identity has been stored."""
         rows = self._read("SELECT value FROM about WHERE name = 'sweep'")
         if rows:
             return self._parse(_IDENTITY, rows[0][0])
@@ -162,11 +149,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         )
 
     def add(self, row: Row) -> None:
-        """Store a row and its files, and replace a row with an equal key.
-
-        Raises:
-            InputError: the row or a file cannot be written.
-        """
+        """Store a row and its files. A row with the same key is replaced."""
         # The files are written first, because the row marks the point as finished.
         for plant, parquet in row.files.items():
             with atomic_write(self.trajectory_file(row.key, plant)) as part:
@@ -182,18 +165,10 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         keys: Sequence[str],
         on_row: Callable[[Row], object] | None = None,
     ) -> None:
-        """Store the rows of tasks as they finish.
+        """Store the rows of tasks when they finish.
 
         A task that raised an error is stored as a failed row. The rows that finished
         before an interrupt are kept.
-
-        Args:
-            finished: results of tasks.
-            keys: key of each task.
-            on_row: callback for each stored row.
-
-        Raises:
-            InputError: a row cannot be stored.
         """
         with contextlib.closing(finished) as results:  # type: ignore[type-var]
             for done in results:
@@ -215,7 +190,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             yield Row(key, status, values, wall, reason, exit_code)
 
     def keys(self, *, failed: bool) -> set[str]:
-        """Return the keys of the stored rows, optionally without the failed runs."""
+        """Return the keys of the stored rows, optionally without the failed rows."""
         rows = self._read("SELECT key FROM rows WHERE ? OR status <> ?", failed, FAILED)
         return {key for (key,) in rows}
 
@@ -261,7 +236,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
 
 def rows_digest(rows: Sequence[Row]) -> str:
-    """Return the SHA-256 of rows, independent of their order and of wall times."""
+    """Return the SHA-256 of rows without wall times, independent of the row order."""
     digest = hashlib.sha256()
     for row in sorted(rows, key=lambda row: row.key):
         values = {

@@ -1,4 +1,4 @@
-"""Columns of a sweep's results for plots and reports."""
+"""Columns of the results of a sweep for plots and reports."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ OWNERS = ("analytical", "twin", COMPARISON, PLAN)
 """All prefixes of metrics: the plants, the comparison and the plan."""
 
 _EXACT = 1e15
-"""Magnitude below which whole numbers, such as seeds, are printed with all digits."""
+"""Magnitude below which integers, such as seeds, are printed with all digits."""
 
 _ROW_COLUMNS = {"key", "status", "reason", "exit_code", "wall_s"}
 """Columns that are neither varied fields nor metrics."""
@@ -44,10 +44,10 @@ _SUMMARY_METRICS = (
     "com_speed_rel",
     "shape_rms_body",
 )
-"""Metrics of the summary of a sweep that simulates plants."""
+"""Metrics in the summary of a sweep that simulates plants."""
 
 _PLAN_SUMMARY_METRICS = ("plan_found", "plan_length_m", "plan_s")
-"""Metrics of the summary of a sweep that only plans."""
+"""Metrics in the summary of a sweep that only plans."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class ColumnValues:
     """Values of one column as numbers, for an axis or a colour scale.
 
     Attributes:
-        label: axis label.
-        numbers: values or indices of texts in `names`, NaN if missing, shape (rows,).
-        names: distinct texts in order; empty for a column of numbers.
+        numbers: values, or indices of the texts in `names`, shape (rows,). A missing
+            value is NaN.
+        names: distinct texts in order. A column of numbers has no texts.
     """
 
     label: str
@@ -78,7 +78,7 @@ class SweepTable:
     """Results of a sweep by column.
 
     Attributes:
-        columns: values of each column, one per row.
+        columns: values of each column, one value per row.
     """
 
     columns: Mapping[str, Sequence[Any]]
@@ -108,10 +108,14 @@ class SweepTable:
         return SweepTable(columns)
 
     def write(self, path: Path, sweep: Sweep) -> None:
-        """Write a Parquet file with the title and package versions atomically.
+        """Write a Parquet file with the title and the package versions atomically.
+
+        Args:
+            path: output file.
+            sweep: sweep with the title and the versions.
 
         Raises:
-            InputError: the path cannot be written.
+            InputError: the file cannot be written.
         """
         import pyarrow as pa
 
@@ -126,7 +130,7 @@ class SweepTable:
         write_table(path, pa.table(columns, metadata={"srs_twin.sweep": about}))
 
     def ranges(self) -> dict[str, tuple[float, float, float]]:
-        """Return (minimum, median, maximum) of each summary metric that has a value."""
+        """Return minimum, median and maximum of each summary metric with a value."""
         ranges = {}
         for name, column in self.columns.items():
             owner, _, metric = name.partition(".")
@@ -154,10 +158,10 @@ class SweepTable:
         ]
 
     def owners(self, metric: str) -> list[str]:
-        """Return the owners of a metric: plants, the comparison or the plan.
+        """Return the owners of a metric, such as plants, the comparison or the plan.
 
         Raises:
-            UnknownNameError: no owner has the metric.
+            UnknownNameError: the results contain no metric with this name.
         """
         owners = self.owners_if_any(metric)
         if not owners:
@@ -172,7 +176,7 @@ class SweepTable:
         return [owner for owner in OWNERS if self._names(owner, metric)]
 
     def metric(self, metric: str, owner: str) -> ColumnValues:
-        """Return a metric of an owner, averaged over the elements of a list metric."""
+        """Return a metric of an owner. A list metric is averaged over its elements."""
         names = self._names(owner, metric)
         elements = np.array([_numbers(self.columns[name]) for name in names])
         label = metric_label(metric)
@@ -182,6 +186,10 @@ class SweepTable:
 
     def values(self, name: str, owner: str) -> ColumnValues:
         """Return a varied field, or a metric of `owner` or of the comparison.
+
+        Args:
+            name: name of a varied field or of a metric.
+            owner: owner of the metric.
 
         Raises:
             UnknownNameError: the column does not exist.
@@ -195,7 +203,7 @@ class SweepTable:
 
     @property
     def repeats(self) -> list[str]:
-        """Varied seeds, over which means are taken because they only repeat a run."""
+        """Varied seeds, which only repeat a run and over which means are computed."""
         return [name for name in self.fields if name.rpartition(".")[2] == "seed"]
 
     @property
@@ -211,7 +219,7 @@ class SweepTable:
         return [name for name in others if len(self.groups([*known, name])) > count]
 
     def groups(self, names: Sequence[str]) -> list[tuple[tuple[str, ...], np.ndarray]]:
-        """Return the distinct combinations of field values, with the rows of each."""
+        """Return the distinct combinations of field values and the rows of each."""
         if not names:
             return [((), np.arange(len(self.failed)))]
         columns = [self.values(name, "") for name in names]
@@ -236,11 +244,7 @@ class SweepTable:
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """Write a table as a Parquet file atomically.
-
-    Raises:
-        InputError: the path cannot be written.
-    """
+    """Write a table as a Parquet file atomically."""
     import pyarrow.parquet as pq
 
     with atomic_write(path) as part:
@@ -248,7 +252,7 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
-    """Return the metrics of the sweep file, by default plotted and summary metrics."""
+    """Return the metrics to show, by default the plotted and summary metrics."""
     if sweep.metrics is not None:
         return sweep.metrics
     summary = _SUMMARY_METRICS if sweep.experiment.plants else _PLAN_SUMMARY_METRICS
@@ -309,7 +313,7 @@ def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray
 
     Args:
         group: group number of each value, shape (rows,).
-        count: number of groups. An empty group has a mean of NaN.
+        count: number of groups. The mean of an empty group is NaN.
         values: values to average, shape (rows,). NaN is ignored.
     """
     # Floating-point sums depend on the order of their terms, so the values are sorted.

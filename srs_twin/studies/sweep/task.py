@@ -38,7 +38,7 @@ PLAN_TIME = f"{PLAN}.plan_s"
 _TIMES = ("wall_s", "realtime_factor")
 
 _warmed_planners: set[str] = set()
-"""Kinds of planners that this process has already run once."""
+"""Kinds of planners that this process has already used once."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,13 @@ class Row:
     Attributes:
         key: key of the point.
         status: `DONE` or `FAILED`.
-        values: metric value by name (``<plant>.<metric>``, ``comparison.<metric>`` or
-            ``plan.<metric>``), or None if it is missing.
+        values: value of each metric by its name (``<plant>.<metric>``,
+            ``comparison.<metric>`` or ``plan.<metric>``). A missing value is None.
         wall_s: wall time, s.
-        reason: message of the failure.
-        exit_code: exit code of the command line for the failure; 0 after success.
-        files: trajectory of each plant as Parquet, empty unless trajectories are
-            stored.
+        reason: error message if the run failed.
+        exit_code: exit code of the command line for the error, or 0 if the run
+            succeeded.
+        files: trajectory of each plant as Parquet, if trajectories are stored.
     """
 
     key: str
@@ -71,14 +71,9 @@ def run_point(
     point: Point,
     ran: Mapping[str, Trajectory | SrsError] = MappingProxyType({}),
 ) -> Row:
-    """Run the plants of a point, or only plan it, and compute the metrics.
+    """Run the plants of a point, or only plan its path, and compute the metrics.
 
-    An `SrsError` does not propagate but gives a failed row.
-
-    Args:
-        experiment: common inputs of the sweep.
-        point: point to run.
-        ran: trajectories or errors of plants that have already run.
+    If an `SrsError` is raised, the result is a failed row.
     """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
@@ -159,14 +154,10 @@ def _partial_trajectory(
 
 
 def flat_metrics(prefix: str, metrics: Mapping[str, object]) -> dict[str, float | None]:
-    """Return metrics as scalars with the name ``<prefix>.<metric>``.
+    """Return metrics as scalars with names of the form ``<prefix>.<metric>``.
 
     The elements of a list metric are numbered from 1. The two chambers of a segment are
     named plus and minus.
-
-    Args:
-        prefix: owner of the metrics: a plant, "comparison" or "plan".
-        metrics: metrics by name, as in metrics.json.
     """
     scalars: dict[str, float | None] = {}
     for name, value in metrics.items():
@@ -191,7 +182,7 @@ def _scalars(value: Any) -> Iterator[tuple[str, float | None]]:
                 (f"{ending}_period_{i}", number) for ending, number in _scalars(entry)
             )
         else:
-            # A segment of a spatial robot has more chambers than + and −.
+            # A segment of a spatial robot has more chambers than the + and − chambers.
             sides = (
                 ("plus", "minus")
                 if len(entry) == len("+-")

@@ -1,21 +1,24 @@
 r"""Uncertainty of one metric: prediction intervals, their errors, sensitivity indices.
 
-The ends of an interval are sample quantiles q. Their standard errors have two parts,
+The ends of an interval are sample quantiles q. The standard error of an interval end
+has two parts,
 
-$$ \mathrm{se}^2 = \mathrm{se}_\text{sampling}^2 + \mathrm{se}_\text{surrogate}^2, \qquad
+$$ \mathrm{se}^2 = \mathrm{se}_\text{sampling}^2 + \mathrm{se}_\text{surrogate}^2,
+\qquad
 \mathrm{se}_\text{surrogate}^2 = \frac{G-1}{G} \sum_g (q_{-g} - \bar q)^2 . $$
 
 The sampling error is estimated by the bootstrap (Efron 1979, Annals of Statistics 7),
 which draws samples with replacement. The estimate is an upper bound, because points of
-a Sobol sequence fill the space more evenly than independent points. The surrogate error
-applies to metrics that a surrogate predicts at most samples. It is a delete-a-group
-jackknife over the twin's runs, where q_{-g} is the quantile without group g of G
-groups. The groups are random, because consecutive Sobol points form a pattern.
+a Sobol sequence are distributed more evenly than independent points. The surrogate
+error is part of the error if a surrogate predicts the metric at most samples. It is
+estimated by a delete-a-group jackknife over the runs of the twin, where q_{-g} is the
+quantile without group g of G groups. The groups are random, because consecutive Sobol
+points are not independent.
 
 The bootstrap cannot represent values beyond the outermost samples. The probability that
 all n samples lie above the quantile of probability p is (1 − p)^n. With fewer than
-`MIN_BOUNDING_SAMPLES` samples this probability exceeds 2.5 % for the ends of a 95 %
-interval, so the samples may not reach these ends.
+`MIN_BOUNDING_SAMPLES` samples, this probability exceeds 2.5 % for the ends of a 95 %
+interval. The samples may then not reach the ends of the interval.
 """
 
 from __future__ import annotations
@@ -35,11 +38,12 @@ _PROBABILITIES = [probability for ends in RANGES.values() for probability in end
 _TAIL = RANGES["interval_95"][0]
 
 MIN_BOUNDING_SAMPLES = math.ceil(math.log(_TAIL) / math.log(1 - _TAIL))
-"""Minimum number of samples that bounds a 95 % interval: 146."""
+"""Minimum number of samples for a 95 % interval, which is 146."""
 
 _MAX_END_ERROR = 0.05
 """Maximum standard error of an interval end without a warning, relative to the
-interval width."""
+interval width.
+"""
 
 _MAX_INDEX_ERROR = 0.1
 """Maximum half width of the 95 % interval of a total index without a warning."""
@@ -49,7 +53,8 @@ _GROUPS = 8
 
 _RESAMPLINGS = 400
 """Number of bootstrap samples. The relative error of the standard error is
-1/√(2·400), about 4 %."""
+1/√(2·400), which is about 4 %.
+"""
 
 _BATCH = 50
 """Number of bootstrap samples in memory at once."""
@@ -62,7 +67,8 @@ class SobolIndices:
     Attributes:
         first: first-order indices, shape (d,).
         total: total indices, shape (d,).
-        half_width: half width of the 95 % interval of both indices, shape (2, d).
+        half_width: half widths of the 95 % intervals of the first-order and total
+            indices, shape (2, d).
     """
 
     first: Array
@@ -70,10 +76,10 @@ class SobolIndices:
     half_width: Array
 
     def ranks(self) -> list[tuple[int, int]]:
-        """Return the best and the worst possible rank of each parameter as a cause.
+        """Return the best and worst possible rank of each parameter by total index.
 
-        Two total indices differ if their difference exceeds the root sum of squares of
-        their half widths.
+        Two total indices are different if their difference exceeds the root sum of
+        squares of their half widths.
         """
         limit = np.hypot(self.half_width[1][:, None], self.half_width[1])
         is_larger = self.total[:, None] - self.total > limit
@@ -85,7 +91,7 @@ class SobolIndices:
         ]
 
     def document(self, names: tuple[str, ...]) -> dict[str, object]:
-        """Return the indices and ranks by quantity name as JSON values."""
+        """Return the indices and ranks of each quantity as JSON values."""
         keys = ("first", "total", "first_error", "total_error")
         columns = np.array([self.first, self.total, *self.half_width]).T.tolist()
         return {
@@ -102,16 +108,15 @@ class MetricUncertainty:
         value: value with the parameters of the robot file.
         half_timestep: value with half the time step.
         at_medians: value with all uncertain parameters at their medians.
-        samples: values at the samples of the priors, NaN if unknown, shape (samples,).
-        runs: number of samples that the plant itself ran, without surrogate
-            predictions.
-        sampling: standard errors of the ends of the 50 and 95 % intervals due to
+        samples: values at the samples of the priors, shape (samples,). An unknown value
+            is NaN.
+        runs: number of samples that were simulated instead of predicted by a surrogate.
+        sampling: standard errors of the ends of the 50 % and 95 % intervals due to
             sampling, shape (4,).
-        surrogate: standard errors of the interval ends due to the surrogate, shape
-            (4,).
-        indices: sensitivity indices, or None for a constant metric or correlated
-            parameters.
-        published: published value, or None.
+        surrogate: standard errors of the ends of the 50 % and 95 % intervals due to the
+            surrogate, shape (4,).
+        indices: sensitivity indices, or None if the metric is constant or the
+            parameters are correlated.
     """
 
     value: float
@@ -141,16 +146,16 @@ class MetricUncertainty:
 
     @property
     def errors(self) -> Array:
-        """Standard errors of the ends of the 50 and 95 % intervals, shape (4,)."""
+        """Standard errors of the ends of the 50 % and 95 % intervals, shape (4,)."""
         return np.hypot(self.sampling, self.surrogate)
 
     @property
     def numerical_error(self) -> float:
-        """Numerical error by first-order Richardson extrapolation to a zero step."""
+        """Numerical error, estimated by first-order Richardson extrapolation."""
         return 2 * abs(self.value - self.half_timestep)
 
     def warnings(self) -> list[str]:
-        """Return a sentence for each error that is too large."""
+        """Return a warning for each error that is too large."""
         low, high = self.interval("interval_95")
         if not high > low:
             return []
@@ -184,7 +189,7 @@ class MetricUncertainty:
 
     @property
     def verdict(self) -> IntervalVerdict | None:
-        """Verdict of the 95 % interval on the published value, if there is one."""
+        """Whether the published value lies in the 95 % interval, if it is known."""
         if self.published is None:
             return None
         return interval_verdict(
@@ -192,11 +197,7 @@ class MetricUncertainty:
         )
 
     def document(self, names: tuple[str, ...]) -> dict[str, object]:
-        """Return the distribution as JSON values.
-
-        Args:
-            names: names of the uncertain quantities.
-        """
+        """Return the distribution as JSON values for the given quantity names."""
         sensitivity = None
         if self.indices is not None:
             sensitivity = self.indices.document(names)
@@ -239,14 +240,14 @@ def sampling_errors(samples: Array) -> Array:
 
 
 def predict_twin(fractions: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the twin's metric at all samples, and the errors of interval ends.
+    """Return the metric of the twin at all samples, and the errors of interval ends.
 
     The errors are standard errors due to the surrogate.
 
     Args:
         fractions: inputs u of all samples, shape (samples, d).
-        low: low-fidelity metric, NaN if unknown, shape (samples,).
-        high: twin's metric at the first samples, shape (fewer,).
+        low: low-fidelity metric, shape (samples,). An unknown value is NaN.
+        high: metric of the twin at the first samples, shape (fewer,).
     """
     count = len(high)
     is_known = np.isfinite(low)
@@ -257,7 +258,7 @@ def predict_twin(fractions: Array, low: Array, high: Array) -> tuple[Array, Arra
     samples = np.full(len(low), np.nan)
     samples[is_known], hyperparameters = predict_high_fidelity(x, y, runs)
     if np.isfinite(samples).sum() == len(runs):
-        # The twin ran all samples, so the surrogate predicts nothing.
+        # The twin has simulated all samples, so the surrogate predicts nothing.
         return samples, np.zeros(len(_PROBABILITIES))
     group = np.random.default_rng(0).permutation(len(runs)) % _GROUPS
     predicted = np.arange(len(runs), len(y))

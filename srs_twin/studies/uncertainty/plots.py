@@ -16,21 +16,23 @@ _MAX_SWINGS = 10
 """Maximum number of causes in the tornado chart."""
 
 _WIDTH = 4.6
-"""Width of the figure, inches. It is small, so that the text is readable on a
-telephone."""
+"""Width of the figure, inches. With a small width, the text is readable on a
+smartphone.
+"""
 
 _LEFT = 1.85
 """Left margin, inches."""
 
 _TOP = 0.7
-"""Height of title and heading above the panels, inches."""
+"""Height of the title and the heading above the panels, inches."""
 
 _ROW = 0.42
 """Height of an interval or a cause, inches."""
 
 _BETWEEN = 0.85
-"""Height between the panels for the axis of the upper panel and the heading of the
-lower panel, inches."""
+"""Height between the panels, inches. This space contains the axis of the upper panel
+and the heading of the lower panel.
+"""
 
 _LINE_CHARACTERS = 74
 """Maximum number of characters in a text line below the panels."""
@@ -54,11 +56,9 @@ _ERROR: dict[str, Any] = {
 
 @drawing
 def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
-    """Draw the target's intervals on each plant, and the effect of each quantity.
+    """Plot the intervals of the target metric, and the effect of each quantity.
 
-    Args:
-        title: title of the scenario.
-        document: result of `Propagation.document`.
+    `document` is the result of `Propagation.document`.
     """
     plant = document["target"]["plant"]
     metric = document["target"]["metric"]
@@ -110,7 +110,7 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
 def _draw_intervals(
     axes: Axes, rows: Mapping[str, Mapping[str, Any]], metric: str
 ) -> None:
-    """Draw the 50 and 95 % intervals, with two standard errors at the 95 % ends."""
+    """Draw the 50 % and 95 % intervals, with error bars of two standard errors."""
     for y, (name, row) in enumerate(rows.items()):
         color = style_of(name).color
         wide = row["interval_95"]
@@ -148,7 +148,7 @@ def _draw_swings(
     row: Mapping[str, Any],
     metric: str,
 ) -> None:
-    """Draw the effect of each quantity, hatched if its rank is not resolved."""
+    """Draw the effect of each quantity, hatched if its rank is uncertain."""
     style = style_of(plant)
     labels = []
     for y, swing in enumerate(reversed(swings)):

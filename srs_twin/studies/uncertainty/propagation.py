@@ -1,9 +1,10 @@
 """Propagation of a robot's uncertain parameters to all metrics of a scenario.
 
-Each plant runs at quasi-random samples of the uncertain parameters, as a sweep, so an
-interrupted study resumes. If the analytical model `compliant` can run the scenario, it
-runs at all samples as the low-fidelity model of the twin. The twin then runs only at
-the first samples, and `predict_twin` predicts the others.
+Each plant is simulated at quasi-random samples of the uncertain parameters. The runs
+are stored as a sweep, so an interrupted study can be resumed. If the analytical model
+`compliant` can simulate the scenario, it is the low-fidelity model of the twin and
+simulates all samples. The twin then simulates only the first samples, and
+`predict_twin` predicts the metrics at the remaining samples.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ RESULT = "intervals.json"
 """File name of the result."""
 
 SAMPLES = "samples.parquet"
-"""File name of the parameters and metrics of all samples."""
+"""File name of the table with parameters and metrics of all samples."""
 
 PICTURE = "intervals.png"
 """File name of the plot."""
@@ -77,18 +78,21 @@ PICTURE = "intervals.png"
 FILES = (RESULT, SAMPLES, PICTURE)
 
 REFERENCE_ROWS = 3
-"""Number of runs after the samples. They have the medians of the parameters, the
-values of the robot file, and the values of the robot file with half the time step."""
+"""Number of additional runs after the samples. These runs use the medians of the
+parameters, the values of the robot file, and the values of the robot file with
+half the time step.
+"""
 
 _MIN_KNOWN = 0.9
-"""Minimum fraction of samples with a value at which a metric is included."""
+"""Minimum fraction of samples with a value for which a metric is included."""
 
 _CENTRES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Quantiles of the prior at which a measurement is assumed."""
 
 _MEASUREMENT_ERROR = 0.1
 """Half width of the 95 % interval of an assumed measurement, relative to the
-measured value."""
+measured value.
+"""
 
 _PREDICTION_SAMPLES = 4096
 """Number of surrogate samples from which the effect of a measurement is computed."""
@@ -99,10 +103,10 @@ class Measurement:
     """Effect of measuring one parameter on the interval of the target metric.
 
     Attributes:
-        parameter: path of the parameter.
-        interval_95: interval after a measurement at the median of the prior.
-        width: mean interval width after measurements at several quantiles of the prior.
-        width_now: current interval width.
+        interval_95: 95 % interval after a measurement at the median of the prior.
+        width: mean width of the interval after measurements at several quantiles of the
+            prior.
+        width_now: width of the current interval.
     """
 
     parameter: str
@@ -113,12 +117,13 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Swing:
-    """Effect of one uncertain quantity on the target, with all others at their medians.
+    """Effect of one uncertain quantity on the target metric.
+
+    All other quantities have their medians.
 
     Attributes:
-        parameter: name of the quantity.
-        low: metric at the low end of the quantity's 95 % interval.
-        high: metric at the high end of the quantity's 95 % interval.
+        low: metric at the lower end of the quantity's 95 % interval.
+        high: metric at the upper end of the quantity's 95 % interval.
         error: two standard deviations of the leave-one-out residuals.
     """
 
@@ -129,11 +134,7 @@ class Swing:
 
 
 def check_can_be_kept(scenario: Scenario) -> None:
-    """Check that the intervals of a scenario can be written for expectations.
-
-    Raises:
-        InputError: the scenario is modified, or the folder cannot be written.
-    """
+    """Check that the intervals of a scenario can be stored for its expectations."""
     if scenario.left_out:
         fields = ", ".join(
             dict.fromkeys(
@@ -152,10 +153,10 @@ class Propagation:
     """Result of a propagation.
 
     Attributes:
-        study: study that was run.
-        rows: values of each metric of each fidelity, at the samples and then at the
-            `REFERENCE_ROWS`. The key `SEGMENTS` has the runs over stiffness and
-            damping.
+        study: study that was executed.
+        rows: values of each metric for each fidelity, at the samples and then at the
+            `REFERENCE_ROWS`. The values for the key `SEGMENTS` belong to the runs over
+            stiffness and damping.
     """
 
     study: UncertaintyStudy
@@ -218,9 +219,9 @@ class Propagation:
 
     @property
     def target(self) -> tuple[str, str]:
-        """Plant and metric of the summary, the first with a published value.
+        """Plant and metric of the summary.
 
-        By default the metric is the speed.
+        The metric is the first metric with a published value, or by default the speed.
         """
         plants = [plant for plant in PLANTS if plant in self.plants]
         for plant in reversed(plants):
@@ -238,13 +239,13 @@ class Propagation:
         )
 
     def measure_next(self) -> list[Measurement]:
-        """Return the effect of measuring each parameter to ±10 %, narrowest first."""
+        """Return the effect of measuring each parameter to ±10 %, sorted by width."""
         chaos = self._chaos
         width_now = float(np.ptp(self._target.interval("interval_95")))
         if not width_now > 0 or self._target.indices is None:
             return []
         fractions = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
-        # The residuals add the error of the surrogate to the predicted intervals.
+        # The residuals include the error of the surrogate in the predicted intervals.
         rng = np.random.default_rng(self.study.seed)
         residuals = rng.choice(chaos.residuals[:, 0], _PREDICTION_SAMPLES)
         measurements = []
@@ -271,8 +272,9 @@ class Propagation:
         if indices is None:
             return []
         count = len(names)
-        # Two rows per quantity have the quantity at the ends of its 95 % interval. All
-        # others are just below the median, so that a choice of two has its first value.
+        # For each quantity, two rows contain the ends of its 95 % interval. The other
+        # quantities are just below their medians, so that a choice between two values
+        # has its first value.
         fractions = np.full((2 * count, count), 0.5 - 1e-9)
         fractions[np.arange(2 * count), np.repeat(np.arange(count), 2)] = np.tile(
             RANGES["interval_95"], count
@@ -288,14 +290,14 @@ class Propagation:
     def segments(self) -> dict[str, list[float]] | None:
         """Minimum and maximum speed of the twin over stiffness and damping time, m/s.
 
-        The key `stiffness_and_damping` is for runs that vary both parameters over their
-        95 % intervals. With the key `damping`, only the damping time varies. The result
-        is None if the runs are missing.
+        With the key `stiffness_and_damping`, both parameters vary over their 95 %
+        intervals. With the key `damping`, only the damping time varies. The result is
+        None if the runs are missing.
         """
         speeds = self.rows.get(SEGMENTS, {}).get("com_speed_m_s")
         if speeds is None or not np.isfinite(speeds).all():
             return None
-        # The first three runs have the stiffness of the robot file.
+        # The first three runs use the stiffness of the robot file.
         ranges = {"stiffness_and_damping": speeds, "damping": speeds[:3]}
         return {
             name: [float(values.min()), float(values.max())]
@@ -355,14 +357,14 @@ class Propagation:
         }
 
     def write(self, folder: Path) -> None:
-        """Write document, samples and plot (`FILES`) into a folder.
+        """Write the document, table of samples and plot (`FILES`) into a folder.
 
         Raises:
             InputError: a file cannot be written.
         """
         import pyarrow as pa
 
-        # Imported here, because matplotlib would delay results without plots.
+        # Importing matplotlib at the top would delay results without plots.
         from srs_twin.studies.uncertainty.plots import draw_intervals
         from srs_twin.viewing.plots.style import save
 
@@ -389,7 +391,7 @@ class Propagation:
             (fresh / RESULT).write_text(json.dumps(document, indent=2) + "\n", "utf-8")
 
     def keep(self) -> Path:
-        """Write the intervals, with a digest of the scenario, for later expectations.
+        """Store the intervals with a digest of the scenario for later expectations.
 
         Raises:
             InputError: the scenario is modified, or the file cannot be written.
@@ -405,7 +407,7 @@ class Propagation:
 
     @property
     def failed(self) -> dict[str, int]:
-        """Number of samples without any value at each fidelity."""
+        """Number of samples without any value for each fidelity."""
         failed = dict.fromkeys(self.study.runs, 0)
         for part in failed:
             if columns := list(self.rows[part].values()):
@@ -447,19 +449,7 @@ def propagate(
     *,
     changed: bool = False,
 ) -> Propagation:
-    """Run the missing rows of a study in a folder and return the result.
-
-    Args:
-        study: study to run.
-        folder: output folder, with one subfolder per fidelity.
-        engine: engine for the runs.
-        progress: callback that reports the missing runs of each fidelity.
-        changed: whether the folder may belong to another version of the study, as in
-            `open_sweep`.
-
-    Raises:
-        InputError: a folder cannot be written, or there is no result.
-    """
+    """Run the missing rows of a study in a folder and return the result."""
     rows = {}
     for part in study.parts:
         sweep = study.sweep(part)
@@ -492,25 +482,26 @@ def uncertainty(
     changed: bool = False,
     progress: Progress = quiet,
 ) -> Propagation:
-    """Compute prediction intervals of a scenario's metrics, as `srs-twin uncertainty`.
+    """Compute prediction intervals of the metrics of a scenario.
 
-    An interrupted study resumes in its folder, where finished runs are kept.
+    The command `srs-twin uncertainty` calls this function. An interrupted study resumes
+    in its folder, where finished runs are kept.
 
     Args:
         scenario: name or path of a scenario, or a loaded scenario.
-        out: output folder, or None to write nothing.
+        out: output folder, or None to write no files.
         set: values that override scenario fields, as described in `load_scenario`.
-        plants: plants that run, or None for the plants of the scenario.
+        plants: plants to simulate, or None for the plants of the scenario.
         samples: number of robots drawn from the distributions.
-        twin: number of runs of the twin if the model `compliant` runs all samples.
+        twin: number of runs of the twin if the model `compliant` simulates all samples.
         exclude: robot parameters that keep their values in the robot file.
         choices: equally likely values of each scenario field. If the damping of the
-            bends is uncertain, the two readings of their delay (`bending.lead`) are
-            added.
+            bends is uncertain, the two interpretations of the delay of the bends
+            (`bending.lead`) are added.
         engine: name of the engine ("local", "ray" or "warp"), or an engine object.
         workers: number of parallel runs, or None for one per processor.
-        changed: whether the folder may belong to another version of the study; see
-            `propagate`.
+        changed: whether the folder may belong to another version of the study (see
+            `propagate`).
         progress: callback that reports the runs.
 
     Raises:

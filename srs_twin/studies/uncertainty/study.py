@@ -1,4 +1,4 @@
-"""Uncertainty study: runs of each fidelity as sweeps over the uncertain parameters."""
+"""Uncertainty study, which runs a sweep over the uncertain parameters per fidelity."""
 
 from __future__ import annotations
 
@@ -24,10 +24,12 @@ COMPLIANT = "compliant"
 DAMPING = "bending.damping_time_s"
 STIFFNESS = "bending.stiffness_nm_per_rad"
 SEGMENTS = "segments"
-"""Part of a study that runs the twin over the 95 % intervals of stiffness and
-damping time. All other parameters have their values in the robot file."""
+"""Part of a study in which the twin is simulated over the 95 % intervals of
+stiffness and damping time. All other parameters have their values in the robot
+file.
+"""
 LEAD = "robot.bending.lead"
-"""Field for the two equally likely readings of the delay of a bend."""
+"""Field for the two equally likely interpretations of the delay of a bend."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +37,10 @@ class UncertaintyStudy:
     """Scenario with uncertain robot parameters and discrete choices.
 
     Attributes:
-        scenario: scenario to study.
-        priors: robot parameter priors.
         discrete_choices: equally likely values of scenario fields, such as two chamber
             models.
-        plants: plants that run.
-        samples: number of samples of each plant that runs all of them.
-        twin_samples: number of samples of the twin if it has a low-fidelity model.
-        seed: random seed of the samples.
+        samples: number of samples of each plant that simulates all samples.
+        twin_samples: number of samples of the twin if a low-fidelity model is used.
     """
 
     scenario: Scenario
@@ -59,7 +57,7 @@ class UncertaintyStudy:
         return (*self.priors.paths, *self.discrete_choices)
 
     def draw(self, count: int, seed: int) -> np.ndarray:
-        """Return snapped Sobol points u in the unit cube, shape (count, d)."""
+        """Return Sobol points u in the unit cube after `snapped`, shape (count, d)."""
         return self.snapped(sobol_points(len(self.names), count, seed))
 
     def snapped(self, fractions: np.ndarray) -> np.ndarray:
@@ -75,7 +73,7 @@ class UncertaintyStudy:
 
     @cached_property
     def surrogate_scenario(self) -> Mapping[str, Any] | None:
-        """Scenario with `compliant` as analytical plant, or None if it cannot run."""
+        """Scenario with the plant `compliant`, or None if it cannot be simulated."""
         return compliant_scenario(self.scenario)
 
     @property
@@ -148,7 +146,7 @@ class UncertaintyStudy:
     def _sampled(
         self, fractions: np.ndarray, plant: str, step: float
     ) -> Iterator[list[Any]]:
-        """Yield a row for each point u; short damping times shorten the time step."""
+        """Yield a row for each point u. Short damping times shorten the time step."""
         parameters, choices = np.split(fractions, [len(self.priors.parameters)], axis=1)
         for values, chosen in zip(
             self.priors.quantile(parameters).tolist(), choices, strict=True
@@ -163,7 +161,7 @@ class UncertaintyStudy:
     def _over_segments(
         self, nominal: Sequence[Any], step: float
     ) -> Iterator[list[Any]]:
-        """Yield rows for all pairs of nominal and extreme stiffness and damping."""
+        """Yield rows for pairs of nominal and extreme stiffness and damping time."""
         places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
         levels = []
         for prior in (self.priors.parameters[place] for place in places):
@@ -183,10 +181,7 @@ def on_plant(
 ) -> dict[str, Any]:
     """Return a scenario with a single plant and no expectations, as plain data.
 
-    Args:
-        document: scenario as plain data.
-        plant: name of the plant.
-        settings: settings of the plant, or None for the settings in the scenario.
+    If `settings` is None, the plant keeps its settings in the scenario.
     """
     if settings is None:
         settings = document["plants"].get(plant, {})
@@ -194,7 +189,7 @@ def on_plant(
 
 
 def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
-    """Return a scenario whose only plant is `compliant`, or None if it cannot run."""
+    """Return a scenario whose only plant is `compliant`, if it can be simulated."""
     twin = scenario.plants.get("twin") or TwinFile()
     assert isinstance(twin, TwinFile), "the scenario's model ensures this type"
     settings = {"model": COMPLIANT, "friction": twin.law, "gaps": twin.gaps}

@@ -1,21 +1,22 @@
 r"""Surrogate models: polynomial chaos with sensitivity indices, and a Gaussian process.
 
 **Polynomial chaos** (Sudret 2008, Reliability Engineering & System Safety 93). With
-Legendre polynomials ψ that are orthonormal over independent u ∈ (0, 1),
+Legendre polynomials ψ that are orthonormal over independent u ∈ (0, 1), the expansion
+and the indices are
 
 $$ y(u) \approx \sum_\alpha c_\alpha \prod_i \psi_{\alpha_i}(u_i), \qquad
 S_i = \frac{\sum_{\alpha \in A_i} c_\alpha^2}{\sum_{\alpha \ne 0} c_\alpha^2}, \qquad
 T_i = \frac{\sum_{\alpha_i > 0} c_\alpha^2}{\sum_{\alpha \ne 0} c_\alpha^2}, $$
 
-where the set A_i contains the terms in u_i alone, and S_i and T_i are Sobol's
-first-order and total indices. The degree is selected by leave-one-out
+where the set A_i contains the terms that depend only on u_i, and S_i and T_i are
+Sobol's first-order and total indices. The degree is selected by leave-one-out
 cross-validation. The error of an index includes the unexplained variance of left-out
 samples and the scatter under bootstrap resampling.
 
-**Gaussian process** (Kennedy and O'Hagan 2000, Biometrika 87: one fidelity predicts the
-other). The high-fidelity result is modelled as a linear function of the low-fidelity
-result and the inputs, plus a smooth remainder. Variances and lengths have log-normal
-priors and take their most probable values.
+**Gaussian process** (Kennedy and O'Hagan 2000, Biometrika 87). The high-fidelity result
+is modelled as a linear function of the low-fidelity result and the inputs, plus a
+smooth remainder. Variances and length scales have log-normal priors and are set to
+their most probable values.
 """
 
 from __future__ import annotations
@@ -44,14 +45,17 @@ _RESAMPLINGS = 20
 """Number of bootstrap samples from which the scatter of the indices is computed."""
 
 _MAX_UNEXPLAINED = 0.5
-"""Maximum unexplained fraction of the variance at which a surrogate is used."""
+"""Maximum unexplained fraction of the variance for which a surrogate is used."""
 
 _TYPICAL = (0.1, 1.0, 0.01)
-"""Medians of the log-normal priors of s, b and n of a Gaussian process. The standard
-deviation is 1."""
+"""Medians of the log-normal priors of s, b and n of a Gaussian process. The
+logarithms have a standard deviation of 1.
+"""
 
 _TYPICAL_LENGTH = 2.0
-"""Median of the log-normal priors of all ℓ. The standard deviation is 1."""
+"""Median of the log-normal priors of all length scales ℓ. The logarithms have a
+standard deviation of 1.
+"""
 
 
 def _terms(variables: int, degree: int) -> np.ndarray:
@@ -79,11 +83,11 @@ class PolynomialChaos:
     Attributes:
         terms: exponents, shape (terms, d).
         coefficients: coefficients, shape (terms, results).
-        unexplained: unexplained fraction of the variance of each result by
+        unexplained: unexplained fraction of the variance of each result in
             cross-validation, shape (results,).
         residuals: leave-one-out residuals, shape (samples, results).
-        index_std: standard deviation of first-order and total indices under resampling,
-            shape (2, d, results).
+        index_std: standard deviations of the first-order and total indices under
+            resampling, shape (2, d, results).
     """
 
     terms: np.ndarray
@@ -134,7 +138,7 @@ class PolynomialChaos:
 
     @property
     def index_half_width(self) -> Array:
-        """Half width of the 95 % interval of the indices, shape (2, d, results)."""
+        """Half widths of the 95 % intervals of the indices, shape (2, d, results)."""
         return np.asarray(2 * self.index_std + self.unexplained)
 
 
@@ -191,9 +195,10 @@ class GaussianProcess:
         """Fit the process to samples.
 
         Args:
-            x: inputs of order 1, shape (samples, d).
-            y: values of order 1, shape (samples,).
-            log_hyperparameters: values to use instead of the most probable ones.
+            x: inputs with magnitudes of about 1, shape (samples, d).
+            y: values with magnitudes of about 1, shape (samples,).
+            log_hyperparameters: hyperparameters to use instead of the most probable
+                values.
         """
         self._x = x
         self._y = y
@@ -218,18 +223,18 @@ class GaussianProcess:
         self._weights = scipy.linalg.cho_solve(self._factor, y)
 
     def at(self, x: Array) -> Array:
-        """Return the mean at inputs."""
+        """Return the mean of the process at inputs."""
         return np.asarray(_kernel(self.log_hyperparameters, x, self._x) @ self._weights)
 
     def covariance(self, x: Array) -> Array:
-        """Return the covariance of the function at inputs, without noise."""
+        """Return the covariance of the function at inputs without noise."""
         cross = _kernel(self.log_hyperparameters, x, self._x)
         prior = _kernel(self.log_hyperparameters, x, x)
         return np.asarray(prior - cross @ scipy.linalg.cho_solve(self._factor, cross.T))
 
     @property
     def leave_one_out_residuals(self) -> Array:
-        """Difference of each sample from its prediction by all other samples."""
+        """Difference between each sample and its prediction from all other samples."""
         inverse = scipy.linalg.cho_solve(self._factor, np.eye(len(self._y)))
         return np.asarray(self._weights / np.diag(inverse))
 
@@ -270,15 +275,15 @@ def predict_high_fidelity(
     """Predict a high-fidelity result at all samples from a low-fidelity result.
 
     Predictions include random leave-one-out residuals, so that quantiles contain the
-    error of the surrogate. They are NaN if the surrogate explains less than half of the
-    variance of left-out samples.
+    error of the surrogate. The predictions are NaN if the surrogate explains less than
+    half of the variance of left-out samples.
 
     Args:
         fractions: inputs u of all samples, shape (samples, d).
         low: low-fidelity result, shape (samples,).
         high: high-fidelity result at the first samples, shape (fewer,).
-        log_hyperparameters: hyperparameters of the Gaussian process, or None to search
-            them.
+        log_hyperparameters: hyperparameters of the Gaussian process, or None to compute
+            the most probable values.
 
     Returns:
         High-fidelity result at all samples, unchanged where it is known, and the

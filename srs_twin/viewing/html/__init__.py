@@ -24,11 +24,7 @@ class Table(NamedTuple):
     """Table of a page.
 
     Attributes:
-        headings: headings with units.
-        rows: strings or `Markup`.
         numbers: indices of right-aligned columns.
-        note: remark below the table.
-        title: table title.
     """
 
     headings: Sequence[str]
@@ -39,12 +35,7 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """Image embedded in a page.
-
-    Attributes:
-        source: ``data:`` URL.
-        caption: caption.
-    """
+    """Image embedded in a page, with a ``data:`` URL as its source."""
 
     source: str
     caption: str
@@ -59,13 +50,7 @@ def render(template: str, **content: Any) -> str:
 
 
 def notebook_output(summary: str, table: Table, plot: Picture | None = None) -> str:
-    """Return the HTML of a notebook output cell.
-
-    Args:
-        summary: heading.
-        table: table.
-        plot: optional plot.
-    """
+    """Return the HTML of a notebook output cell with a summary as heading."""
     macros: Any = _environment().get_template("viewing/html/parts.html").module
     pictures = macros.pictures([plot]) if plot else ""
     return str(
@@ -88,21 +73,21 @@ def _environment() -> Environment:
 
 
 def _clean(value: object) -> object:
-    # HTML does not allow control characters, and a terminal that shows the file would
-    # interpret them as commands.
+    # HTML does not allow control characters. If the file is printed in a terminal, the
+    # terminal would also interpret control characters as commands.
     if isinstance(value, Markup):
         return value
     return escape_unprintable(str(value), keep="\t\n")
 
 
 def colored(text: str, color: str) -> Markup:
-    """Wrap text in a CSS class of the page: "met", "missed" or "sub"."""
+    """Format text with a CSS class of the page: "met", "missed" or "sub"."""
     return Markup('<span class="{}">{}</span>').format(color, text)
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """Convert a figure to SVG. Identical figures give identical bytes."""
-    # The import is slow, and pages without figures do not need it.
+    """Convert a figure to SVG. Identical figures yield identical bytes."""
+    # The import is slow and unnecessary for pages without figures.
     from srs_twin.viewing.plots.style import own_settings
 
     buffer = io.BytesIO()
@@ -112,14 +97,14 @@ def picture(figure: Figure, caption: str) -> Picture:
 
 
 def image(content: bytes, kind: str, caption: str) -> Picture:
-    """Embed the content of an image file of kind "svg+xml" or "png" in a page."""
+    """Embed the contents of an image file of the kind "svg+xml" or "png" in a page."""
     return Picture(
         f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption
     )
 
 
 def cell(value: Any) -> str:
-    """Format a JSON value as text of a table cell. None becomes a dash."""
+    """Format a JSON value as the text of a table cell. None is shown as a dash."""
     match value:
         case None:
             return "–"

@@ -72,12 +72,8 @@ def write_report(
 ) -> None:
     """Write the report of one run as a single file without external resources.
 
-    Args:
-        path: output file.
-        content: run content.
-        scenario_title: scenario title.
-        metrics: content of `metrics.json`.
-        attribution: attribution of the differences, or None to omit the section.
+    `metrics` contains the contents of `metrics.json`. If `attribution` is None, the
+    report omits the section about the attribution of differences.
     """
     trajectories = content.trajectories
     spec = content.spec
@@ -309,7 +305,7 @@ def _events(trajectories: Mapping[str, Trajectory]) -> Table:
 
 
 def robot_table(spec: RobotSpec) -> Table:
-    """Return the table of the parameters of a robot, with units."""
+    """Return a table of the parameters of a robot with units."""
     units = _robot_units()
     rows = [
         [name, units.get(name, ""), cell(value)]

@@ -17,11 +17,11 @@ _MAX_GEOMS = 20_000
 _SHADOW_FACTOR = 2
 """Ratio of the shadow map size to the image size.
 
-MuJoCo's default of 4096 pixels slows down the rendering of small images.
+The default size of MuJoCo, 4096 pixels, makes rendering of small images slow.
 """
 
 _FONT_PIXELS = 180
-"""Image height per 50 % of MuJoCo's font scale, pixels."""
+"""Image height per 50 % of the font scale of MuJoCo, pixels."""
 
 _LABEL_HEIGHT = 0.065
 """Height of the labels as a fraction of the image height."""
@@ -36,8 +36,8 @@ class Label(NamedTuple):
     """White text in a coloured box at the lower edge of an image.
 
     Attributes:
-        text: text, ASCII only, because MuJoCo's font has no other characters.
-        color: box colour, #rrggbb.
+        text: ASCII text. The font of MuJoCo has no other characters.
+        color: colour of the box, #rrggbb.
     """
 
     text: str
@@ -53,14 +53,12 @@ class Canvas:
         """Create the OpenGL context and its buffers.
 
         Args:
-            model: MuJoCo model. Its offscreen size and shadow size are changed.
+            model: MuJoCo model. The offscreen size and the shadow size of the model are
+                changed.
             width: image width, pixels.
             height: image height, pixels.
-            opengl: OpenGL backend, named as in MUJOCO_GL, or an empty string for the
-                first working backend.
-
-        Raises:
-            InputError: no backend works.
+            opengl: OpenGL backend, named as in MUJOCO_GL. With an empty string, the
+                first working backend is used.
         """
         model.vis.global_.offwidth = width
         model.vis.global_.offheight = height
@@ -77,7 +75,8 @@ class Canvas:
         self._context = mujoco.MjrContext(model, font)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         # The context must be freed before the interpreter unloads OpenGL. Exit handlers
-        # run in reverse order, so a handler registered here runs early enough.
+        # run in reverse order of registration, so a handler that is registered here
+        # runs early enough.
         self._close = weakref.finalize(self, _free, self._context, self._opengl)
         self._close.atexit = False
         atexit.register(self._close)
@@ -96,14 +95,7 @@ class Canvas:
         decorate: Decorate | None = None,
         labels: Sequence[Label] = (),
     ) -> np.ndarray:
-        """Render an image, shape (height, width, 3), uint8.
-
-        Args:
-            data: state with computed positions (`mj_kinematics`, `mj_comPos`).
-            camera: camera.
-            decorate: function that adds geoms to the scene.
-            labels: labels.
-        """
+        """Render an image, shape (height, width, 3), uint8."""
         all_categories = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, camera, all_categories, self._scene

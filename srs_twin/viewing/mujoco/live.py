@@ -1,9 +1,10 @@
 """Simulate the twin in real time in a window of MuJoCo's viewer.
 
 Either the controller of a scenario or the keyboard steers the twin. The left and right
-arrow keys change the offset, the up and down keys the frequency, and the page keys the
-supply pressure. Home resets the offset, space pauses, and backspace restarts the run.
-The first steering key takes over from the controller. Key codes are defined by GLFW.
+arrow keys change the offset, the up and down arrow keys change the frequency, and the
+page keys change the supply pressure. The Home key resets the offset, the space bar
+pauses the simulation, and the backspace key restarts the run. After the first steering
+key, the keyboard replaces the controller. The key codes are defined by GLFW.
 """
 
 from __future__ import annotations
@@ -47,28 +48,23 @@ _KEY_STEPS = {
     PAGE_UP: ("pressure", 14),
     PAGE_DOWN: ("pressure", -14),
 }
-"""Command changed by each key, and the number of steps between the command's limits.
+"""Command that each key changes, and the number of steps between the limits.
 
 One step is 0.05 (offset), 0.1 Hz (frequency) or about 1 kPa (pressure).
 """
 
 MAX_LAG_S = 0.25
-"""Maximum delay of the simulation behind real time that is caught up, s."""
+"""Maximum delay of the simulation relative to real time, s."""
 
 
 class LiveSnake:
     """Twin controlled by the controller of a scenario or by keys.
 
     Attributes:
-        scenario: scenario to simulate, or None to steer a robot on an empty floor by
-            keys.
-        twin: plant.
-        state: plant state.
-        limits: command limits.
-        command: current command.
-        paused: whether paused.
-        floor_lines: goal of the scenario and current plan of the controller, as lines
-            on the floor.
+        scenario: scenario to simulate. With None, the keys steer a robot on an empty
+            floor.
+        floor_lines: goal of the scenario and current plan of the controller as lines on
+            the floor.
     """
 
     state: SnakeState
@@ -87,15 +83,7 @@ class LiveSnake:
     ) -> None:
         """Create the twin from a robot or from a scenario.
 
-        Without a scenario, the gait starts in the middle of its limits.
-
-        Args:
-            spec: robot.
-            scenario: scenario, instead of a robot.
-            modified: overridden fields, shown in the window.
-
-        Raises:
-            InputError: the twin or its controller cannot be built.
+        Without a scenario, the gait starts with values in the middle of its limits.
         """
         self.scenario = scenario
         self._modified = modified
@@ -130,18 +118,14 @@ class LiveSnake:
         self._keys.append(key)
 
     def advance(self) -> SnakeState:
-        """Handle the queued keys, simulate one control tick and return the state.
-
-        Raises:
-            DivergedError: the simulation diverged.
-        """
+        """Handle the queued keys, simulate one control tick and return the state."""
         while self._keys:
             self._handle(self._keys.popleft())
         if self.paused or self.finished:
             return self.state
         if self._controller is not None:
             self.state = self.twin.step(self._controller.step(self.state))
-            if self._controller.events():  # such as a new plan
+            if self._controller.events():  # for example a new plan
                 self._find_floor_lines()
         else:
             assert self._gait is not None, "see _take_over"
@@ -151,7 +135,7 @@ class LiveSnake:
         return self.state
 
     def status_lines(self) -> list[tuple[str, str]]:
-        """Return label and value of each status line in the window."""
+        """Return the label and the value of each status line in the window."""
         command = self.command
         speed = self.state.com_velocity
         if self._controller is None:
@@ -247,16 +231,8 @@ def steer(
     """Simulate and draw a snake in real time until the window is closed.
 
     If drawing is too slow, control ticks are simulated without drawing until the
-    simulation has caught up with real time.
-
-    Args:
-        snake: snake.
-        window: window.
-        clock: function that returns the time, s.
-        sleep: function that waits for a given time, s.
-
-    Raises:
-        DivergedError: the simulation diverged.
+    simulated time equals real time again. `clock` returns the time (s), and `sleep`
+    waits for a time (s).
     """
     tick = snake.twin.tick
     due = clock()
@@ -274,24 +250,20 @@ def steer(
 
 
 _DISTANCE_LENGTHS = 4.0
-"""Camera distance, body lengths."""
+"""Camera distance in body lengths."""
 
 _GOAL_LINE_M = 0.002
-"""Half of the line width of the goal circle, m."""
+"""Half the line width of the goal circle, m."""
 
 _AZIMUTH_DEG = 90.0
 _ELEVATION_DEG = -35.0
 
 
 class MujocoWindow:
-    """Window of MuJoCo's viewer that shows a snake and forwards keys to it."""
+    """Window of MuJoCo's viewer that shows a snake and passes keys to the snake."""
 
     def __init__(self, snake: LiveSnake) -> None:
-        """Open the window.
-
-        Raises:
-            InputError: there is no display, or the viewer cannot be opened.
-        """
+        """Open the window."""
         require_display()
         import mujoco
         import mujoco.viewer
@@ -356,11 +328,7 @@ class MujocoWindow:
 
 
 def require_display() -> None:
-    """Check that a window can be opened.
-
-    Raises:
-        InputError: the display is missing or does not respond.
-    """
+    """Check that a window can be opened."""
     if lacks_display():
         raise InputError(
             "no display found (neither DISPLAY nor WAYLAND_DISPLAY is set); run this"

@@ -2,8 +2,8 @@
 
 Simulations without rendering set MUJOCO_GL to "disabled", so the backend is selected
 when the first image is drawn. Each candidate renders a small image in a separate
-process, because a faulty library may crash its process. PyOpenGL also cannot change its
-backend within a process.
+process, because a faulty library may crash the process. Also, PyOpenGL cannot change
+its backend within a process.
 """
 
 from __future__ import annotations
@@ -52,11 +52,8 @@ _TIMEOUT_S = 60.0
 def usable_opengl() -> str:
     """Return a working OpenGL backend, and set MUJOCO_GL to its name.
 
-    A backend selected in MUJOCO_GL is the only candidate. Otherwise the candidates of
-    the platform are tested in turn (egl, then osmesa on Linux).
-
-    Raises:
-        InputError: no backend works.
+    If MUJOCO_GL selects a backend, only this backend is tested. Otherwise the backends
+    of the platform are tested one after another (on Linux, egl and then osmesa).
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...] = (selected,)
@@ -118,19 +115,13 @@ def _test(name: str) -> str:
 def draw_box(name: str) -> None:
     """Render a white box on a black background to test a backend.
 
-    Call this function in a child process, because a faulty library may crash or raise
-    any error.
-
-    Args:
-        name: backend name.
-
-    Raises:
-        InputError: all pixels have the same colour.
+    Call this function in a child process, because a faulty library may crash the
+    process or raise any error.
     """
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(
-        # Software rendering would spend most of its time on shadows and multisampling.
+        # Shadows and multisampling would take most of the time of software rendering.
         "<mujoco><visual><quality shadowsize='0'"
         " offsamples='0'/></visual><worldbody><geom type='box' size='.1 .1 .1' rgba='1"
         " 1 1 1'/></worldbody></mujoco>"

@@ -34,11 +34,7 @@ AddFrame = Callable[[np.ndarray], None]
 
 
 def encoder() -> Any:
-    """Return the video encoder, the module `av` (PyAV).
-
-    Raises:
-        InputError: PyAV is not installed.
-    """
+    """Return the module `av` (PyAV), which encodes videos."""
     try:
         import av
     except ImportError as error:
@@ -53,18 +49,10 @@ def encoder() -> Any:
 def video_writer(
     path: Path, *, width: int, height: int, fps: int
 ) -> Iterator[AddFrame]:
-    """Open a video file and yield a function that appends a frame.
+    """Open an MP4 file and yield a function that appends a frame.
 
-    A frame has shape (height, width, 3) and type uint8.
-
-    Args:
-        path: MP4 file.
-        width: even width, pixels.
-        height: even height, pixels.
-        fps: frame rate, Hz.
-
-    Raises:
-        InputError: the encoder is missing, or the file cannot be written.
+    A frame has the shape (height, width, 3) and the type uint8. Width and height must
+    be even.
     """
     av = encoder()
     with atomic_write(path) as temporary:
@@ -97,13 +85,13 @@ _SMOOTHING_S = 0.5
 """Averaging time of the camera path for runs without a gait, s."""
 
 _FORWARD_DEG = 25.0
-"""Angle by which the view turns towards the direction of motion, degrees.
+"""Angle by which the camera is turned towards the direction of motion, degrees.
 
-At 0 degrees the camera looks across the snake.
+At 0 degrees the view is perpendicular to the direction of motion.
 """
 
 _DISTANCE_PER_SEPARATION = 0.7
-"""Ratio of the additional camera distance to the distance between the plants."""
+"""Ratio of the additional camera distance to the distance between the two plants."""
 
 _ELEVATION_DEG = {"bench": -60.0, "floor": -35.0}
 _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
@@ -111,11 +99,11 @@ _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
 
 
 class FollowCamera:
-    """Camera to the right of the snake that follows its centre of mass.
+    """Camera to the right of the snake that follows the centre of mass of the snake.
 
-    The camera path is averaged over one gait period. With a ghost, the camera follows
-    the midpoint of both bodies at a distance that shows both. A snake on a bench is
-    viewed from above by a fixed camera.
+    The camera path is averaged over one gait period. If there is a ghost, the camera
+    follows the midpoint of the two bodies at a distance at which the image contains the
+    two bodies. A snake on a bench is viewed from above by a fixed camera.
     """
 
     def __init__(
@@ -126,14 +114,7 @@ class FollowCamera:
         bench: bool,
         ghost: Trajectory | None = None,
     ) -> None:
-        """Compute the camera path of a run.
-
-        Args:
-            run: twin's trajectory.
-            body_length: body length, m.
-            bench: whether the head is clamped.
-            ghost: another plant's trajectory.
-        """
+        """Compute the camera path of a run."""
         setup = "bench" if bench else "floor"
         distance = _DISTANCE_LENGTHS[setup] * body_length
         if bench:
@@ -169,7 +150,7 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
     half = min(window, duration) / 2
     if half <= 0:
         return run.com
-    # The mean is computed from the integral of the path, because samples may not be
+    # The mean is computed from the integral of the path, because the samples may not be
     # equally spaced.
     steps = np.diff(time)[:, None] * (run.com[1:] + run.com[:-1]) / 2
     integral = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
@@ -181,7 +162,7 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Size:
-    """Image size in pixels; video encoders require even sides."""
+    """Image size in pixels. Video encoders require even numbers."""
 
     width: int = 1280
     height: int = 720
@@ -203,16 +184,13 @@ def write_video(
     Args:
         path: MP4 file.
         scenario: simulated scenario.
-        run: twin's trajectory.
+        run: trajectory of the twin.
         size: frame size.
         fps: frame rate, Hz.
-        speed: simulated time per playback time; 0.25 gives slow motion.
-        ghost: another plant.
-        progress: callback that receives the completed fraction, 0 to 1.
-
-    Raises:
-        InputError: the run cannot be drawn, OpenGL or the encoder is missing, or the
-            file cannot be written.
+        speed: ratio of simulated time to playback time. A ratio of 0.25 gives slow
+            motion.
+        ghost: name and trajectory of another plant, or None.
+        progress: function of the completed fraction, from 0 to 1.
     """
     encoder()  # report a missing encoder before the frames are rendered
     stage, camera = _scene(scenario, run, ghost)
@@ -238,19 +216,15 @@ def write_image(
     size: Size = Size(),  # noqa: B008
     ghost: tuple[str, Trajectory] | None = None,
 ) -> None:
-    """Write an image of a run at a given time as PNG, seen from the video's camera.
+    """Write an image of a run as PNG, seen from the camera of the video.
 
     Args:
         path: output file.
         scenario: simulated scenario.
-        run: twin's trajectory.
-        time: time of the image, s; the nearest sample is drawn.
+        run: trajectory of the twin.
+        time: time of the image, s. The nearest sample is drawn.
         size: image size.
-        ghost: another plant.
-
-    Raises:
-        InputError: the time is outside the run, the run cannot be drawn, OpenGL is
-            missing, or the file cannot be written.
+        ghost: name and trajectory of another plant, or None.
     """
     stage, camera = _scene(scenario, run, ghost)
     first = float(run.time[0])
@@ -277,11 +251,7 @@ def _scene(
 
 @drawing
 def write_png(path: Path, pixels: np.ndarray) -> None:
-    """Write an image of shape (height, width, 3) and type uint8 as PNG.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write an image of shape (height, width, 3) and type uint8 as PNG."""
     from matplotlib.image import imsave
 
     with atomic_write(path) as temporary:
@@ -301,7 +271,7 @@ _MAX_ASPECT = 5.0
 _MIN_ASPECT = 1.0
 _LINE_PIXELS = 3.0
 _MARGIN_LENGTHS = 0.35
-"""Margin around bodies and obstacles, body lengths."""
+"""Margin around bodies and obstacles in body lengths."""
 
 
 @drawing
@@ -310,18 +280,8 @@ def write_strobe(
 ) -> None:
     """Write the stroboscopic figure of a run as PNG.
 
-    The projection is orthographic, so that the axes in metres are valid everywhere on
-    the floor.
-
-    Args:
-        path: output file.
-        scenario: simulated scenario.
-        run: twin's trajectory.
-        width: figure width, pixels.
-
-    Raises:
-        InputError: the run cannot be drawn, OpenGL is missing, or the file cannot be
-            written.
+    The projection is orthographic, so that the axes (m) are valid everywhere on the
+    floor. The width is in pixels.
     """
     stage = Stage(scenario, run)
     times = strobe_times({"twin": run}, scenario.robot.geometry)

@@ -28,12 +28,7 @@ from srs_twin.viewing.plots.style import (
 
 
 class Ghost(NamedTuple):
-    """Plant that is drawn translucently.
-
-    Attributes:
-        plant: plant name.
-        run: trajectory.
-    """
+    """Plant that is drawn translucently."""
 
     plant: str
     run: Trajectory
@@ -57,21 +52,17 @@ _GHOST_CHORDS = 6
 
 _SCALE_BAR_M = 0.1
 _LINE_M = 0.001
-"""Thickness and half of the width of lines on the floor, m."""
+"""Thickness and half the width of lines on the floor, m."""
 
 
 class Stage:
     """Scene of a run: robot and world of the scenario at the recorded positions.
 
-    The colour of a segment shows its pressure difference. The scene contains the trail
+    The colour of a segment shows its pressure difference. The scene contains the path
     of the centre of mass and the lines on the floor that extensions add.
 
     Attributes:
-        run: twin's trajectory.
-        model: MuJoCo model.
-        data: current state.
         bench: whether the head is clamped.
-        ghost: another plant, or None.
     """
 
     def __init__(
@@ -80,16 +71,9 @@ class Stage:
         run: Trajectory,
         ghost: tuple[str, Trajectory] | None = None,
     ) -> None:
-        """Build the scene.
+        """Build the scene of a trajectory that has ``qpos`` columns.
 
-        Args:
-            scenario: simulated scenario.
-            run: trajectory with ``qpos`` columns.
-            ghost: another plant.
-
-        Raises:
-            InputError: the run has no samples or no ``qpos`` columns, or the columns
-                belong to another robot.
+        `ghost` contains the name and the trajectory of another plant.
         """
         if not run.has("qpos") or not len(run):
             raise InputError(
@@ -124,21 +108,21 @@ class Stage:
 
     @property
     def duration(self) -> float:
-        """Run duration, s."""
+        """Duration of the run, s."""
         return float(self.run.time[-1] - self.run.time[0])
 
     @property
     def legend(self) -> Mapping[str, str]:
-        """Colours of the lines on the floor, keyed by label."""
+        """Colours of the lines on the floor, by label."""
         pictures = added_to(self.run)
         return pictures.legend if pictures else {}
 
     def row_at(self, time: float) -> int:
-        """Return the sample nearest to a time, s."""
+        """Return the index of the sample nearest to a time (s)."""
         return int(np.abs(self.run.time - time).argmin())
 
     def show(self, row: int) -> None:
-        """Show a sample."""
+        """Set the scene to a sample."""
         self.data.qpos[:] = self._qpos[row]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
@@ -161,12 +145,9 @@ class Stage:
     def add_lines(
         self, scene: mujoco.MjvScene, row: int, half_width: float = _LINE_M
     ) -> None:
-        """Add the trail up to a sample and the lines on the floor.
+        """Add the path of the centre of mass up to a sample and the lines on the floor.
 
-        Args:
-            scene: scene.
-            row: sample index.
-            half_width: half width, m.
+        `half_width` is half the width of the lines (m).
         """
         if not self.bench:
             rows = np.append(self._trail_rows[self._trail_rows < row], row)
@@ -227,8 +208,8 @@ class Stage:
 def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return where connectors of a spatial snake touch the floor during a run.
 
-    Returns:
-        Sample indices and points (m) of at most `_MAX_MARKS` marks.
+    The result contains the sample indices and the points (m) of at most `_MAX_MARKS`
+    marks.
     """
     if not run.has("load"):
         return np.empty(0, dtype=int), np.empty((0, 2))
@@ -246,18 +227,18 @@ def add_line(
     half_width: float,
     level: int = 1,
 ) -> None:
-    """Add a line on the floor to a scene, as far as the scene has free geoms.
+    """Add a line on the floor to a scene, while the scene has free geoms.
 
     The line consists of flat boxes, because capsules would take longer to draw than the
-    rest of the scene. Each box is slightly higher than the previous one, because MuJoCo
+    rest of the scene. Each box is slightly higher than the previous box, because MuJoCo
     lights coincident faces twice.
 
     Args:
         scene: scene.
-        points: points (n, 2), m.
+        points: points, shape (n, 2), m.
         color: colour, #rrggbb.
-        half_width: half width, m.
-        level: layer of the line; higher layers cover lower ones.
+        half_width: half the width of the line, m.
+        level: layer of the line. A line covers all lines of lower layers.
     """
     box = mujoco.mjtGeom.mjGEOM_BOX
     rgba = np.array(unit_rgba(color), dtype=np.float32)
@@ -297,14 +278,10 @@ def make_obstacles_translucent(model: mujoco.MjModel) -> None:
 
 
 class Skins:
-    """Visible geoms of the segments, coloured by pressure.
-
-    Attributes:
-        geoms: indices per segment.
-    """
+    """Visible geoms of the segments, coloured by pressure."""
 
     def __init__(self, model: mujoco.MjModel, segments: int) -> None:
-        """Find the geoms, and dim the lights so that colours are not overexposed."""
+        """Find the geoms, and reduce the light so that colours are not overexposed."""
         model.vis.headlight.ambient = [0.45] * 3
         model.vis.headlight.diffuse = [0.2] * 3
         model.light_diffuse[:] = 0.45
@@ -317,7 +294,7 @@ class Skins:
                 self.geoms[int(match[1]) - 1].append(geom)
 
     def paint(self, colors: np.ndarray) -> None:
-        """Set the segment colours, RGBA from 0 to 1, shape (segments, 4)."""
+        """Set the colours of the segments as RGBA from 0 to 1, shape (segments, 4)."""
         for geoms, color in zip(self.geoms, colors, strict=True):
             self._model.geom_rgba[geoms] = color
 
@@ -325,8 +302,9 @@ class Skins:
         """Colour the segments by the pressures of the + and − chambers.
 
         Args:
-            pressure: pressures (segments, 2).
-            full_scale: pressure difference at full colour, in the unit of `pressure`.
+            pressure: pressures, shape (segments, 2).
+            full_scale: pressure difference that is drawn with the full colour, in the
+                unit of `pressure`.
         """
         colors = pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale)
         self.paint(colors / np.float32(255))

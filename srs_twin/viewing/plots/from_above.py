@@ -29,7 +29,7 @@ _MAX_BODIES = 6
 """Maximum number of bodies in a plan view."""
 
 _MIN_SPACING = 1.35
-"""Distance between drawn bodies below which they overlap, body lengths."""
+"""Ratio of the minimum distance between drawn bodies to the body length."""
 
 
 @drawing
@@ -39,11 +39,6 @@ def plan_view(
     """Plot centre-of-mass paths with bodies at a few equally spaced times (Fig. 36).
 
     Bodies of the twin are filled, and bodies of other plants are outlines.
-
-    Args:
-        trajectories: trajectories by plant.
-        spec: robot.
-        world: obstacles and objects.
     """
     world = world or World()
     times = strobe_times(trajectories, spec.geometry)
@@ -73,7 +68,7 @@ def plan_view(
     circles = ((item.x, item.y, item.radius) for item in world.obstacles)
     polygons = (item.corners for item in world.polygons)
     for patch in obstacle_patches(circles, polygons):
-        axes.add_artist(patch)  # add_patch would extend the view to far obstacles
+        axes.add_artist(patch)  # add_patch would extend the view to distant obstacles
     axes.set_aspect("equal", adjustable="datalim")
     listed = ", ".join(f"{time:.3g}" for time in times)
     title = (
@@ -93,13 +88,13 @@ def strobe_times(
     distance = np.hypot(*(run.com - run.com[0]).T)
     spacing = _MIN_SPACING * geometry.body_length
     count = int(np.interp(end, run.time, distance) / spacing + 1e-6) + 1
-    # A snake that hardly moved is drawn only at the start and the end.
+    # If the snake hardly moved, only the start and the end are drawn.
     times = np.linspace(float(run.time[0]), end, int(np.clip(count, 2, _MAX_BODIES)))
     return [float(time) for time in times]
 
 
 def samples_at(run: Trajectory, times: list[float]) -> list[Trajectory]:
-    """Return samples at the given times (s) as trajectories of one sample each."""
+    """Return the samples at the given times (s) as trajectories of one sample each."""
     rows = np.searchsorted(run.time, np.array(times) - 1e-9).clip(max=len(run) - 1)
     return [
         Trajectory({name: column[[row]] for name, column in run.columns.items()})
@@ -126,12 +121,7 @@ def obstacle_patches(
     circles: Iterable[tuple[float, float, float]],
     polygons: Iterable[Iterable[tuple[float, float]]],
 ) -> list[Patch]:
-    """Return patches of obstacles.
-
-    Args:
-        circles: x, y, radius, m.
-        polygons: corners, m.
-    """
+    """Return Matplotlib patches of circles (x, y and radius, m) and polygons (m)."""
     style: dict[str, Any] = {"facecolor": "0.35", "zorder": 1}
     return [
         *(Circle((x, y), radius, **style) for x, y, radius in circles),
@@ -144,7 +134,8 @@ def object_outlines(
 ) -> list[np.ndarray]:
     """Return outlines of the movable objects at the given times (s), each (k, 2), m.
 
-    A radius in the outline of a cylinder shows the rotation of the cylinder.
+    The outline of a cylinder includes a radius, which shows the rotation of the
+    cylinder.
     """
     if not run.has("object_x_1"):
         return []
@@ -170,9 +161,9 @@ def _outline(item: MovableObject) -> np.ndarray:
 def draw_body(
     axes: Axes, sample: Trajectory, geometry: Geometry, style: Style, *, filled: bool
 ) -> None:
-    """Draw the outline of a body, with a dot at the head."""
+    """Draw the outline of a body with a dot at the head."""
     shape = LineString(body_line(sample, geometry)[0]).buffer(geometry.width / 2)
-    # A body that touches itself encloses holes.
+    # The outline of a body that touches itself contains holes.
     rings = [np.asarray(ring.coords) for ring in (shape.exterior, *shape.interiors)]
     if filled:
         outline = Path.make_compound_path(*map(Path, rings))
@@ -188,7 +179,7 @@ def draw_body(
 def bounds(
     trajectories: Mapping[str, Trajectory], geometry: Geometry, times: list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return two opposite corners of a region that contains the bodies, m."""
+    """Return two opposite corners of a rectangle that contains the bodies, m."""
     bodies = [
         row.position[0]
         for run in trajectories.values()

@@ -12,7 +12,7 @@ from srs_twin.comparison.sampling import split_unit as split_metric
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.file import with_extensions
 
-# Label text for each suffix of a metric name.
+# These are the label texts for the suffixes of metric names.
 _SUFFIXES = {
     "_rel": ", relative difference",
     "_abs": ", size of difference",
@@ -47,16 +47,16 @@ _TITLES = {
 """Labels of metrics whose names do not describe them well."""
 
 _SENTENCE_STARTS = ("What ", "Which ", "How ")
-"""First words of schema titles that are sentences and therefore no labels."""
+"""First words of schema titles that are sentences and therefore not used as labels."""
 
 _MAX_TITLE = 36
-"""Maximum length of a schema title that serves as a label, characters."""
+"""Maximum number of characters of a schema title that is used as a label."""
 
 
 def field_label(path: str) -> str:
     """Return the label of a field, for example 'gait frequency (Hz)'.
 
-    The label is the title in the schema if it is short, and otherwise the key.
+    The label is the title in the schema if the title is short, and otherwise the key.
     """
     keys = path.split(".")
     name, unit = split_unit(keys[-1])
@@ -76,7 +76,8 @@ def field_label(path: str) -> str:
 def metric_label(metric: str) -> str:
     """Return the label of a metric, for example 'CoM speed (m/s)' for `com_speed_m_s`.
 
-    A number after the name selects an element of a list: 'bend amplitude 2 (rad)'.
+    A number after the metric name selects an element of a list, as in 'bend amplitude 2
+    (rad)'.
     """
     units = all_units()
     stem, _, number = metric.rpartition("_")
@@ -86,7 +87,7 @@ def metric_label(metric: str) -> str:
 
 
 def metric_title(metric: str) -> str:
-    """Return the label of a metric without unit, for example 'CoM speed'."""
+    """Return the label of a metric without its unit, for example 'CoM speed'."""
     if metric in _TITLES:
         return _TITLES[metric]
     name, _ = split_metric(metric)
@@ -130,7 +131,7 @@ def _schema() -> dict[str, Any]:
 
 
 def _options(node: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield a schema node, its reference and its alternatives, recursively."""
+    """Yield a schema node, its reference and its alternatives recursively."""
     yield node
     if "$ref" in node:
         yield from _options(_schema()["$defs"][node["$ref"].rsplit("/", 1)[1]])

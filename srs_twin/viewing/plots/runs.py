@@ -1,7 +1,7 @@
 """Plots of runs and of the differences between plants.
 
-Lines differ in colour (a palette for colour-blind readers), dash and width, so that
-they remain distinguishable in greyscale.
+Lines differ in colour, dash pattern and width, so that they can be distinguished by
+colour-blind readers and in greyscale.
 """
 
 from __future__ import annotations
@@ -53,16 +53,18 @@ if TYPE_CHECKING:
 Runs = Mapping[str, Trajectory]
 
 _MAX_ROWS = 8
-"""Maximum number of panels. With more segments, evenly spaced segments are plotted."""
+"""Maximum number of panels. If the snake has more segments, evenly spaced segments
+are plotted.
+"""
 
 _PERIODS_SHOWN = 4
 """Number of gait periods in the plots of a long run."""
 
 _MAX_DOTS = 4000
-"""Maximum number of sensor readings in a plot."""
+"""Maximum number of sensor measurements in a plot."""
 
-# Label and factor (plotted value per SI value) of each difference from a measured
-# motion.
+# These are the label and the factor (plotted value per SI value) of each difference
+# from a measured motion.
 _MEASURED_SIGNALS = {
     "shape_m": ("shape (mm)", 1e3),
     "path_m": ("CoM path (mm)", 1e3),
@@ -74,7 +76,7 @@ _MEASURED_SIGNALS = {
 def bend_plot(trajectories: Runs) -> Figure:
     """Plot the bend of each segment over the last gait periods.
 
-    Runs without a gait are plotted as a whole.
+    A run without a gait is plotted from start to end.
     """
     return _by_segment(
         trajectories, lambda run: run.stack("bend"), "$q_{{{}}}$ (rad)", "Bends"
@@ -143,7 +145,7 @@ def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
 
 
 def runs_with_styles(trajectories: Runs) -> list[tuple[Style, Trajectory]]:
-    """Return runs with their styles."""
+    """Return each run with its style."""
     return [
         (style_of(plant, index), run)
         for index, (plant, run) in enumerate(trajectories.items())
@@ -199,7 +201,10 @@ def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
 
 
 def _common_window(trajectories: Runs) -> _Window:
-    """Return the last gait periods that all runs cover, or the whole of a short run."""
+    """Return the time range of the last gait periods that all runs contain.
+
+    If a run is short, the time range is the whole run.
+    """
     first = min(float(run.time[0]) for run in trajectories.values())
     ends = [float(run.time[-1]) for run in trajectories.values()]
     period = max(gait_period(run) or 0.0 for run in trajectories.values())
@@ -214,10 +219,11 @@ def _common_window(trajectories: Runs) -> _Window:
 
 @drawing
 def learning_plot(trajectories: Runs) -> Figure:
-    """Plot bend amplitudes with targets (left) and duties (right), one row per module.
+    """Plot bend amplitudes with targets and duty cycles, one row per module.
 
-    Colours distinguish the chambers, and dashes distinguish the plants. Targets are
-    thin dotted lines.
+    The left column contains the amplitudes, and the right column contains the duty
+    cycles of the valves. The colour shows the chamber, and the dash pattern shows the
+    plant. Targets are thin dotted lines.
     """
     runs = [
         (style, PeriodAmplitudes.from_trajectory(run))
@@ -281,11 +287,12 @@ def _plot_learning(
 
 @drawing
 def tracking_plot(trajectories: Runs) -> Figure:
-    """Plot reference, bends and readings of the first segment, and the valve states.
+    """Plot reference, bends and measurements of the first segment, and valve states.
 
-    The plot shows the last four periods of a periodic reference, or else the whole run.
-    The valve state of the dissertation is 1 if the valves drive positive bends, −1 if
-    they drive negative bends, and 0 if both hold.
+    For a periodic reference, the plot shows the last four periods, otherwise the whole
+    run. As in the dissertation, the valve state is 1 if the valves drive positive
+    bends, −1 if the valves drive negative bends, and 0 if both valves hold the
+    pressure.
     """
     count = len(trajectories)
     figure, (bends, *valves) = panels(
@@ -321,7 +328,7 @@ def tracking_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def reading_plot(trajectories: Runs) -> Figure | None:
-    """Plot sensor readings with their mean at each bend, and the mean reading error.
+    """Plot sensor measurements with their mean at each bend, and the mean error.
 
     The result is None if all sensors are ideal.
     """
@@ -354,9 +361,9 @@ def reading_plot(trajectories: Runs) -> Figure | None:
 
 @drawing
 def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | None:
-    """Plot the differences from the measured shape, path, heading and bends (RMS).
+    """Plot the RMS differences from the measured shape, path, heading and bends.
 
-    The result is None without measurements.
+    The result is None if no measurements exist.
     """
     if not differences:
         return None
@@ -395,15 +402,15 @@ _PANEL_GAP = 0.7
 def attribution_plot(attribution: Attribution) -> Figure:
     """Plot the contributions of the assumptions, sorted by size, one panel per measure.
 
-    Thin lines show the range of a contribution over the orders in which assumptions are
-    replaced. The last two bars show the unexplained part and the total difference, the
-    sum of the bars above.
+    The assumptions can be replaced in different orders. A thin line shows the range of
+    a contribution over all orders. The last two bars show the unexplained part and the
+    total difference, which is the sum of the other bars.
     """
     shares = _by_size(attribution.shares)
     names = [*(share.name for share in shares), "not explained", "twin − analytical"]
     rows = len(MEASURES) // 2
     height = rows * (_BAR_PITCH * len(names) + _PANEL_GAP) + 0.3
-    left = 0.35 + 0.07 * max(map(len, names))  # inches, for labels of 9.5 pt
+    left = 0.35 + 0.07 * max(map(len, names))  # inches, for a font size of 9.5 pt
     figure, grid = side_by_side(
         height,
         2,
@@ -442,7 +449,7 @@ def attribution_plot(attribution: Attribution) -> Figure:
 
 
 def _by_size(shares: Sequence[AssumptionShare]) -> list[AssumptionShare]:
-    """Sort the contributions by their sum of magnitudes, normalised per measure."""
+    """Sort the contributions by the sum of their magnitudes, normalised per measure."""
     value = np.abs([share.value for share in shares])
     size = (value / value.max(axis=0).clip(1e-12)).sum(axis=1)
     return [shares[i] for i in np.argsort(-size)]

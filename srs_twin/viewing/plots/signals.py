@@ -1,4 +1,4 @@
-"""Plotted signals of a trajectory."""
+"""Signals of a trajectory for plots."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from srs_twin.viewing.additions import added_to
 def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> Array:
     """Return the centre line from head to tail, shape (samples, points, 2), m."""
     lines = centre_lines(trajectory, geometry, chords)
-    # Without a rigid gap, the ends of an arc coincide with the connectors, so the
+    # If the rigid gap is 0, the ends of an arc coincide with the connectors, so the
     # duplicate points are omitted.
     unique = slice(0, -1) if geometry.rigid_gap else slice(1, -2)
     inner = lines[:, :, unique].reshape(len(lines), -1, 2)
@@ -33,7 +33,7 @@ def goal_ring(x: float, y: float, radius: float) -> Array:
 
 
 def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> Array:
-    """Return the centres of the wheels (left, right), shape (samples, N, 2, 2), m."""
+    """Return the centres of the left and right wheels, shape (samples, N, 2, 2), m."""
     theta = trajectory.stack("connector_heading")[..., None]
     return offset_to_sides(trajectory.position[:, :, None], theta, geometry.half_track)
 
@@ -41,7 +41,7 @@ def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> Array:
 def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
     """Return the rotation of each wheel without slip, shape (samples, N, 2), rad.
 
-    Forward rolling is positive.
+    A rotation is positive for forward motion.
     """
     centres = wheel_centres(trajectory, geometry)
     theta = trajectory.stack("connector_heading")
@@ -60,7 +60,7 @@ def pressure_difference(trajectory: Trajectory) -> Array:
 
 
 def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
-    """Return the kind of experiment: gait, bench, learning, or an extension's kind."""
+    """Return the kind of experiment: gait, bench, learning or an extension's kind."""
     runs = trajectories.values()
     for run in runs:
         if run.has("reference_1") or run.metadata.get("base") == "clamped":
@@ -72,7 +72,7 @@ def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
 
 
 def gait_period(trajectory: Trajectory) -> float | None:
-    """Return the gait period (s), or None without a gait."""
+    """Return the gait period (s), or None if the run has no gait."""
     frequency = trajectory.metadata.get("gait_frequency_hz")
     return 1.0 / frequency if frequency else None
 
@@ -80,7 +80,7 @@ def gait_period(trajectory: Trajectory) -> float | None:
 def reference_period(trajectory: Trajectory) -> float | None:
     """Return the period of the first segment's reference, s.
 
-    The result is None unless the reference is a sine or a square wave.
+    The result is None unless the reference is a sine wave or a square wave.
     """
     if not trajectory.has("reference_1"):
         return None
@@ -89,14 +89,14 @@ def reference_period(trajectory: Trajectory) -> float | None:
     changes = time[1:][np.diff(reference) != 0]
     if len(changes) < 3:
         return None
-    if len(np.unique(reference)) == 2:  # a square wave
+    if len(np.unique(reference)) == 2:  # the reference is a square wave
         return float(2 * np.median(np.diff(changes)))
     frequency = sine_frequency(time, reference)
     return None if frequency is None else 1 / frequency
 
 
 def forward_speed(trajectory: Trajectory) -> Array:
-    """Return the velocity of the centre of mass along the heading, (samples,), m/s."""
+    """Return the velocity of the centre of mass along the heading, m/s, (samples,)."""
     if len(trajectory) < 2:
         return np.zeros(len(trajectory))
     velocity = np.gradient(trajectory.com, trajectory.time, axis=0)
@@ -108,8 +108,8 @@ def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
     """Return times (s) and the speed of the period-averaged path at these times (m/s).
 
     The speed is the displacement over one gait period centred at each time, divided by
-    the period. Its sign is negative if the displacement is opposite to the heading.
-    Both arrays are empty if the run is shorter than a period.
+    the period. The speed is negative if the displacement is opposite to the heading.
+    The two arrays are empty if the run is shorter than a period.
     """
     time = trajectory.time
     heading = trajectory["heading"]

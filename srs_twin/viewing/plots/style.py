@@ -1,8 +1,8 @@
 """Colours, line styles and margins of all plots, and image files.
 
-The settings are the defaults of matplotlib, so that a `matplotlibrc` or a style sheet
-of the user has no effect. Margins are fixed in inches, because the automatic layouts
-of matplotlib double the drawing time.
+The settings are the defaults of Matplotlib, so that a `matplotlibrc` file or a style
+sheet of the user has no effect. Margins are fixed in inches, because the automatic
+layouts of Matplotlib double the drawing time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from srs_twin.io.files import atomic_write
 
 Alignment = Literal["left", "center"]
 _NO_PRESSURE = (225, 225, 222)
-"""Colour of a segment without pressure difference, RGB."""
+"""Colour of a segment whose pressure difference is 0, RGB."""
 
 PLUS_COLOR = "#aa3377"
 """Colour of segments whose + chamber has the higher pressure."""
@@ -34,7 +34,7 @@ MINUS_COLOR = "#009e73"
 GOAL_COLOR = "#b03030"
 OBJECT_COLOR = "#db8f38"
 CONTACT_COLOR = "#55607a"
-"""Colour of the marks where a lifted snake touches the floor."""
+"""Colour of the points at which a spatial snake touches the floor."""
 
 
 def rgb(color: str) -> tuple[int, int, int]:
@@ -44,7 +44,7 @@ def rgb(color: str) -> tuple[int, int, int]:
 
 
 def unit_rgba(color: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
-    """Return a colour #rrggbb as RGBA from 0 to 1, the format of MuJoCo."""
+    """Return a colour #rrggbb as RGBA from 0 to 1, as MuJoCo expects."""
     red, green, blue = rgb(color)
     return red / 255, green / 255, blue / 255, alpha
 
@@ -58,11 +58,9 @@ class Style:
     """Style of a plant or another data source, with the palette of Okabe and Ito.
 
     Attributes:
-        label: legend label.
         color: colour, #rrggbb.
-        dash: matplotlib line style, different for each plant in greyscale prints.
+        dash: Matplotlib line style, which distinguishes the plants in greyscale prints.
         width: line width, points.
-        marker: marker of points.
     """
 
     label: str
@@ -78,7 +76,7 @@ class Style:
 
     @property
     def line(self) -> dict[str, Any]:
-        """Arguments of `Axes.plot`."""
+        """Keyword arguments for `Axes.plot`."""
         return {
             "color": self.color,
             "linestyle": self.dash,
@@ -88,7 +86,7 @@ class Style:
 
     @property
     def zorder(self) -> float:
-        """Drawing order: dashed lines lie above solid lines, so both stay visible."""
+        """Drawing order. Dashed lines are drawn above solid lines."""
         if self.dash == "-":
             return 2.0
         return 2.1
@@ -111,7 +109,7 @@ _FURTHER_COLORS = ("#CC79A7", "#56B4E9", "#E69F00")
 
 
 def style_of(plant: str, index: int = 0) -> Style:
-    """Return a plant's style; the index selects a colour for an unknown plant."""
+    """Return the style of a plant. The index selects a colour for an unknown plant."""
     return STYLES.get(plant) or Style(
         plant, _FURTHER_COLORS[index % len(_FURTHER_COLORS)], "-.", 1.5
     )
@@ -125,8 +123,8 @@ def pressure_colors(
     Colours range from light grey to purple for p⁺ > p⁻ and to green for p⁺ < p⁻.
 
     Args:
-        difference: p⁺ − p⁻; NaN becomes grey.
-        full_scale: magnitude at full colour; None selects the maximum magnitude.
+        difference: p⁺ − p⁻. NaN is shown in grey.
+        full_scale: magnitude with the full colour, or None for the maximum magnitude.
     """
     finite = np.nan_to_num(difference)
     if full_scale is None:
@@ -137,11 +135,12 @@ def pressure_colors(
     return np.concatenate([rgb, np.full_like(fraction, 255)], axis=-1).astype(np.uint8)
 
 
-# The backend does not affect figures, and reading this setting would import one.
+# The backend does not affect figures, and reading this setting would import a backend.
 _SETTINGS = {
     name: value for name, value in rcParamsDefault.items() if name != "backend"
 }
-# A fixed salt makes SVG files reproducible, and text remains text instead of paths.
+# With a fixed salt, SVG files are reproducible. Text is stored as text instead of
+# paths.
 _SETTINGS |= {"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}
 
 
@@ -151,7 +150,8 @@ def own_settings() -> Iterator[None]:
 
     The user's settings are restored at the end of the block.
     """
-    # Only differing settings are set, because setting all would take a millisecond.
+    # Only settings that differ are set, because setting all values would take a
+    # millisecond.
     with rc_context(
         {name: value for name, value in _SETTINGS.items() if rcParams[name] != value}
     ):
@@ -189,7 +189,7 @@ def panels(
         rows: number of panels.
         right: right margin, inches.
         share_y: whether the panels also share the y axis.
-        heights: relative panel heights.
+        heights: heights of the panels relative to each other.
     """
     figure, grid = side_by_side(
         height,
@@ -246,7 +246,7 @@ def side_by_side(
 def set_title(axes: Axes, title: str, loc: Alignment = "center") -> None:
     """Set the title of a panel at a fixed height.
 
-    Matplotlib's search for a free height would take a tenth of the drawing time.
+    The automatic placement by Matplotlib would take a tenth of the drawing time.
     """
     axes.set_title(title, fontsize=10, loc=loc, y=1.0)
 
@@ -259,15 +259,7 @@ def finish(
     title: str = "",
     loc: Alignment = "center",
 ) -> None:
-    """Add labels, title and grid.
-
-    Args:
-        axes: panel.
-        label: y-axis label.
-        x_label: x-axis label.
-        title: panel title.
-        loc: title alignment.
-    """
+    """Add axis labels, title and grid to a panel."""
     axes.set_ylabel(label, fontsize=9)
     if x_label:
         axes.set_xlabel(x_label)
@@ -282,15 +274,9 @@ FORMATS = (".png", ".svg")
 
 @drawing
 def save(figure: Figure, path: str | Path, dpi: float = 130) -> None:
-    """Write a figure as PNG or SVG atomically. Identical figures give identical bytes.
+    """Write a figure as PNG (with `dpi` pixels per inch) or SVG atomically.
 
-    Args:
-        figure: figure.
-        path: output file.
-        dpi: PNG resolution, pixels per inch.
-
-    Raises:
-        InputError: the suffix is not supported, or the file cannot be written.
+    Identical figures yield identical files.
     """
     target = Path(path)
     if target.suffix not in FORMATS:

@@ -13,10 +13,10 @@ import rerun.blueprint as rrb
 from srs_twin.viewing.additions import FollowedSignal
 
 TIMELINE = "sim_time"
-"""Name of the timeline, simulated time in s."""
+"""Name of the timeline, which contains the simulated time (s)."""
 
 _PERIODS_SHOWN = 4
-"""Number of gait periods around the cursor in the plots."""
+"""Number of gait periods around the time cursor in the plots."""
 
 Rows = list[rrb.Container | rrb.View]
 
@@ -26,22 +26,20 @@ class Layout:
     """Parameters of the layout of a recording.
 
     Attributes:
-        plants: plant names.
-        camera_target: entity below `world/` that the camera follows.
-        segments: number of segments.
-        start: start position (2,), m.
+        camera_target: entity inside `world/` that the camera follows.
+        start: start position, m, shape (2,).
         heading: initial heading, rad.
         body_length: body length, m.
         separation: maximum distance between two centres of mass, m.
-        period: gait period, s. Plots show a few periods around the cursor, or the
-            whole run if the period is None.
+        period: gait period, s. Plots show a few periods around the time cursor. If the
+            period is None, plots show the whole run.
         compared: whether plants are compared.
-        kind: kind of experiment.
-        signals: signals plotted first.
+        signals: signals that are plotted before the other signals.
         speeds: limits of the speed axis, m/s, or None for automatic limits.
-        events: whether events exist.
+        events: whether the run has events.
         root: parent entity of the run if a recording contains several runs.
-        measured: quantities compared with a measured robot: shape, path, bend.
+        measured: quantities that are compared with a measured robot: shape, path and
+            bend.
     """
 
     plants: Sequence[str]
@@ -73,7 +71,8 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
     rows = _plots(layout)
     shares = [2] * (len(rows) - 1) + [3]
     if layout.events:
-        # A column with the plant is not needed, because events have the plant's colour.
+        # A column with the plant is not needed, because the colour of an event shows
+        # the plant.
         columns = rrb.TextLogColumns(
             timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]
         )
@@ -86,7 +85,7 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
 
 
 def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
-    """Return the layout of several runs, at most three per row."""
+    """Return the layout of several runs with at most three runs per row."""
     columns = []
     for name, layout in layouts.items():
         body = rrb.Tabs(
@@ -137,7 +136,7 @@ def _bench_plots(layout: Layout) -> Rows:
         _modules(layout, "/pressure", _PRESSURES),
     ]
     if measured := _measured_plots(layout):
-        # Bends come first, because often only bends are measured on a bench.
+        # Bends are shown first, because often only bends are measured on a bench.
         plots.append(rrb.Tabs(*reversed(measured)))
     return plots
 
@@ -168,7 +167,7 @@ def _measured_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
 def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs:
     """Return one tab per module.
 
-    The middle tab is active, because the first module hardly shows differences.
+    The middle tab is active, because the first module shows only small differences.
     """
     views = [
         _plot(f"module/{j}{signal}", name.format(j), **options)
@@ -179,7 +178,7 @@ def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs
 
 
 def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
-    """Return the 3-D view, in which the camera follows to the right of the snakes."""
+    """Return the 3-D view. The camera follows the snakes on their right side."""
     if not name:
         name = "Both plants, grid 0.1 m" if len(layout.plants) > 1 else "Grid 0.1 m"
     right = np.array([np.sin(layout.heading), -np.cos(layout.heading)])

@@ -38,7 +38,7 @@ from srs_twin.viewing.rerun.viewer import (
 
 _BODY_HEIGHT_M = 0.02
 _FLOOR_HEIGHT_M = 0.003
-"""Height of lines and discs above the floor, m. It prevents flicker."""
+"""Height of lines and discs above the floor, which prevents flicker, m."""
 
 _MAX_TRAIL_POINTS = 300
 _PREDICTION_COLOR = (242, 142, 43)
@@ -47,7 +47,7 @@ _LOST_COLOR = (208, 32, 32)
 """Colour of a body whose estimate is not reliable."""
 
 _Z95 = 1.96
-"""Half width of a 95 % interval of the normal distribution, standard deviations."""
+"""Half width of the 95 % interval of the standard normal distribution."""
 
 
 class LiveEstimate(Protocol):
@@ -55,11 +55,11 @@ class LiveEstimate(Protocol):
 
     @property
     def time(self) -> float:
-        """Time, s."""
+        """Time of the estimate, s."""
 
     @property
     def connectors(self) -> np.ndarray:
-        """Connector poses, shape (N, 3), m, m, rad."""
+        """Poses of the connectors, shape (N, 3), m, m, rad."""
 
     @property
     def bend(self) -> np.ndarray:
@@ -75,11 +75,11 @@ class LiveEstimate(Protocol):
 
     @property
     def lost(self) -> str | None:
-        """Reason why the estimate is not reliable, or empty or None."""
+        """Reason why the estimate is not reliable, if any."""
 
     @property
     def off(self) -> Mapping[str, float]:
-        """Innovations in standard deviations, keyed by kind of measurement."""
+        """Innovations in standard deviations for each kind of measurement."""
 
     @property
     def faults(self) -> tuple[tuple[str, str, float], ...]:
@@ -102,12 +102,7 @@ class LiveView:
     """Logger of estimates and predictions."""
 
     def __init__(self, spec: RobotSpec, log: rr.RecordingStream) -> None:
-        """Send the layout.
-
-        Args:
-            spec: robot.
-            log: viewer stream.
-        """
+        """Send the layout to the stream of a viewer."""
         self._log = log
         self._spec = spec
         self._start = math.nan
@@ -197,18 +192,10 @@ def _fault_text(estimate: LiveEstimate) -> str:
 def live_view(
     spec: RobotSpec, *, recording: Path | None, window: bool, web: bool
 ) -> Iterator[tuple[LiveView, str]]:
-    """Stream to viewers and a file during a `with` block.
+    """Stream to viewers and to a file during a `with` block.
 
-    The block receives the view and the URL of the web page, or "" without a page.
-
-    Args:
-        spec: robot.
-        recording: output file.
-        window: whether to open the native viewer.
-        web: whether to serve the web viewer on this machine.
-
-    Raises:
-        InputError: Rerun does not start, or there is no display for a window.
+    The block receives the view and the URL of the web page. The URL is an empty string
+    if there is no page.
     """
     log = rr.RecordingStream(APPLICATION)
     sinks: list[rr.FileSink | rr.GrpcSink] = []

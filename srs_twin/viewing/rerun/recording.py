@@ -71,34 +71,31 @@ if TYPE_CHECKING:
 
 APPLICATION = "srs_twin"
 SCENE_HZ = 50.0
-"""Maximum sample rate of shapes, Hz. Signals keep all samples."""
+"""Maximum sample rate of shapes, Hz. Signals are recorded at all samples."""
 
 _CAMERA_TARGET = "eye"
 _WARNINGS = ("saturation", "fault", "reading_lost", "no_new_plan", "contact", "ended")
 """Kinds of events that are logged as warnings."""
 
 _READING_WIDTH = 0.6
-"""Line width of sensor readings, points."""
+"""Line width of sensor measurements, points."""
 
 _CHAMBER_COLORS = {"plus": PLUS_COLOR, "minus": MINUS_COLOR}
-# Grey is visible on dark and on light backgrounds, in contrast to black.
+# Unlike black, grey is visible on dark and on light backgrounds.
 _REFERENCE = replace(REFERENCE, color="#8a8a8a")
 
 
 def write_recording(path: str | Path, content: RunContent, *, title: str = "") -> None:
-    """Write the recording of a run, with a scene and plots of the signals.
+    """Write the recording of a run with a scene and plots of the signals.
 
-    Args:
-        path: output file.
-        content: run content.
-        title: title in the viewer, by default the title of the robot.
+    The default of `title` is the title of the robot.
     """
     trajectories = content.trajectories
     residuals = {
         plant: _residuals(difference) for plant, difference in content.measured.items()
     }
     log = rr.RecordingStream(APPLICATION)
-    # `log.save` is not used, because on a full disk it leaves an incomplete recording,
+    # `log.save` is not used, because it leaves an incomplete recording on a full disk,
     # sometimes without an error.
     memory = log.memory_recording()
     send_blueprint(log, run_blueprint(_layout(content, residuals)))
@@ -167,9 +164,9 @@ def _residuals(difference: MeasuredDifference) -> dict[str, np.ndarray]:
 
 
 def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
-    """Send a blueprint like `log.send_blueprint`, and close the stream that carries it.
+    """Send a blueprint like `log.send_blueprint`, and close the stream that sends it.
 
-    Rerun 0.41 does not close the stream, so each recording would leave two threads and
+    Rerun 0.41 does not close this stream, so each recording would leave two threads and
     2 MB of memory.
     """
     carrier = rr.RecordingStream._from_native(  # noqa: SLF001
@@ -183,14 +180,14 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     carrier.set_time("blueprint", sequence=0)
     blueprint._log_to_stream(carrier)  # noqa: SLF001
     content = carrier.memory_recording()
-    # The layout is made active, not only the default, because the viewer would
-    # otherwise reuse the layout of another robot.
+    # The layout is set as the active layout and as the default. Otherwise the viewer
+    # would reuse the layout of another robot.
     bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
     carrier.disconnect()
 
 
 def subsample(trajectory: Trajectory, rate_hz: float) -> Trajectory:
-    """Return every n-th sample, so that the sample rate is about `rate_hz`."""
+    """Return every n-th sample so that the sample rate is about `rate_hz`."""
     steps = np.diff(trajectory.time[:2])
     stride = 1
     if len(steps) and steps[0] > 0:
@@ -251,7 +248,7 @@ def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarra
 
 
 def _separation(coms: np.ndarray) -> float:
-    """Return twice the maximum distance of a plant from the mean position of plants."""
+    """Return twice the maximum distance of a plant from the mean of all plants."""
     return 2 * float(np.linalg.norm(coms - coms.mean(axis=0), axis=-1).max())
 
 
@@ -288,11 +285,11 @@ def _send_floor(
 
 
 def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
-    """Log the bends, pressures, valves, readings and duties of the modules.
+    """Log bends, pressures, valve states, sensor measurements and duty cycles.
 
-    The valve state of a module is 1 for valves that drive positive bends, −1 for
-    negative bends, and 0 for valves in equal states. Readings of an ideal sensor are
-    omitted.
+    The valve state of a module is 1 if the valves drive positive bends, −1 if the
+    valves drive negative bends, and 0 if the valves have equal states. Measurements of
+    an ideal sensor are omitted.
     """
 
     def send(name: str, values: np.ndarray, style: Style, steps: bool = False) -> None:
@@ -364,14 +361,14 @@ class _StoredRun:
 
     @property
     def snakes(self) -> list[str]:
-        """Names of the plants: entities below `world/` with a centre of mass."""
+        """Names of the plants, read from the entities with a centre of mass."""
         paths = (chunk.entity_path.split("/") for chunk in self.chunks)
         return list(
             dict.fromkeys(path[2] for path in paths if path[1::2] == ["world", "com"])
         )
 
     def points(self, entity: str, component: str, rows: int | None = 1) -> np.ndarray:
-        """Return the first rows (None: all rows) of a point component, shape (n, 3)."""
+        """Return the first rows (or all rows) of a point component, shape (n, 3)."""
         for chunk in self.chunks:
             if chunk.entity_path == entity and not chunk.is_static:
                 batch = chunk.to_record_batch()
@@ -415,16 +412,7 @@ class _StoredRun:
 
 
 def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None:
-    """Write one recording of several runs, each with its own floor and plots.
-
-    Args:
-        path: output file.
-        recordings: recordings, by run.
-
-    Raises:
-        InputError: a file is not a recording of srs-twin, or the output file cannot be
-            written.
-    """
+    """Write one recording of several runs, each with its own floor and plots."""
     from rerun.chunk import RrdReader
 
     runs = []

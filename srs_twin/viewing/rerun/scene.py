@@ -25,7 +25,9 @@ from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, pressure_colors, r
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 
 METRES_PER_NEWTON = 0.05
-"""Length of force arrows per newton in all recordings; light robots weigh about 2 N."""
+"""Length of force arrows per newton in all recordings, m/N. Light robots weigh about
+2 N.
+"""
 
 FORCE_COLOR = "#d02020"
 _FORCE_RADIUS_M = 0.002
@@ -38,9 +40,8 @@ class Entities:
     """Writer of entities with common sample times.
 
     Attributes:
-        log: recording stream.
         time: sample times, s.
-        root: name prefix.
+        root: prefix of all entity names.
     """
 
     log: rr.RecordingStream
@@ -48,7 +49,7 @@ class Entities:
     root: str = ""
 
     def static(self, name: str, shape: rr.AsComponents) -> None:
-        """Log static components, which override components sent by `send`."""
+        """Log static components, which override components that `send` has sent."""
         self.log.log(f"{self.root}{name}", shape, static=True)
 
     def send(
@@ -63,14 +64,10 @@ class Entities:
     def line(
         self, name: str, values: np.ndarray, style: Style, *, steps: bool = False
     ) -> None:
-        """Send a signal.
+        """Send a signal as a line.
 
-        Args:
-            name: entity name.
-            values: samples.
-            style: line style.
-            steps: whether to send only samples at which the value changes, and the
-                last.
+        If `steps` is true, only the samples at which the value changes and the last
+        sample are sent.
         """
         entities = self
         mode = None
@@ -113,7 +110,7 @@ def send_obstacles(to: Entities, world: World) -> None:
 
 
 def send_objects(to: Entities, run: Trajectory, world: World) -> None:
-    """Log the movable objects of a run as `object_1` and so on."""
+    """Log the movable objects of a run as `object_1`, `object_2` and so on."""
     if not run.has("object_x"):
         return
     half = _OBSTACLE_HEIGHT_M / 2
@@ -135,14 +132,10 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     """Log the contact forces exerted by obstacles on a snake as arrows.
 
-    An arrow starts at the centre of a connector and shows the force on the connector
-    and the adjacent halves of its segments. All samples are used, because a contact may
-    be shorter than the sample interval of the shapes.
-
-    Args:
-        to: entities with all sample times of the run.
-        run: trajectory.
-        height: arrow height, m.
+    An arrow starts at the centre of a connector. The arrow shows the force on the
+    connector and on the adjacent halves of the neighbouring segments. All samples are
+    used, because a contact may be shorter than the sample interval of the shapes. The
+    height of the arrows is in m.
     """
     if not run.has("obstacle_force_x"):
         return
@@ -153,8 +146,8 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     in_contact = np.any(touched, axis=1)
     if not in_contact.any():
         return
-    # The viewer shows a row until the next one, so the first sample after a contact
-    # must remove the arrows.
+    # The viewer shows a sample until the next sample, so the first sample after a
+    # contact must remove the arrows.
     ended = np.append(False, in_contact[:-1]) & ~in_contact
     rows = np.flatnonzero(in_contact | ended)
     origins = _at_height(run.position[rows][touched[rows]], height)
@@ -166,18 +159,19 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
 
 
 _LINE_HEIGHT_M = 0.001
-"""Height of lines above the floor, m. It prevents flicker."""
+"""Height of lines above the floor, which prevents flicker, m."""
 
 CHORDS = 6
 """Number of capsules per arc.
 
-At a bend of 90° each capsule covers 15°, and the rounded ends hide the corners.
+At a bend of 90° each capsule covers 15°, and the round ends of the capsules hide the
+corners.
 """
 
 Rgba = tuple[int, int, int, int]
 _GHOST_ALPHA = 120
 _MAX_TRACKS = 20_000
-"""Maximum number of points that mark where a spatial snake pressed on the floor."""
+"""Maximum number of points that show where a spatial snake touched the floor."""
 _CONNECTOR_COLOR: Rgba = (70, 74, 82, 255)
 _WHEEL_COLOR: Rgba = (28, 30, 34, 255)
 _SPOKE_COLOR: Rgba = (200, 202, 206, 255)
@@ -229,8 +223,8 @@ def _places(snake: Trajectory, geometry: Geometry) -> np.ndarray:
 def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
     """Return the centre line of every segment, shape (samples, segments, points, 3), m.
 
-    Segments of a spatial snake are cubic curves between the connectors, tangent to the
-    axes of both connectors.
+    The centre lines of a spatial snake are cubic curves between the connectors. At each
+    end, the curve is tangent to the axis of the connector.
     """
     if not snake.has("z"):
         flat = centre_lines(snake, geometry, CHORDS)
@@ -288,8 +282,8 @@ def _send_hull(
 ) -> None:
     """Log the body as one hexagonal tube, because overlapping capsules look opaque."""
     lines = _lines(snake, geometry)
-    # Duplicate points are omitted: segments share their ends, and without a rigid gap
-    # the ends of an arc coincide with the connectors.
+    # Duplicate points are omitted. Segments share their ends, and if the rigid gap is
+    # 0, the ends of an arc coincide with the connectors.
     unique = slice(1, -2)
     if geometry.rigid_gap or snake.has("z"):
         unique = slice(0, -1)
@@ -300,8 +294,8 @@ def _send_hull(
     left = np.cross([0.0, 0.0, 1.0], tangent)
     left /= np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
     up = np.cross(tangent, left)
-    # The tube is slightly thinner than the other body, because coincident surfaces
-    # would flicker.
+    # The tube is slightly thinner than the body of the other plant, because coincident
+    # surfaces would flicker.
     radius = 0.46 * geometry.width
     angle = np.arange(6)[:, None] * np.pi / 3
     around = np.cos(angle) * left[:, :, None] + np.sin(angle) * up[:, :, None]
@@ -351,7 +345,7 @@ def _send_wheels(
 
 
 def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
-    """Log a bar on each wheel that makes the wheel's rotation visible."""
+    """Log a bar on each wheel, which shows the rotation of the wheel."""
     radius = geometry.wheel_radius
     half = [0.85 * radius, 0.22 * radius, 0.13 * radius]
     yaw = snake.stack("connector_heading")[:, :, None] / 2
@@ -395,7 +389,8 @@ def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
 def line_height(geometry: Geometry) -> float:
     """Return the height of the centre line, m.
 
-    The height is at least half the width, so that the body stays above the floor.
+    The height is at least half the width, so that the body does not penetrate the
+    floor.
     """
     return max(geometry.com_height, geometry.width / 2)
 
@@ -415,8 +410,11 @@ def _at_height(points: np.ndarray, height: float) -> np.ndarray:
 
 
 def _along(steps: np.ndarray) -> np.ndarray:
-    """Return quaternions xyzw, shape (n, 4), that rotate +z (capsule axis) to steps."""
-    # Without a rigid gap, the first and the last step of a segment have zero length.
+    """Return quaternions xyzw, shape (n, 4), that rotate the z axis to steps.
+
+    The z axis is the axis of a Rerun capsule.
+    """
+    # If the rigid gap is 0, the first and the last step of a segment have the length 0.
     length = np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12)
     x, y, z = np.moveaxis(steps / length, -1, 0)
     turn = np.stack([-y, x, 0.0 * x, 1.0 + z], axis=-1)
@@ -425,7 +423,7 @@ def _along(steps: np.ndarray) -> np.ndarray:
 
 
 def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
-    """Return quaternions xyzw, shape (n, 4), that rotate +z (capsule axis) to a yaw."""
+    """Return quaternions xyzw, shape (n, 4), that rotate the z axis to a yaw angle."""
     s = np.sin(yaw / 2)
     c = np.cos(yaw / 2)
     turns: np.ndarray = np.sqrt(0.5) * np.stack([-s, c, s, c], axis=-1)

@@ -1,9 +1,9 @@
 """Run the Rerun viewer in a child process or a browser, and verify recordings.
 
-The viewer accepts connections from this machine only. Rerun's page loads fonts from
-the internet, which delays the page offline and discloses its use online. A proxy
-server therefore removes these links and adds a Content-Security-Policy that makes the
-browser block all requests to other hosts.
+The viewer accepts connections from this machine only. Rerun's web page loads fonts from
+the internet. The download delays the page without a network connection, and discloses
+its use with a connection. A proxy server therefore removes the links to the fonts and
+adds a Content-Security-Policy that makes the browser block all requests to other hosts.
 """
 
 from __future__ import annotations
@@ -30,11 +30,7 @@ from srs_twin.errors import InputError
 
 
 def rerun_executable() -> Path:
-    """Return the path of `rerun` in the environment of the running Python.
-
-    Raises:
-        InputError: the program is missing.
-    """
+    """Return the path of `rerun` in the environment of the Python interpreter."""
     program = Path(sys.executable).parent / (
         "rerun.exe" if os.name == "nt" else "rerun"
     )
@@ -53,11 +49,7 @@ def lacks_display() -> bool:
 
 
 def open_recording(path: str | Path) -> None:
-    """Open a recording in the native viewer, and wait until the viewer is closed.
-
-    Raises:
-        InputError: the recording or the display is missing, or the viewer failed.
-    """
+    """Open a recording in the native viewer, and wait until the viewer is closed."""
     recording = _recording(path)
     program = rerun_executable()
     if lacks_display():
@@ -78,11 +70,7 @@ def open_recording(path: str | Path) -> None:
 
 
 def verify_recording(path: str | Path) -> None:
-    """Verify a recording with `rerun rrd verify`.
-
-    Raises:
-        InputError: the recording is missing, incomplete or damaged.
-    """
+    """Verify a recording with `rerun rrd verify`."""
     recording = _recording(path)
     command = [str(rerun_executable()), "rrd", "verify", str(recording)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
@@ -109,22 +97,18 @@ HOST = "127.0.0.1"
 """Address on which the viewer accepts connections."""
 
 _STOP_TIMEOUT_S = 10.0
-"""Time between SIGTERM and killing the viewer, s."""
+"""Time between SIGTERM and SIGKILL for the viewer, s."""
 
 Rerun = subprocess.Popen[bytes]
 
 
 @contextmanager
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
-    """Run Rerun, and yield the process and the file with its output.
-
-    Raises:
-        InputError: Rerun is not installed.
-    """
+    """Run Rerun, and yield the process and the file with the output of Rerun."""
     command = [str(rerun_executable()), "--bind", HOST, *arguments]
     with tempfile.TemporaryFile() as output:
-        # The script `rerun` starts the actual program. A process group allows stopping
-        # both processes.
+        # The script `rerun` starts the actual program. With a process group, the script
+        # and the program can be stopped together.
         rerun = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -190,12 +174,9 @@ def serve_recordings(
 
     Args:
         recordings: recordings.
-        port: page port, or 0 for a free port.
-        data_port: port to which a running program may stream data, or None for a free
-            port.
-
-    Raises:
-        InputError: the port is in use, or Rerun does not start.
+        port: port of the page, or 0 to select a free port.
+        data_port: port to which a running program may stream data, or None to select a
+            free port.
     """
     data_port = data_port or free_port()
     viewer_port = free_port()
@@ -222,7 +203,7 @@ def serve_recordings(
 
 
 class _ProxyHandler(BaseHTTPRequestHandler):
-    """Request handler that forwards Rerun's files without links to other hosts."""
+    """Request handler that removes links to other hosts from the files of Rerun."""
 
     def __init__(self, source: str, query: str, *request: Any) -> None:
         self.source = source
@@ -252,7 +233,7 @@ class _ProxyHandler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(content)))
         self.send_header("Content-Security-Policy", _POLICY)
         self.end_headers()
-        with suppress(ConnectionError):  # the page was closed while loading
+        with suppress(ConnectionError):  # the page was closed while it was loading
             self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
@@ -260,7 +241,7 @@ class _ProxyHandler(BaseHTTPRequestHandler):
 
 
 def _opener() -> urllib.request.OpenerDirector:
-    """Return an opener without proxies, for requests to this machine."""
+    """Return a URL opener that uses no proxy, for requests to this machine."""
     return urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
