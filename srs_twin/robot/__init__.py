@@ -1,1 +1,1 @@
-"""Robots: files with sourced numbers, and the frozen `RobotSpec` built from them."""
+"""Robot files, in which every number has a source, and the frozen `RobotSpec`."""
