@@ -337,9 +337,9 @@ def random_circles(
         bounds: rectangle that contains the centres of the circles.
         seed: random seed.
         radius: minimum and maximum radius, m.
-            gap: minimum distance between the edges of two circles, m. Circles may overlap if
-                the gap is negative.
-            clear: discs (x, y, radius) that no circle may touch, m.
+        gap: minimum distance between the edges of two circles, m. Circles may overlap if
+            the gap is negative.
+        clear: discs (x, y, radius) that no circle may touch, m.
 
     Raises:
         InputError: the circles do not fit.
