@@ -117,10 +117,11 @@ class Switch(NamedTuple):
 
     Attributes:
         name: short name.
-            title: assumption of the model and assumption of the twin, separated by an arrow.
-            differs: whether the plants of the scenario differ in the assumption.
-            options: arguments of the analytical model if the switch is active. Arguments of
-                later switches take precedence.
+        title: assumption of the model and assumption of the twin, separated by an
+            arrow.
+        differs: whether the plants of the scenario differ in the assumption.
+        options: arguments of the analytical model if the switch is active. Arguments of
+            later switches take precedence.
     """
 
     name: str
@@ -359,9 +360,9 @@ class PlantVariants:
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
         """Return twins with the damping time at each end of its 95 % interval.
 
-        The dictionary is empty if the robot has no such interval. It is also empty if the
-        chamber pressures depend on the bends, because closed chambers diverge with short
-        damping times (docs/planar-models.md).
+        The dictionary is empty if the robot has no such interval. It is also empty if
+        the chamber pressures depend on the bends, because closed chambers diverge with
+        short damping times (docs/planar-models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}
@@ -539,8 +540,8 @@ def main_cause(
     Returns:
         Name of the assumption (`name`) and effects on `com_speed_m_s` and
         `yaw_rate_rad_s`. The key `window_s` is added if the effects refer to the time
-        before a contact. The result is None if the run has no gait, the model is already
-        compliant, or the robot is spatial.
+        before a contact. The result is None if the run has no gait, the model is
+        already compliant, or the robot is spatial.
     """
     if scenario.robot.is_spatial:
         return None

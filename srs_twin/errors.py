@@ -162,7 +162,7 @@ class RenamedWarning(UserWarning):
 
 
 class UnitWarning(UserWarning):
-    """Warning about a number in a robot file that was probably given in a wrong unit."""
+    """Warning about a number in a robot file that is probably in a wrong unit."""
 
 
 class EngineWarning(UserWarning):
@@ -174,11 +174,11 @@ class SessionWarning(UserWarning):
 
 
 class CacheWarning(UserWarning):
-    """Warning that compiled kernels cannot be cached and are compiled at every start."""
+    """Warning that kernels cannot be cached and are compiled at every start."""
 
 
 class DivergedError(SrsError):
-    """Error for a simulated value that is not finite or not plausible, with exit code 3.
+    """Error for a simulated value that is infinite or implausible, with exit code 3.
 
     Attributes:
         time: simulated time at which the divergence was detected, s.
@@ -233,7 +233,7 @@ def _is_memory_shortage(error: BaseException) -> bool:
 
 
 class WorkerDiedError(SrsError):
-    """Error for a task whose worker processes died in every attempt, with exit code 4."""
+    """Error for a task whose worker process died in every attempt, with exit code 4."""
 
     def __init__(self, exit_code: int, attempts: int) -> None:
         times = "" if attempts == 1 else f", {attempts} times in a row"
@@ -480,7 +480,7 @@ def _is_whole(ratio: float, tolerance: float = 1e-9) -> bool:
 
 
 def shortest_decimal(value: float, fits: Callable[[float], bool]) -> str:
-    """Return the shortest decimal text of at least six digits for which `fits` holds."""
+    """Return the shortest decimal text of six or more digits for which `fits` holds."""
     return next(
         (text for n in range(6, 17) if fits(float(text := f"{value:.{n}g}"))),
         repr(value),
@@ -497,8 +497,8 @@ class SamplingGrid(NamedTuple):
 
     Attributes:
         tick: control tick, s.
-            step: time step of which a sampling interval shorter than a tick must be a
-                multiple, s. It is None if any interval is allowed.
+        step: time step of which a sampling interval shorter than a tick must be a
+            multiple, s. It is None if any interval is allowed.
     """
 
     tick: float

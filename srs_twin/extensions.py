@@ -242,7 +242,7 @@ def _why_unusable(entry: str) -> str:
 
 
 def plugins() -> dict[str, str]:
-    """Return the file path of each allowed plug-in, or its module name, keyed by module."""
+    """Return the file path or module name of each allowed plug-in, keyed by module."""
     entries = os.environ.get(PLUGINS, "").split(os.pathsep)
     return {
         os.path.basename(entry).removesuffix(".py"): entry for entry in entries if entry

@@ -2,8 +2,8 @@
 
 The function `rollout` simulates one run. The function `run_many` simulates independent
 runs on several threads. Kernels and MuJoCo release the interpreter lock during a step,
-so the threads run in parallel. The function `run_batch` simulates a batch of twins whose
-commands one policy computes tick by tick.
+so the threads run in parallel. The function `run_batch` simulates a batch of twins
+whose commands one policy computes tick by tick.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -95,8 +95,8 @@ def rollout(
         resume: saved states of plant and controller from which the run continues. The
             simulated time continues as well.
         seed: random seed of plant and controller.
-        record_hz: sampling rate, Hz. Either the number of samples per tick or the number
-            of ticks per sample must be an integer.
+        record_hz: sampling rate, Hz. Either the number of samples per tick or the
+            number of ticks per sample must be an integer.
         until: predicate that ends the run after the first tick for which it returns
             True.
         observers: functions called with the initial state and with the state after
@@ -307,8 +307,8 @@ class Recorder:
         samples: number of samples per tick.
         stride: number of ticks per sample, or 1 if there are several samples per tick.
         events: events of the controller.
-            ended_by: reason for an early end, "until" or "controller". It is None if the run
-                has not ended early.
+        ended_by: reason for an early end, "until" or "controller". It is None if the
+            run has not ended early.
     """
 
     def __init__(
@@ -464,16 +464,16 @@ class Job:
     """Arguments of one `rollout` in `run_many`.
 
     Attributes:
-            plant: simulated robot, or a function that builds it. A thread reuses the plant
-                for consecutive jobs with the same function.
-            controller: controller of the valves, or a function that builds a controller for
-                every job.
+        plant: simulated robot, or a function that builds it. A thread reuses the plant
+            for consecutive jobs with the same function.
+        controller: controller of the valves, or a function that builds a controller for
+            every job.
         duration: simulated time, s.
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz.
-            initial_state: function that sets another initial state of the plant, instead of
-                `pose`.
+        initial_state: function that sets another initial state of the plant, instead of
+            `pose`.
     """
 
     plant: Plant | Callable[[], Plant]

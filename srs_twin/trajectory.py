@@ -114,11 +114,11 @@ class Trajectory(HtmlResult):
       instead of the columns for plus and minus.
 
     Attributes:
-            columns: float array of each column, keyed by name, shape (samples,).
-            units: units of columns whose names are not listed above.
-            events: events in chronological order.
-            metadata: JSON values such as plant, robot, tick, gait frequency and valve
-                switch counts. Wall times are excluded.
+        columns: float array of each column, keyed by name, shape (samples,).
+        units: units of columns whose names are not listed above.
+        events: events in chronological order.
+        metadata: JSON values such as plant, robot, tick, gait frequency and valve
+            switch counts. Wall times are excluded.
     """
 
     columns: Mapping[str, Array]

@@ -254,8 +254,8 @@ class RobotFile(StrictModel):
         """Return the drive of a robot whose joints are turned by servos.
 
         Two equal time constants give a critically damped response. The stiffness k is
-        so high that loads hardly bend the joints. The damping k τ gives the joints of the
-        twin the same critically damped response.
+        so high that loads hardly bend the joints. The damping k τ gives the joints of
+        the twin the same critically damped response.
         """
         time = self.actuator.response_time_s
         assert time is not None, "`contradictions` reports a missing key"
@@ -293,7 +293,7 @@ class RobotFile(StrictModel):
         return len(self.chamber.directions_deg.value)
 
     def masses(self) -> list[float]:
-        """Return the masses of the connectors or of the skin's segments, head first, kg."""
+        """Return connector masses, or segment masses with skin, head first, kg."""
         connectors = self.geometry.connectors.value
         if self.has_skin:
             record = self.mass.segments_kg
@@ -468,7 +468,7 @@ def _section_model(name: str) -> type[Records] | None:
 
 
 def section_units(section: str) -> dict[str, str]:
-    """Return the units of the keys in a section, or {} if the section has no records."""
+    """Return the units of the keys in a section, or {} for an unknown section."""
     model = _section_model(section)
     keys = model.model_fields if model else ()
     return {key: split_unit(key)[1] for key in keys if key not in _PLAIN_KEYS}

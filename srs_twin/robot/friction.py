@@ -6,8 +6,8 @@ df_n/dv_t, df_n/dv_n)``, because the implicit integrator needs the derivatives. 
 function sgn v is regularised to v/√(v² + ε²) with a slip speed ε. All functions are
 elementwise and accept arrays of any shape. The kernels compile these functions.
 
-- `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn v_t,
-  μ_n sgn v_lat). This is the law of the dissertation for one contact point.
+- `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn
+  v_t, μ_n sgn v_lat). This is the law of the dissertation for one contact point.
 - `wheel`: rolling wheel on a floor with the friction coefficient μ_n. The axial force
   f_t = −N min(μ_t, μ_n |v_t|/|v|) sgn v_t is limited by the axle drag μ_t and by the
   friction cone. The remainder of the friction cone acts across the heading.
@@ -19,7 +19,8 @@ elementwise and accept arrays of any shape. The kernels compile these functions.
   proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_lat)/√(v_t² +
   v_n²). This force has no potential, because df_t/dv_n ≠ df_n/dv_t. It lies on the
   same ellipse as the force of the law `ellipse` but has another direction.
-- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_lat)/v₁ with v₁ = 1 m/s, a law for tests.
+- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_lat)/v₁ with v₁ = 1 m/s, a law for
+  tests.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ one contact point at the centre."""
 
 SkinLaw = Literal["ellipse", "cosine"]
 SKIN_LAWS: tuple[SkinLaw, ...] = get_args(SkinLaw)
-"""Friction laws of a skin that slides in every direction. For a skin, μ_t differs between
-forward and backward slip."""
+"""Friction laws of a skin that slides in every direction. For a skin, μ_t differs
+between forward and backward slip."""
 
 _MIN_COEFFICIENT = 1e-12
 """Lower bound on μ under the root of `ellipse`, which avoids 0/0 without friction."""

@@ -104,7 +104,7 @@ def chord(bend: Array, length: float, gap: float) -> Array:
 
 
 def relative_headings(bend: Array) -> Array:
-    """Return headings (…, N) relative to the mean heading from bends (…, N − 1), rad."""
+    """Return headings (…, N) relative to their mean from bends (…, N − 1), rad."""
     from_head = np.concatenate(
         [np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1
     )

@@ -95,8 +95,8 @@ _DENSITY = 500.0
 """Typical density of a connector with its part of the body, kg/m³."""
 
 _DENSITY_RATIO = 50.0
-"""Maximum plausible ratio of a density to `_DENSITY`. A density beyond 4 times this ratio
-is certainly wrong, because osmium has 22 600 kg/m³."""
+"""Maximum plausible ratio of a density to `_DENSITY`. A density beyond 4 times this
+ratio is certainly wrong, because osmium has 22 600 kg/m³."""
 
 
 class Doubt(NamedTuple):

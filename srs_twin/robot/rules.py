@@ -1,7 +1,7 @@
 """Consistency rules between the parameters of a robot.
 
-`RobotSpec` raises violations as an error. A robot file reports each violation at the key
-of the parameter.
+`RobotSpec` raises violations as an error. A robot file reports each violation at the
+key of the parameter.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Viol
 
 
 def tail_violations(com: float, axle: float) -> Iterator[Violation]:
-    """Yield a violation if the tail's centre of mass is not between the tail's axles."""
+    """Yield a violation if the tail's centre of mass is not between its axles."""
     if com > axle:
         yield Violation(
             "com",

@@ -24,7 +24,8 @@ import math
 from typing import NamedTuple
 
 REFERENCE_PITCH = 1 / 16
-"""Reference distance P₀ between connectors, m. The shipped robots have 5.5 to 7.5 cm."""
+"""Reference distance P₀ between connectors, m. The shipped robots have 5.5 to 7.5
+cm."""
 
 _ROUND_NUMBERS = (1, 2, 5, 10)
 _ROUNDING = 1e-9
@@ -64,8 +65,9 @@ def divide(interval: float, part: float) -> float:
 
     The step is `part` if the interval is a multiple of `part`, and the whole interval
     if the interval is shorter than `part`. Otherwise the number of steps is 1, 2 or 5
-    times a power of ten, chosen so that the ratio of the step to `part` is closest to 1.
-    A tick of 20 ms that is scaled by any factor is then divided like the original tick.
+    times a power of ten, chosen so that the ratio of the step to `part` is closest to
+    1. A tick of 20 ms that is scaled by any factor is then divided like the original
+    tick.
 
     Args:
         interval: interval to divide, s.

@@ -1,9 +1,9 @@
 """Records of numbers with unit, status and source, and the units of file keys.
 
 A key ends with the unit of its number, for example ``segment_length_m`` or
-``stiffness_nm_per_rad``. A `Record` repeats the unit next to the number. The unit of the
-record must agree with the unit of the key, so that a number that was copied from a table
-in another unit is rejected.
+``stiffness_nm_per_rad``. A `Record` repeats the unit next to the number. The unit of
+the record must agree with the unit of the key, so that a number that was copied from a
+table in another unit is rejected.
 """
 
 from __future__ import annotations
@@ -251,7 +251,7 @@ def number_field(low: float, high: float, kind: type = float, **options: Any) ->
 
 
 def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
-    """Insert the unit and range of a number before the first semicolon of a help text."""
+    """Insert unit and range of a number before the first semicolon of a help text."""
     for key, text in attribute_docstrings(cls).items():
         entry = schema["properties"][key]
         head, semicolon, rest = text.rstrip(".").partition(";")
@@ -301,7 +301,7 @@ class Records(StrictModel):
             setattr(cls, key, Field(None if optional else ..., description=text))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle plain data, because pickle cannot import the generated record classes."""
+        """Pickle plain data, because pickle cannot import generated classes."""
         return type(self).model_validate, (self.model_dump(exclude_unset=True),)
 
     def to_si(self) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 """RobotSpec: immutable, validated parameters of one snake in SI units.
 
-The numbers come from ``calibration/robots/*.yaml``, where each number has a source and a
-status. The class `Modules` stores differences between the modules of a snake
-(Section 5.1). Moulded chambers differ in gain and air flow, a body at rest is not
-perfectly straight, and sensors drift after their calibration.
+The numbers come from ``calibration/robots/*.yaml``, where each number has a source and
+a status. The class `Modules` stores differences between the modules of a snake (Section
+5.1). Moulded chambers differ in gain and air flow, a body at rest is not perfectly
+straight, and sensors drift after their calibration.
 
 Connectors are numbered i = 1…N from head to tail. Segment j lies between connectors j
 and j+1. A bend q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
@@ -49,11 +49,11 @@ class Modules:
 
     Attributes:
         gain: gain of each chamber relative to the nominal gain, shape (segments, 2).
-            bias: rest bend of each segment, shape (segments,), rad.
-            tau_fill: ratio of the fill time constant τ₁ to the nominal value, shape
-                (segments, 2).
-            tau_vent: ratio of the vent time constant τ₁ to the nominal value, shape
-                (segments, 2).
+        bias: rest bend of each segment, shape (segments,), rad.
+        tau_fill: ratio of the fill time constant τ₁ to the nominal value, shape
+            (segments, 2).
+        tau_vent: ratio of the vent time constant τ₁ to the nominal value, shape
+            (segments, 2).
         sensor_gain: ratio of sensor reading to actual bend, shape (segments,).
         sensor_bias: sensor reading of a straight segment, shape (segments,), rad.
     """
@@ -147,14 +147,14 @@ class Geometry:
     Attributes:
         connectors: N, number of connectors ("links" in the dissertation), at least 2.
         segment_length: l, length of the bending part of a segment, m.
-            rigid_gap: L_o, length of the straight part of a segment, m (Fig. 35). Half of
-                this length is at each end of the segment.
-            half_track: distance of each contact point from the centre line, m. For a skin of
-                width w, the contact points are the Gauss points at w/(2√3).
-            wheel_radius: radius of a wheel, m. For a skin, it is the radius of the spheres
-                with which the twin touches the floor.
-            com_height: height of a connector's centre of mass above the floor, m.
-            width: width of the soft body, m. It affects only pictures and collision checks.
+        rigid_gap: L_o, length of the straight part of a segment, m (Fig. 35). Half of
+            this length is at each end of the segment.
+        half_track: distance of each contact point from the centre line, m. For a skin
+            of width w, the contact points are the Gauss points at w/(2√3).
+        wheel_radius: radius of a wheel, m. For a skin, it is the radius of the spheres
+            with which the twin touches the floor.
+        com_height: height of a connector's centre of mass above the floor, m.
+        width: width of the soft body, m. It affects only pictures and collision checks.
     """
 
     connectors: int
@@ -250,14 +250,14 @@ class Friction:
     """Friction coefficients of wheels (Eq. 17) or skin on the floor, and axial drag.
 
     Attributes:
-        mu_t: friction coefficient along the heading. For wheels it is the axle drag, and
-            for a skin the coefficient for slip towards the head.
+        mu_t: friction coefficient along the heading. For wheels it is the axle drag,
+            and for a skin the coefficient for slip towards the head.
         mu_n: friction coefficient across the heading. For wheels it applies to sliding
             sideways.
         drag: total axial drag of tubes and belly, N. Equal parts act on the connectors
             against their motion along the heading, independent of the wheel loads.
-        mu_back: friction coefficient of a skin for slip towards the tail. If it is None,
-            the coefficient is `mu_t`.
+        mu_back: friction coefficient of a skin for slip towards the tail. If it is
+            None, the coefficient is `mu_t`.
     """
 
     mu_t: float
@@ -282,7 +282,7 @@ class Skin:
 
     Attributes:
         law: friction law, "ellipse" or "cosine" (`robot.friction`).
-            points: number of pairs of contact points along a segment.
+        points: number of pairs of contact points along a segment.
     """
 
     law: SkinLaw = "ellipse"
@@ -300,7 +300,7 @@ class Bending:
     Attributes:
         stiffness: k, bending stiffness about z, N·m/rad.
         damping_time: c/k, ratio of damping to stiffness for deviations from the free
-                    bend, s. At the frequency f, the loss factor of the material is 2π f c/k.
+            bend, s. At the frequency f, the loss factor of the material is 2π f c/k.
         pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
         roll_stiffness: stiffness against twisting, N·m/rad.
         out_of_plane_damping_time: ratio of damping to stiffness for pitch and roll, s.
@@ -340,16 +340,17 @@ class Actuator:
     Attributes:
         tau_fill: fill time constant τ₁, s.
         tau_vent: vent time constant τ₁, s.
-            tau_mode: mode time constant τ₂, with which the free bend lags the pressures, s.
-            gain: free bend C₀ divided by the chamber pressure that causes it, rad/Pa.
-            bend_limit: q_m, limit of the free bend at high pressure, rad. It is infinite for
-                a linear gain.
-            onset_fraction: s, fraction of the gain that is missing in the dead zone around
-                zero pressure.
-            dead_zone: d, free bend of the linear law at the end of the dead zone, rad.
-            dead_zone_transition: w, width of the transition at the end of the dead zone, rad.
-            extension: e, extension of a spatial robot's segment divided by the mean pressure
-                of its chambers, m/Pa.
+        tau_mode: mode time constant τ₂, with which the free bend lags the pressures, s.
+        gain: free bend C₀ divided by the chamber pressure that causes it, rad/Pa.
+        bend_limit: q_m, limit of the free bend at high pressure, rad. It is infinite
+            for a linear gain.
+        onset_fraction: s, fraction of the gain that is missing in the dead zone around
+            zero pressure.
+        dead_zone: d, free bend of the linear law at the end of the dead zone, rad.
+        dead_zone_transition: w, width of the transition at the end of the dead zone,
+            rad.
+        extension: e, extension of a spatial robot's segment divided by the mean
+            pressure of its chambers, m/Pa.
     """
 
     tau_fill: float
@@ -391,13 +392,13 @@ class Chamber:
     The volume of a chamber is V(q) = dead_volume + displacement · max(0, ± q).
 
     Attributes:
-            dead_volume: volume of the chamber of a straight segment including its tube, m³.
-                It is also the minimum volume of the chamber.
-            displacement: derivative of the volume with respect to a bend towards the side of
-                the chamber, m³/rad.
-            directions: bending direction of each chamber of a spatial robot, rad. The angle
-                is 0 to the left and π/2 upwards. A planar robot has a left and a right
-                chamber, and None instead of directions.
+        dead_volume: volume of the chamber of a straight segment including its tube, m³.
+            It is also the minimum volume of the chamber.
+        displacement: derivative of the volume with respect to a bend towards the side
+            of the chamber, m³/rad.
+        directions: bending direction of each chamber of a spatial robot, rad. The angle
+            is 0 to the left and π/2 upwards. A planar robot has a left and a right
+            chamber, and None instead of directions.
     """
 
     dead_volume: float
@@ -426,9 +427,9 @@ class Supply:
     Attributes:
         nominal: supply pressure of a scenario that does not specify one, Pa.
         continuous_limit: maximum pressure that a chamber may hold, Pa.
-            pulsed_limit: maximum supply pressure of a gait or PWM, in which chambers
-                alternate, Pa.
-            limit_source: source of the limits, which error messages cite.
+        pulsed_limit: maximum supply pressure of a gait or PWM, in which chambers
+            alternate, Pa.
+        limit_source: source of the limits, which error messages cite.
     """
 
     nominal: float
@@ -446,8 +447,8 @@ class Tail:
 
     Attributes:
         axle: distance of the second axle behind the axle of the last connector, m.
-            com: distance of the centre of mass behind the axle of the last connector, m. The
-                maximum is `axle`.
+        com: distance of the centre of mass behind the axle of the last connector, m.
+            The maximum is `axle`.
         com_height: height of the centre of mass above the floor, m.
         gyration: radius of gyration of the assembly including its wheels, m.
     """
@@ -469,7 +470,7 @@ class Axle(NamedTuple):
     Attributes:
         connector: number of the connector on the axle, counted from 1 at the head.
         behind: distance of the axle behind the centre of the connector, m.
-            mass: mass that the axle carries at rest on a level floor, kg.
+        mass: mass that the axle carries at rest on a level floor, kg.
     """
 
     connector: int
@@ -482,8 +483,8 @@ class RobotSpec:
     """Parameters of one snake.
 
     Attributes:
-            name: short name, which is also the name of the MJCF model.
-            title: description on one line.
+        name: short name, which is also the name of the MJCF model.
+        title: description on one line.
         geometry: dimensions and number of connectors.
         mass: masses of connectors and wheels.
         friction: friction on the floor.
@@ -492,10 +493,10 @@ class RobotSpec:
         chamber: air space of a chamber.
             supply: supply pressures and their limits.
         phase_step: β, phase lag of the gait from one segment to the next, rad (E18).
-            variation: individual properties of the modules, or None if all modules are
-                nominal.
-            tail: tail assembly, or None if the robot has none.
-            skin: contact of a body without wheels, or None for a robot on wheels.
+        variation: individual properties of the modules, or None if all modules are
+            nominal.
+        tail: tail assembly, or None if the robot has none.
+        skin: contact of a body without wheels, or None for a robot on wheels.
     """
 
     name: str
@@ -633,8 +634,9 @@ class RobotSpec:
     def connector_gyration(self) -> float:
         """Radius of gyration of a connector without its wheels, m.
 
-        By default, the connector is a uniform block with the length of the rigid gap L_o
-        and the width of the track 2 w. Its radius of gyration is √((L_o² + (2 w)²)/12).
+        By default, the connector is a uniform block with the length of the rigid gap
+        L_o and the width of the track 2 w. Its radius of gyration is √((L_o² + (2
+        w)²)/12).
         """
         if self.mass.connector_gyration is not None:
             return self.mass.connector_gyration
@@ -642,7 +644,7 @@ class RobotSpec:
         return math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
 
     def yaw_inertia(self) -> np.ndarray:
-        """Return the yaw inertia of each connector with its wheels, shape (N,), kg·m²."""
+        """Return the yaw inertia of connectors with wheels, shape (N,), kg·m²."""
         wheel = self.mass.wheel
         g = self.geometry
         # The yaw inertia of a wheel is m r²/4 for a thin disc about a diameter, plus the

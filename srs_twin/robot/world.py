@@ -39,7 +39,7 @@ class Pose:
     heading: float
 
     def __iter__(self) -> Iterator[float]:
-        """Yield x, y and heading as floats, so that kernels are compiled for one type."""
+        """Yield x, y and heading as floats, for which kernels are compiled."""
         return iter((float(self.x), float(self.y), float(self.heading)))
 
 
@@ -144,13 +144,13 @@ class MovableObject:
     """Cylinder or box that stands on the floor and slides on it.
 
     Attributes:
-            size: radius of a cylinder, or length and width of a box, m.
-            mass: mass, kg.
-            friction: friction coefficient between the object and the floor.
-            x: initial x coordinate of the centre, m.
-            y: initial y coordinate of the centre, m.
-            heading: initial direction of the long side of a box, counter-clockwise from x,
-                rad.
+        size: radius of a cylinder, or length and width of a box, m.
+        mass: mass, kg.
+        friction: friction coefficient between the object and the floor.
+        x: initial x coordinate of the centre, m.
+        y: initial y coordinate of the centre, m.
+        heading: initial direction of the long side of a box, counter-clockwise from x,
+            rad.
     """
 
     size: tuple[float, ...]
@@ -177,9 +177,9 @@ class MovableObject:
         """Positions of four points that carry equal loads, in the object's frame, m.
 
         For a box, the four points are Gauss points and have the second moments of a
-        uniform pressure. For a cylinder, the points lie at two thirds of the radius. The
-        friction moment in a pure spin then equals the moment 2/3 μ m g R of a uniform
-        pressure. For a square box, the friction moment is 7 % too large.
+        uniform pressure. For a cylinder, the points lie at two thirds of the radius.
+        The friction moment in a pure spin then equals the moment 2/3 μ m g R of a
+        uniform pressure. For a square box, the friction moment is 7 % too large.
         """
         reach = 1 / math.sqrt(12) if self.is_box else math.sqrt(2) / 3
         a, b = (reach * side for side in (self.size if self.is_box else self.size * 2))
@@ -337,8 +337,8 @@ def random_circles(
         bounds: rectangle that contains the centres of the circles.
         seed: random seed.
         radius: minimum and maximum radius, m.
-        gap: minimum distance between the edges of two circles, m. Circles may overlap if
-            the gap is negative.
+        gap: minimum distance between the edges of two circles, m. Circles may overlap
+            if the gap is negative.
         clear: discs (x, y, radius) that no circle may touch, m.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Consistency checks between sections of a scenario, after each section is validated."""
+"""Consistency checks between validated sections of a scenario."""
 
 from __future__ import annotations
 
@@ -298,7 +298,7 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 
 def check_controller(file: ScenarioFile, loading: Loading) -> None:
-    """Set the valve layout and report controllers that the scenario does not support."""
+    """Set the valve layout and report a controller that the scenario rules out."""
     document = loading.document
     spec = loading.robot.spec()
     controller = file.controller

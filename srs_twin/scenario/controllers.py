@@ -106,7 +106,7 @@ class ControllerSection(Section):
         return layouts
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the controller cannot run with this robot or tick (s)."""
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
 
     def warnings(self, limit: float) -> Iterator[str]:
         """Yield warnings about a reference beyond the maximum bend `limit` (rad).
@@ -163,7 +163,7 @@ class GaitFile(ControllerSection):
         return Gait(**self.arguments() | {"pitch": self.pitch and self.pitch.build()})
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the gait does not fit the robot or the tick (s)."""
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
         if self.pitch is not None:
             self.pitch.build().check(spec)
 
@@ -219,11 +219,11 @@ class LearningFile(ControllerSection):
         return self
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the controller does not fit the robot or the tick (s)."""
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
         ChamberPeriods(spec.modules.array("bias"), self.frequency_hz, tick)
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """Yield warnings about target amplitudes beyond the maximum bend `limit` (rad)."""
+        """Yield a warning if the target exceeds the maximum bend `limit` (rad)."""
         if self.target_rad and self.target_rad > limit:
             yield (
                 f"controller.target_rad: {self.target_rad:.4g} rad is above {limit:.4g}"
@@ -334,7 +334,7 @@ class _TrackingFile(ControllerSection):
         return reference.limited(limit, self.beyond_range)
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """Yield a warning if the reference saturates at the maximum bend `limit` (rad)."""
+        """Yield a warning if the reference saturates at the bend `limit` (rad)."""
         if unlimited := getattr(self.within(limit), "unclipped", None):
             yield (
                 f"controller.reference: {unlimited.peak:.4g} rad is limited to"
@@ -372,7 +372,7 @@ class IterativeFile(_TrackingFile):
     """Carrier frequency of the pulse-width modulation."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the controller does not fit the robot or the tick (s)."""
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
         PulseWidthModulator(self.carrier_hz, tick, spec.segments, scale=spec.scale)
 
 
@@ -423,7 +423,7 @@ class GraspFile(ControllerSection):
     the robot)."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the grasp does not fit the robot or the tick (s)."""
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
         check_hold(self.arguments()["hold"], spec)
         check_release(self.mode, self.drag_m)
 

@@ -176,7 +176,7 @@ class AllowedRange(NamedTuple):
     def near(
         cls, value: float, relative: float | None, absolute: float | None
     ) -> AllowedRange:
-        """Return the range given by the absolute tolerance or else the relative tolerance."""
+        """Return the range within the absolute or else the relative tolerance."""
         tolerance = absolute
         if tolerance is None:
             tolerance = (relative or 0.0) * math.fabs(value)
@@ -289,7 +289,7 @@ class Expectation(Section):
 
     @property
     def allowed(self) -> AllowedRange:
-        """Range of allowed values. It is unbounded for a published value with `within`."""
+        """Range of allowed values, which is unbounded if `within` is set."""
         if self.near is not None:
             return AllowedRange.near(self.near, self.rel, self.abs)
         low, high = AllowedRange()
@@ -305,10 +305,10 @@ class Expectation(Section):
         """Return the result of the expectation for a run.
 
         Args:
-            metrics: data of metrics.json, with `experiment.stored_intervals` as the entry
-                "intervals".
-            undefined: reason why the metric is undefined. It is None if the metric has a
-                value, or if the missing value is itself a result of the run.
+            metrics: data of metrics.json, with `experiment.stored_intervals` as the
+                entry "intervals".
+            undefined: reason why the metric is undefined. It is None if the metric has
+                a value, or if the missing value is itself a result of the run.
         """
         allowed = self.allowed
         if self.of:
@@ -352,8 +352,8 @@ class Expectation(Section):
     ) -> ExpectationRow:
         """Return the entries of a row that depend on a stored interval.
 
-        The row has a `reason` if no verdict is possible. For example, the published value
-        lies within two standard errors of an end of the interval.
+        The row has a `reason` if no verdict is possible. For example, the published
+        value lies within two standard errors of an end of the interval.
         """
         published = self.published
         assert self.within is not None and published is not None, "see _is_consistent()"
@@ -390,7 +390,7 @@ class Expectation(Section):
         }
 
     def _uncertainties(self, spread: Mapping[str, Any]) -> ExpectationRow:
-        """Return the standard uncertainties of ASME V&V 20 and the name of the largest one."""
+        """Return the standard uncertainties of ASME V&V 20, and the largest one."""
         u_d = self.scatter
         if u_d is None:
             u_d = _PUBLISHED_STD * abs(self.published or 0.0)

@@ -173,8 +173,8 @@ class Section(StrictModel):
     def with_scaled_defaults(self, keys: Iterable[str], factor: float) -> Self:
         """Multiply the defaults of some keys by a factor.
 
-        Keys that the file sets are not changed. Each of the keys holds a number or a tuple
-        of numbers.
+        Keys that the file sets are not changed. Each of the keys holds a number or a
+        tuple of numbers.
         """
         changed: dict[str, object] = {}
         for key in set(keys) - self.model_fields_set:
@@ -230,7 +230,7 @@ class FileSections(Protocol):
         """Names of the fields that are set in the file."""
 
     def section(self, name: str) -> Any:
-        """Return the section of an extension, or None if the file does not contain it."""
+        """Return an extension section, or None if the file does not contain it."""
 
 
 @dataclass

@@ -318,7 +318,7 @@ class ScenarioFile(Section):
     }
 
     def tick(self, plant: str) -> float:
-        """Return the control tick (s) of a plant, even if the file does not name the plant."""
+        """Return the control tick (s) of a plant, even if the plant does not run."""
         section = getattr(self.plants, plant)
         if self.bench:
             default = BENCH_TICK_S
@@ -343,7 +343,7 @@ class ScenarioFile(Section):
         return scaled
 
     def section(self, name: str) -> Any:
-        """Return the section of an extension, or None if the file does not contain it."""
+        """Return an extension section, or None if the file does not contain it."""
         return getattr(self, name, None)
 
     def sections(self) -> dict[str, ExtensionSection]:

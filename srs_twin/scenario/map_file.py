@@ -1,15 +1,16 @@
 """Obstacles from ROS occupancy maps and from CSV lists of circles.
 
 A map is a YAML file of the ROS ``map_server`` with a picture, its resolution and the
-pose of its lower left corner. The colour c of a pixel is the mean of red, green and blue
-(0 to 255). The occupancy is (255 − c)/255, or c/255 if `negate` is true. A cell is free
+pose of its lower left corner. The colour c of a pixel is the mean of red, green and
+blue (0 to 255). The occupancy is (255 − c)/255, or c/255 if `negate` is true. A cell is
+free
 
 - in mode ``trinary`` if occupancy < `free_thresh`;
 - in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` −
   `free_thresh`) rounds to 0 or less.
 
-All other cells become obstacles. Unknown cells are obstacles too, because the snake must
-not enter them.
+All other cells become obstacles. Unknown cells are obstacles too, because the snake
+must not enter them.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ MAX_RECTANGLES = 20_000
 40 kB in a run of the twin."""
 
 _MODES = ("1", "L", "P", "RGB")
-"""Pillow's modes of pictures without transparency and with at most 8 bits per channel."""
+"""Pillow's modes of pictures without transparency and with at most 8 bits per
+channel."""
 _DEPTH_BYTE = 24
 """Byte in a PNG file that contains the number of bits per channel. The byte is read
 directly because Pillow reduces 16-bit colours to 8 bits."""
@@ -92,7 +94,7 @@ class MapFile(StrictModel):
     @field_validator("negate", mode="before")
     @classmethod
     def _boolean(cls, text: object) -> bool:
-        """Return the value of a YAML 1.1 boolean, which may be a quoted text as in ROS."""
+        """Return the value of a YAML 1.1 boolean, which may be a quoted text."""
         if (value := _BOOLEANS.get(str(text).lower())) is None:
             raise ValueError(
                 f"must be true, yes, on, 1 or false, no, off, 0, not {text!r:.50}"
@@ -116,7 +118,7 @@ class MapFile(StrictModel):
             )
 
     def blocked(self, colour: np.ndarray) -> np.ndarray:
-        """Return a mask of occupied and unknown cells from the sum of red, green and blue."""
+        """Return a mask of occupied and unknown cells from summed colours."""
         levels = np.arange(_WHITE + 1)
         if not self.negate:
             levels = levels[::-1]
@@ -164,7 +166,7 @@ def _document(path: Path) -> Document:
 
 
 def pictures_of(path: Path) -> list[Path]:
-    """Return a list with the picture of a map, which is empty if the map is unreadable."""
+    """Return a list with the picture of a map, or an empty list on error."""
     try:
         return [Path(_document(path).data["image"])]
     except (InputError, KeyError, TypeError):
