@@ -15,7 +15,7 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 _MIN_OVERLAP = 0.25
-"""Minimum overlap of two parts of the body that is reported, as a multiple of the width.
+"""Minimum overlap of two parts of the body that is reported, in body widths.
 
 Smaller overlaps may be artefacts. The collision geoms of the twin are chords, which lie
 up to 3 mm inside the arcs, and contacts are not perfectly rigid.

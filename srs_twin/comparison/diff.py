@@ -67,7 +67,7 @@ class Tolerance(StrictModel):
 
 
 class Tolerances(Tolerance):
-    """Tolerances file with default tolerances, and tolerances for individual metrics."""
+    """Tolerances file with default tolerances and tolerances for single metrics."""
 
     metrics: Annotated[
         dict[str, Tolerance],

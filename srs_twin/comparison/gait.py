@@ -247,7 +247,7 @@ def turning_radius(
 
 
 def path_curvature(chord: float, turn: float) -> float:
-    """Return the curvature (1/m) of a circular arc with a given chord (m) and turn (rad)."""
+    """Return the curvature (1/m) of a circular arc with a chord (m) and turn (rad)."""
     return 2 * math.sin(turn / 2) / chord
 
 

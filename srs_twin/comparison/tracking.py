@@ -369,7 +369,7 @@ class ReadingCurve:
 
     @property
     def backstep(self) -> tuple[float, float | None]:
-        """Maximum decrease of the reading with increasing bend, and the bend there, rad.
+        """Maximum decrease of the reading with increasing bend, and this bend, rad.
 
         For a monotonic reading, the decrease is 0 and the bend is None.
         """
