@@ -340,7 +340,7 @@ class Claim(Section):
         return self
 
     def is_named(self, name: str) -> bool:
-        """Return whether `name` is the claim's name, or a part that ends before a dot."""
+        """Return whether `name` is the claim's name, or its part before a dot."""
         return f"{self.id}.".startswith(f"{name}.")
 
     @property

@@ -491,7 +491,7 @@ class RobotSpec:
         bending: compliance of a segment.
         actuator: response of a module to its valves.
         chamber: air space of a chamber.
-            supply: supply pressures and their limits.
+        supply: supply pressures and their limits.
         phase_step: β, phase lag of the gait from one segment to the next, rad (E18).
         variation: individual properties of the modules, or None if all modules are
             nominal.
