@@ -360,9 +360,9 @@ class PlantVariants:
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
         """Return twins with the damping time at each end of its 95 % interval.
 
-        The dictionary is empty if the robot has no such interval. It is also empty if
-        the chamber pressures depend on the bends, because closed chambers diverge with
-        short damping times (docs/planar-models.md).
+        The dictionary of twins is empty if the robot has no 95 % interval, or if the
+        chamber pressures depend on the bends. In the second case, closed chambers would
+        diverge with short damping times (docs/planar-models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}

@@ -1,8 +1,8 @@
-"""Exceptions and warnings of the package, with exit codes and remedies.
+"""Exceptions and warnings of the package.
 
-Every error that the package raises on purpose is an `SrsError`. The message says where
-the problem is, what was given, what is allowed and which valid input is closest. The
-command line prints the message and exits with `exit_code`.
+Every error that the package raises on purpose is an `SrsError`. The message states
+where the problem is, what was given, what is allowed and which valid input is closest.
+The command line prints the message and exits with `exit_code`.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ class SrsError(Exception):
     """Base class of all errors raised on purpose.
 
     Attributes:
-        exit_code: exit code of the command line (2 bad input, 3 diverged, 4 internal
-            error).
+        exit_code: exit code of the command line: 2 for invalid input, 3 for a
+            divergence, or 4 for an internal error.
     """
 
     exit_code = 4
@@ -74,7 +74,7 @@ class SrsError(Exception):
 
 
 class InputError(SrsError):
-    """Error for invalid input. Nothing has been written. The exit code is 2."""
+    """Error for invalid input, with exit code 2. No files have been written."""
 
     exit_code = 2
 
@@ -120,7 +120,7 @@ class UnknownNameError(InputError):
 
 
 class TimeStepError(InputError):
-    """Error for a period that is not a multiple of a shorter period.
+    """Error for a period that is not a multiple of a time step.
 
     Attributes:
         problem: message without suggestions.
@@ -170,7 +170,7 @@ class EngineWarning(UserWarning):
 
 
 class SessionWarning(UserWarning):
-    """Warning about a live twin that lags or has lost its file or forecast."""
+    """Warning about a live twin that is too slow, or has no file or forecast."""
 
 
 class CacheWarning(UserWarning):
@@ -254,7 +254,7 @@ def describe_error(error: BaseException) -> str:
     else:
         where = ""
     if isinstance(error, SyntaxError):
-        where = ""  # the message already contains the source line
+        where = ""  # the message of a SyntaxError contains the source line
     return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
 
 
@@ -309,7 +309,7 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
 def format_names(
     names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
 ) -> str:
-    """Return the names as text. A long list is replaced by its length and `listing`."""
+    """Return the names as text, or the number of names and `listing` for long lists."""
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
     return ", ".join(names) or "none"
@@ -396,7 +396,9 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
     for name in available:
         name_section, candidate = _split_name(name)
         closeness = _similarity(last, candidate)
-        if not section and name_section:  # the text may begin a full dotted name
+        if (
+            not section and name_section
+        ):  # the text may be the beginning of a dotted name
             closeness = max(closeness, _similarity(last, name.lower()))
         if closeness >= _MIN_SIMILARITY:
             similarity[name] = closeness + (
@@ -498,7 +500,7 @@ class SamplingGrid(NamedTuple):
     Attributes:
         tick: control tick, s.
         step: time step of which a sampling interval shorter than a tick must be a
-            multiple, s. It is None if any interval is allowed.
+            multiple, s, or None if any interval is allowed.
     """
 
     tick: float

@@ -1,7 +1,4 @@
-"""Runs of scenarios, from the simulation of the plants to the written results.
-
-The data flow is scenario → plants → trajectories → metrics → comparison → files.
-"""
+"""Functions that run a scenario, compare the plants and write the results."""
 
 from __future__ import annotations
 
@@ -95,8 +92,8 @@ class RunResult:
         trajectories: trajectory of each plant. The trajectory of a diverged plant ends
             at the divergence.
         metrics: metrics as in metrics.json, or an empty dictionary if a plant diverged.
-        diverged: errors of diverged plants. The message of an error names the file with
-            the trajectory.
+        diverged: errors of diverged plants. The error message contains the path of the
+            recorded trajectory.
         failed_attributions: errors of attribution runs that diverged.
     """
 
@@ -153,8 +150,8 @@ class PreparedRun:
         """Simulate all plants, compute and compare metrics, and write the files.
 
         The file metrics.json is written last. If a plant diverges, the remaining plants
-        are still simulated, and each trajectory is written. Comparison, pictures and
-        metrics.json are not written in that case.
+        are still simulated, and each trajectory is written. After a divergence, neither
+        a comparison nor pictures nor metrics.json are written.
 
         Args:
             progress: callback with the name of the plant and the completed fraction.
@@ -294,7 +291,8 @@ class PreparedRun:
         if "twin" in trajectories and twin and twin.fast_preset:
             metrics["preset"] = twin.fast_preset
         metrics |= self._judged(metrics, drawn) | {"versions": versions()}
-        # A plant without rigid gaps has another robot than the scenario.
+        # The robot of a plant without rigid gaps differs from the robot of the
+        # scenario.
         spec = [plant.spec for plant, _ in self.pairs.values()][-1]
         return metrics, RunContent(spec, drawn, comparison, differences, scenario.world)
 
@@ -319,7 +317,7 @@ class PreparedRun:
     def _judged(
         self, metrics: dict[str, Any], runs: Mapping[str, Trajectory]
     ) -> dict[str, Any]:
-        """Return the entries of metrics.json on expectations.
+        """Return the entries of metrics.json that describe the expectations.
 
         The trajectories `runs` include the measured trajectory.
         """
@@ -551,14 +549,15 @@ def compare(
     Args:
         reference: trajectory of the analytical model, or a scenario given as an object,
             by name or by path.
-        candidate: trajectory of the twin. It must be None if `reference` is a scenario.
+        candidate: trajectory of the twin, or None if `reference` is a scenario.
         set: values that override scenario fields, as described in `load_scenario`.
         gap_factor: whether to scale the speed as described in
-            `comparison.compare.compare`. For a scenario, the scenario file decides.
+            `comparison.compare.compare`. For a scenario, the key
+            `comparison.gap_factor` of the file is used instead.
 
     Returns:
-        Comparison of the plants. For a scenario, it is a `ComparedRuns`, which also
-        contains the trajectories.
+        Comparison of the plants. For a scenario, the result is a `ComparedRuns`, which
+        also contains the trajectories.
 
     Raises:
         InputError: the combination of arguments is not allowed, or
@@ -643,7 +642,7 @@ def run_scenario(
 
     Args:
         scenario: name or path of a scenario, or a loaded scenario.
-        out: output folder. If it is None, no files are written.
+        out: output folder, or None to write no files.
         set: values that override scenario fields, as described in `load_scenario`.
         plants: names of the plants in the order in which they run, or None for the
             plants of the scenario.

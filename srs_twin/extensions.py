@@ -1,15 +1,15 @@
-"""Registry of the extensions of the core and of plug-ins.
+"""Registry of extensions and plug-ins.
 
-Only this module of the core names the extensions. An entry has the form
-``name: "module:object"``, and the module is imported when the object is first used.
-Entries of extensions that are not installed are ignored.
+The core refers to extensions only in this module. An entry has the form ``name:
+"module:object"``, and the module is imported when the object is first used. Entries of
+extensions that are not installed are ignored.
 
 Files may also name plug-in classes as ``module:Name``. To prevent a file from executing
 arbitrary code, the user must allow the module with `allow_plugin`. Modules of installed
 distributions with entry points ``srs_twin.*`` are allowed as well. Such a distribution
 may register short names in the groups ``srs_twin.controllers``, ``pneumatics``,
-``sensors``, ``metrics`` and ``formats``. The groups are read only if a file contains an
-unknown name.
+``sensors``, ``metrics`` and ``formats``. The entry points are read only if a file
+contains an unknown name.
 """
 
 from __future__ import annotations
@@ -250,7 +250,7 @@ def plugins() -> dict[str, str]:
 
 
 class _PluginFinder:
-    """Finder that imports plug-in files if no other finder knows the module."""
+    """Import hook for plug-in files, which runs after all other finders."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> Any:
@@ -339,7 +339,7 @@ def part(
         known: other names of this kind, which the error message suggests.
 
     Raises:
-        UnknownNameError: no distribution registers the short name.
+        UnknownNameError: no distribution has registered the short name.
         InputError: the class is not allowed, or has none of the base classes.
     """
     names = {name: name} if ":" in name else registered(kind)

@@ -1,9 +1,9 @@
 """Rollouts of plants under controllers.
 
-The function `rollout` simulates one run. The function `run_many` simulates independent
-runs on several threads. Kernels and MuJoCo release the interpreter lock during a step,
-so the threads run in parallel. The function `run_batch` simulates a batch of twins
-whose commands one policy computes tick by tick.
+The function `rollout` simulates one run, and `run_many` simulates independent runs on
+several threads. Kernels and MuJoCo release the interpreter lock during a step, so the
+threads run in parallel. The function `run_batch` simulates a batch of twins whose
+commands one policy computes tick by tick.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -307,8 +307,8 @@ class Recorder:
         samples: number of samples per tick.
         stride: number of ticks per sample, or 1 if there are several samples per tick.
         events: events of the controller.
-        ended_by: reason for an early end, "until" or "controller". It is None if the
-            run has not ended early.
+        ended_by: reason for an early end, "until" or "controller", or None if the run
+            did not end early.
     """
 
     def __init__(
@@ -709,7 +709,7 @@ def _check_not_shared(jobs: Sequence[Job]) -> None:
 
 
 def _build_plant(job: Job, thread_data: threading.local) -> Plant:
-    """Build the plant of a job, or reuse the thread's plant with the same builder."""
+    """Build the plant of a job, or reuse a plant that the same function has built."""
     if isinstance(job.plant, Plant):
         return job.plant
     if getattr(thread_data, "builder", None) is not job.plant:
@@ -724,7 +724,7 @@ class _CancelledError(Exception):
 
 
 class _PolicyController(Controller):
-    """Controller that stands for the policy in recordings of batches."""
+    """Placeholder controller for batches, whose commands come from a policy."""
 
     kind = "policy"
 

@@ -57,7 +57,7 @@ class Event:
 
     Attributes:
         time: time of the event, s.
-        kind: name of the kind of event, e.g. ``"ilc_update"``.
+        kind: type of the event, for example ``"ilc_update"``.
         text: description of the event on one line.
     """
 
@@ -94,7 +94,7 @@ class HtmlResult:
 class Trajectory(HtmlResult):
     """Recorded columns of one rollout over time.
 
-    The arrays must not be modified. The names of the columns are as follows.
+    The arrays must not be modified.
 
     - Columns of the body are ``time``, ``heading``, the centre of mass ``com_x`` and
       ``com_y``, and the connector poses ``x_1…N``, ``y_1…N`` and
@@ -251,8 +251,9 @@ class Trajectory(HtmlResult):
             ],
             schema=pa.schema(fields, metadata=schema_metadata),
         )
-        # BYTE_STREAM_SPLIT stores the first bytes of all floats together, then the second
-        # bytes, and so on. It compresses smooth signals better than a dictionary.
+        # BYTE_STREAM_SPLIT stores the first bytes of all floats together, then the
+        # second bytes, and so on. This encoding compresses smooth signals better than a
+        # dictionary.
         encoding = dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
         options = {
             "compression": "zstd",

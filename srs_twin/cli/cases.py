@@ -23,7 +23,7 @@ class CaseResult:
     """Result of a run without trajectories, which worker processes send back.
 
     Attributes:
-        run: results of the run. It is None if the input was invalid or a worker process
+        run: results of the run, or None if the input was invalid or a worker process
             died.
         errors: errors that stopped the run or one of the plants.
         wall_s: wall time, s.

@@ -135,8 +135,8 @@ def run_all(
         cases: scenarios, which are loaded if necessary.
         report: options for the reports and the exit code.
         out: output folder. Each of several scenarios has a subfolder.
-        jobs: number of worker processes, by default one per processor. If it is 1, the
-            scenarios run in this process.
+        jobs: number of worker processes, by default one per processor. With one worker,
+            the scenarios run in this process.
         plants: plants to run, by default the plants of each scenario.
         explain: whether to attribute the difference between the plants.
         changes: overridden fields.
@@ -158,8 +158,8 @@ def run_all(
             from srs_twin.cli.junit import report_path, write_junit
 
             write = partial(write_junit, report_path(report.junit), cases, fails)
-            # An early write reveals an unusable path before the simulation. It also
-            # replaces the report of an earlier run.
+            # The report is written before the simulation in order to detect an unusable
+            # path and to replace the report of an earlier run.
             write()
             stack.callback(write)
         valid = _load(cases, out, report.quiet, changes, plants)

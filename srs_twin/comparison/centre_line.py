@@ -88,10 +88,10 @@ def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
     """Return the maximum overlap of two parts of a planar body, m.
 
     Contacts between parts of the body are simulated only by the twin in a world with
-    objects. At most 200 samples are searched, in which the headings of the body span
-    more than π. Other bodies cannot touch themselves. Two points are compared if their
-    distance along the body exceeds twice the body width. An overlap of less than a
-    quarter of the width is returned as 0.
+    objects. At most 200 samples are searched. Samples in which the headings of the body
+    span less than π are skipped, because such a body cannot touch itself. Two points
+    are compared if their distance along the body exceeds twice the body width. An
+    overlap of less than a quarter of the width is returned as 0.
     """
     curled = np.flatnonzero(
         np.ptp(trajectory.stack("connector_heading"), axis=1) > np.pi

@@ -345,8 +345,8 @@ class Attribution:
             same points.
         same: assumptions in which the plants agree.
         shares: contributions of the assumptions.
-        window_s: duration of the attributed part from the start of the runs, s. It is
-            None if the whole runs are attributed.
+        window_s: duration of the attributed part from the start of the runs, s, or None
+            if the whole runs are attributed.
         damping: change of `gap` at each end of the 95 % interval of the twin's damping
             time, keyed by name.
     """

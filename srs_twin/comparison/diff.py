@@ -78,7 +78,8 @@ class Tolerances(Tolerance):
         """Return the tolerance for a metric.
 
         A tolerance for the full name of the metric takes precedence over a tolerance
-        for the name without the plant. The default tolerance has the lowest priority.
+        for the name without the plant. The default tolerance applies to all other
+        metrics.
         """
         names = (name for name in tolerance_names(metric) if name in self.metrics)
         return next(map(self.metrics.__getitem__, names), self)

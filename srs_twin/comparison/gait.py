@@ -226,10 +226,10 @@ def turning_radius(
 ) -> float | None:
     """Return the signed turning radius (m), or None for a straight path.
 
-    The radius is positive to the left. It is computed from the chord (speed · period)
-    and the turn (yaw_rate · period) of the body in one period. The quotient of speed
-    and yaw rate is the radius of the averaged path, which is smaller by 1 % if the body
-    turns by half a radian per period.
+    The radius is positive to the left. The turning radius is computed from the chord
+    (speed · period) and the turn (yaw_rate · period) of the body in one period. The
+    quotient of speed and yaw rate is the radius of the averaged path, which is smaller
+    by 1 % if the body turns by half a radian per period.
 
     Args:
         speed: forward speed, m/s.

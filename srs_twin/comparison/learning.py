@@ -42,8 +42,8 @@ class PeriodAmplitudes:
     All arrays have shape (K, segments, 2).
 
     Attributes:
-        amplitude: maximum measured bend towards the side of the chamber, rad. It is NaN
-            if the sensor has no valid reading.
+        amplitude: maximum measured bend towards the side of the chamber, rad, or NaN if
+            the sensor has no valid reading.
         target: target amplitude at the end of the period, rad, or NaN.
         duty: duty cycle in the middle of the period.
     """
@@ -124,8 +124,8 @@ class PathFit:
 
     Attributes:
         centre: centre of the circle, or any point on the line, shape (2,), m.
-        radius: radius, m, or None for a line. It is positive if the centre lies to the
-            left of the heading.
+        radius: radius, m, or None for a line. The radius is positive if the centre lies
+            to the left of the heading.
         direction: unit vector along the line, or along the heading in the middle of the
             circular path, shape (2,).
     """
@@ -256,10 +256,10 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     In each period, the centre of mass moves along a chord, and the body turns. Chord
     and turn are averaged over the gait phase, so that five periods give four values.
     The curvature is 2 sin(turn/2)/chord. The curvature before learning is the mean over
-    the two periods before the first update of a duty cycle. It is None if these periods
-    begin less than half a period after the start. The metrics ``extent_left_m`` and
-    ``extent_right_m`` are measured from the circle or line that is fitted to the path
-    of the last five periods.
+    the two periods before the first update of a duty cycle. This curvature is None if
+    the two periods begin less than half a period after the start. The metrics
+    ``extent_left_m`` and ``extent_right_m`` are measured from the circle or line that
+    is fitted to the path of the last five periods.
 
     Args:
         trajectory: run with ``measured_bend``, ``duty_…`` and ``target_…``.

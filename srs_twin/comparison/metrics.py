@@ -320,9 +320,9 @@ _LEARNT = (
 def headline(metrics: Mapping[str, Any]) -> str:
     """Return a summary of the results in a few sentences.
 
-    The summary begins with a contact with obstacles, if there is one. It continues with
-    the difference over the whole run, and with the difference before the contact and
-    its cause. The last sentences explain terms and limitations.
+    The summary begins with a contact with obstacles, if there is one. The summary then
+    states the difference over the whole run, the difference before the contact, and the
+    cause of the difference. The last sentences explain terms and limitations.
 
     Args:
         metrics: data of metrics.json.
@@ -707,15 +707,15 @@ def plant_metrics(
     """Compute the metrics of one run.
 
     The gait metrics are means over whole gait periods after a warm-up of two periods
-    (`GaitWindow`). They are None if the run is not periodic or has fewer than three
-    whole periods:
+    (`GaitWindow`). All gait metrics are None if the run is not periodic or has fewer
+    than three whole periods:
 
     - ``com_speed_m_s``: length of the period-averaged path of the centre of mass
-      divided by its duration. It is negative if the path is opposite to the mean
+      divided by its duration. The speed is negative if the path is opposite to the mean
       heading.
     - ``yaw_rate_rad_s``: derivative of the period-mean heading, positive to the left.
     - ``turning_radius_m``: radius of the circle on which the centre of mass moves from
-      period to period, positive to the left. It is None for a straight path
+      period to period, positive to the left. The radius is None for a straight path
       (`gait.turning_radius`).
     - ``bend_amplitude_rad``: half the peak-to-peak range in a period, averaged over all
       periods.

@@ -1,9 +1,9 @@
 """Reasons why a metric of a run is undefined.
 
 A metric may be undefined because the run lacks data, such as whole gait periods, a
-reference or a recording. Such a metric cannot be judged. In other cases, the undefined
-metric is itself a result. For example, a straight path has no turning radius, and a
-plan that was not found has no length.
+reference or a recording. An expectation about such a metric cannot be judged. In other
+cases, the fact that a metric is undefined is itself a result. For example, a straight
+path has no turning radius, and a plan that was not found has no length.
 """
 
 from __future__ import annotations

@@ -70,9 +70,9 @@ class Pneumatics(Stateful, ABC):
             pressure.
         pressure: current gauge pressures, shape (segments, 2), Pa.
         bend: current free bends, shape (segments,), rad.
-        pneumatic_energy: pneumatic energy consumed since `reset`, J. It is the gauge
-            supply pressure times the volume of consumed air at the supply pressure.
-            Venting returns no energy.
+        pneumatic_energy: pneumatic energy consumed since `reset`, J. The pneumatic
+            energy is the gauge supply pressure times the volume of consumed air at the
+            supply pressure. Venting returns no energy.
         measures_air: whether `air` and `openings` are computed. Otherwise they remain
             0.
         openings: number of openings of each inlet since `reset`, shape (segments, 2).
@@ -266,8 +266,8 @@ class Pneumatics(Stateful, ABC):
         """Set the supply pressure, which `reset` does not change.
 
         Args:
-            supply_pa: gauge pressure, Pa. The maximum is the supply pressure that was
-                given to the constructor.
+            supply_pa: gauge supply pressure, Pa. The maximum is the supply pressure
+                that was given to the constructor.
 
         Raises:
             InputError: the pressure is out of range, or the chambers have no regulator.

@@ -16,9 +16,9 @@ $$ x = G\,(g^+ p^+ - g^- p^-), \qquad q = b + \varphi(x), \qquad
 y = x - \frac{s w}{2} \ln \frac{\cosh((x + d)/w)}{\cosh((x - d)/w)}. $$
 
 The variable x is called the linear bend. The function φ is odd, smooth, and monotone
-for all s ≤ 1, d, w and q_m. It is linear, as in the dissertation (Eq. 14), if s = 0 and
-q_m is infinite. The free bend changes with x immediately, whereas x lags the pressures
-with the mode time constant τ₂.
+for all s ≤ 1, d, w and q_m. The function φ is linear, as in the dissertation (Eq. 14),
+if s = 0 and q_m is infinite. The free bend changes with x immediately, whereas x lags
+the pressures with the mode time constant τ₂.
 
 - *Saturation.* Inextensible strips and chambers that touch each other limit the bend to
   q_m. The deviation of φ from the linear law is at most 1.5 % up to q_m/2, and the
@@ -219,8 +219,8 @@ def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
 def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
     """Return the pressures for which a linear bend law gives equal bends.
 
-    MuJoCo's linear actuators use these pressures. The argument contains gauge pressures
-    of shape (…, segments, 2), in Pa.
+    MuJoCo's linear actuators use these pressures. The gauge pressures have the shape
+    (…, segments, 2), in Pa.
     """
     linear = _linear_bend(spec, pressure)
     bends = free_bends(spec, linear)

@@ -7,9 +7,9 @@ the following function of r = P₂/P₁:
 $$ \dot n = P_0\,C\,P_1\,\psi(r),\qquad
 \psi = \begin{cases} 1 & r \le b \\ \sqrt{1 - \bigl(\tfrac{r-b}{1-b}\bigr)^2} & b < r \le r_l \end{cases} $$
 
-Here P₀ = 100 kPa is the reference pressure of the standard. At equal pressures, ψ has
-an infinite derivative. Above r_l = 0.999 the flow is therefore linear in P₁ − P₂
-(laminar flow), as is usual in simulation.
+The reference pressure P₀ of the standard is 100 kPa. At equal pressures, ψ has an
+infinite derivative. Above r_l = 0.999 the flow is therefore linear in P₁ − P₂ (laminar
+flow), as is usual in simulation.
 """
 
 from __future__ import annotations
@@ -86,8 +86,9 @@ def conductances(spec: RobotSpec, critical: float) -> Conductances:
     G (p − τ₂ ṗ). A change dp of the gauge pressure requires the amount of air K dp, so
     that ṗ = ṅ/K with the capacity K(p) = V + (p + P_a) A G. Terms of first order in τ₂
     are corrected. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures.
-    Here C is chosen so that dṗ/dp = −1/τ₁ at one working point. At the working point, a
-    pressure change between ambient and nominal supply has reached the fraction 1 − e⁻².
+    For a valve, C is chosen so that dṗ/dp = −1/τ₁ at one working point. At the working
+    point, a pressure change between ambient and nominal supply has reached the fraction
+    1 − e⁻².
 
     Args:
         spec: robot.

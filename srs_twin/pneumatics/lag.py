@@ -12,9 +12,9 @@ x of a segment without load lags the pressures with the mode time constant τ₂
 $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
 
 where `chambers` defines φ, b and the gains. Nominal modules with τ_fill = τ_vent = τ₁
-satisfy Eq. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) =
-C₀ u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of τ₂. The default of the
-additional valve delay is 0.
+satisfy Eq. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀
+u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of τ₂. An additional valve delay
+is 0 by default.
 
 A valve may fill the chamber for a fraction o of the time and vent it for the remaining
 time. The chamber pressure then decays at the rate a = o/τ_fill + (1 − o)/τ_vent + λ to
@@ -482,7 +482,7 @@ def filling_content(state, plus, minus, bend, law, ambient):  # type: ignore[no-
         minus: gauge pressure of the − chamber, Pa.
         bend: bend q, rad.
         law: `Relaxation`.
-        ambient: ambient pressure, Pa. With 0, the result is the sum of p V.
+        ambient: ambient pressure, Pa.
     """
     total = float(0.0)
     pressure = float(plus)

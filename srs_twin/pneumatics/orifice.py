@@ -100,15 +100,15 @@ class OrificeOptions:
 
     Attributes:
         critical_ratio: critical pressure ratio b of all valves, dimensionless.
-        flow_limit: maximum flow of the supply, measured at ambient pressure, m³/s. None
-            means that the flow is not limited.
+        flow_limit: maximum flow of the supply, measured at ambient pressure, m³/s, or
+            None for an unlimited flow.
         line_volume: volume of the line between supply and inlets, m³. The volume
             matters only with a flow limit.
-        initial_line_pressure: initial gauge pressure in the line, Pa. The default is
-            the supply pressure.
+        initial_line_pressure: initial gauge pressure in the line, by default the supply
+            pressure, Pa.
         leak_per_s: relative rate at which the pressure of a held chamber falls, 1/s.
-        substep: maximum step of the integrator, s. The default is 0.5 ms times the time
-            unit of the robot (`robot.scale`).
+        substep: maximum step of the integrator, s. The default step is 0.5 ms times the
+            time unit of the robot (`robot.scale`).
     """
 
     critical_ratio: float = CRITICAL_RATIO

@@ -153,7 +153,7 @@ class Cause(Section):
     """Reason why the results of a plant contradict a claim.
 
     The reason is demonstrated by a run with a changed assumption or by the
-    documentation. Otherwise it is only presumed.
+    documentation, or the reason is only presumed.
     """
 
     says: Name

@@ -1,10 +1,10 @@
 """Predicted and published motion of robots from other laboratories.
 
 Each prediction is a file in calibration/predictions. The published values are in a file
-of the same name in calibration/published/others. In a checkout, the commits of the two
-files prove that the prediction is older. The folder calibration/predictions/recomputed
-contains numbers that are not predictions, because they were computed after the
-published values were known.
+of the same name in calibration/published/others. In a git checkout, the commits of the
+two files prove that the prediction is older than the published values. The folder
+calibration/predictions/recomputed contains numbers that are not predictions, because
+they were computed after the published values were known.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ class PredictedQuantity:
         predicted: predicted quantiles.
         recomputed: quantiles computed after the published value was known, or None.
         published: published value, or None.
-        prediction_commit: last commit that changed a number of the prediction. It is
-            None outside a checkout.
+        prediction_commit: last commit that changed a number of the prediction, or None
+            outside a git checkout.
         comparison_commit: first commit that contains published values of the robot, or
             None.
     """

@@ -5,18 +5,18 @@ with the reasons for the grades. Grades range from 0 (nothing is known) to 4. Th
 computed from stored results: verdicts of the baseline, intervals of `srs-twin
 uncertainty`, and sources of the robots' parameters.
 
-- Verification has grade 2 if all laws of the dissertation are met. It has grade 3 if in
-  addition a smaller time step changes a prediction by less than a fifth of the
-  prediction's input uncertainty.
+- Verification has grade 2 if all laws of the dissertation are met. Verification has
+  grade 3 if, in addition, a smaller time step changes a prediction by less than a fifth
+  of the prediction's input uncertainty.
 - Validation has grade 2 if three quarters of the headline predictions are met, grade 1
   if fewer are met, and grade 0 if none is met. Predictions of other groups (own
   tolerance, fitted robot, …) are listed but not counted. A higher grade would require
   our own measurements, because nothing has been validated against hardware.
-- Input pedigree is graded by the fraction of measured robot parameters. It has grade 3
-  for three quarters, grade 2 for two fifths, and grade 1 for a smaller fraction.
+- Input pedigree has grade 3 if at least three quarters of the robot parameters are
+  measured, grade 2 for at least two fifths, and grade 1 for a smaller fraction.
 - Uncertainty has grade 2 if intervals were propagated from the inputs, otherwise 0.
-- Robustness has grade 2 if sensitivities are known. It has grade 1 if only trends were
-  checked whose check could have failed, otherwise 0.
+- Robustness has grade 2 if sensitivities are known, grade 1 if only trends were
+  checked, and otherwise grade 0. Only checks that could have failed are counted.
 """
 
 from __future__ import annotations

@@ -148,8 +148,8 @@ def step_c(run: Trajectory) -> float:
 def _time_constants(run: Trajectory) -> tuple[float, float]:
     """Return τ₁ and τ₂ of an overdamped step response y from the moments of 1 − y.
 
-    The moments are ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂². They
-    require neither a fit nor initial values.
+    The moments are ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂². The two
+    moments require neither a fit nor initial values.
     """
     remainder = 1 - run["bend_1"] / run["bend_1"][-1]
     total = float(np.trapezoid(remainder, run.time))

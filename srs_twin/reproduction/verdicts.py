@@ -54,11 +54,11 @@ class ClaimOutcome:
             demonstrated.
         values: values of the measures, in the unit of the claim. A missing value is
             NaN.
-        value: number that is compared with the published number. It is NaN for an
-            ordering, or if a measure is missing.
+        value: number that is compared with the published number, or NaN for an ordering
+            or a missing measure.
         error: (value − published)/|published|, or NaN.
-        why: reason for a miss or for a missing value. It is an empty string if the
-            reason is unknown.
+        why: reason for a miss or for a missing value, or an empty string if the reason
+            is unknown.
     """
 
     verdict: Literal["met", "explained", "missed"]

@@ -1,1 +1,1 @@
-"""Robot files, in which every number has a source, and the frozen `RobotSpec`."""
+"""Parameters of robots, and robot files in which every number has a source."""

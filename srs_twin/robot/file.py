@@ -1,7 +1,7 @@
-"""Robot files, which contain the parameters of one snake with unit, status and source.
+"""Robot files, which contain the parameters of a snake with units, status and sources.
 
-Users name a robot, give the path of its file, or override entries of another robot. The
-published robots are stored in calibration/robots. The module `sections` defines the
+A robot is given by its name, by the path of its file, or by overriding another robot.
+The published robots are stored in calibration/robots. The module `sections` defines the
 sections of a robot file.
 """
 
@@ -122,7 +122,7 @@ class _Drive(NamedTuple):
 
 
 class RobotFile(StrictModel):
-    """Parameters of one robot, as written in a file."""
+    """Parameters of one robot, as stored in a file."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=40)
     """Short name."""
@@ -251,7 +251,7 @@ class RobotFile(StrictModel):
         )
 
     def _servos(self) -> _Drive:
-        """Return the drive of a robot whose joints are turned by servos.
+        """Return the actuator parameters of a robot whose joints are turned by servos.
 
         Two equal time constants give a critically damped response. The stiffness k is
         so high that loads hardly bend the joints. The damping k τ gives the joints of
@@ -382,7 +382,7 @@ class RobotFile(StrictModel):
             yield from direction_violations(self.chamber.directions_deg.value)
 
     def _contradictions_of_delay(self) -> Iterator[tuple[Loc, str]]:
-        """Yield a damping time that is too long for the option `lead: false`."""
+        """Yield the damping time if it is too long for the option `lead: false`."""
         if self.bending.lead is not False:
             return
         numbers = self.bending.to_si() | self.actuator.to_si()
@@ -594,7 +594,7 @@ def find_unit_mistakes(
 
     Args:
         robot: robot to check.
-        base: robot that was overridden. Doubts that already exist for `base` are not
+        base: robot that was overridden. Implausible numbers of this robot are not
             returned.
         override: overriding entries. An entry is implausible if it differs from the
             overridden number by a factor of more than 300.
@@ -640,7 +640,7 @@ def _merge_override(
             continue
         section = base.get(name)
         if section is None and name in base and isinstance(value, Mapping):
-            section = {}  # the base robot lacks this optional section
+            section = {}  # the base robot does not have this optional section
         if not (isinstance(section, Mapping) and isinstance(value, Mapping)):
             merged[name] = value
             continue

@@ -1,13 +1,14 @@
 """Friction laws of a connector on the floor, with forces and force derivatives.
 
-Each law takes the contact velocity along (t) and across (n) the heading, the wheel load
-N and two friction coefficients. It returns ``(f_t, f_lat, df_t/dv_t, df_t/dv_n,
-df_n/dv_t, df_n/dv_n)``, because the implicit integrator needs the derivatives. The sign
-function sgn v is regularised to v/√(v² + ε²) with a slip speed ε. All functions are
-elementwise and accept arrays of any shape. The kernels compile these functions.
+The arguments of a friction law are the contact velocity along (t) and across (n) the
+heading, the wheel load N and two friction coefficients. A friction law returns ``(f_t,
+f_lat, df_t/dv_t, df_t/dv_n, df_n/dv_t, df_n/dv_n)``, because the implicit integrator
+needs the derivatives. The sign function sgn v is regularised to v/√(v² + ε²) with a
+slip speed ε. All functions are elementwise and accept arrays of any shape. The
+functions also compile within numba kernels.
 
 - `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn
-  v_t, μ_n sgn v_lat). This is the law of the dissertation for one contact point.
+  v_t, μ_n sgn v_lat). The dissertation uses this law with one contact point.
 - `wheel`: rolling wheel on a floor with the friction coefficient μ_n. The axial force
   f_t = −N min(μ_t, μ_n |v_t|/|v|) sgn v_t is limited by the axle drag μ_t and by the
   friction cone. The remainder of the friction cone acts across the heading.
@@ -17,8 +18,8 @@ elementwise and accept arrays of any shape. The kernels compile these functions.
   larger of the two coefficients is added under the root to regularise the force.
 - `cosine`: sliding skin after Hu and Shelley (2012). Each component of the force is
   proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_lat)/√(v_t² +
-  v_n²). This force has no potential, because df_t/dv_n ≠ df_n/dv_t. It lies on the
-  same ellipse as the force of the law `ellipse` but has another direction.
+  v_n²). The force has no potential, because df_t/dv_n ≠ df_n/dv_t. Its tip lies on the
+  same ellipse as the force of the law `ellipse`, but its direction is different.
 - `viscous`: linear drag f = −N (μ_t v_t, μ_n v_lat)/v₁ with v₁ = 1 m/s, a law for
   tests.
 """
@@ -72,15 +73,15 @@ def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def] 
 
 
 def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `wheel` law, like `axis`."""
+    """Return force (N) and derivatives (N·s/m) of the `wheel` law."""
     # The direction cosines a_t and a_lat of the slip use the regularised speed 1/r.
     r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
     r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
     a_t = v_t * r
     a_lat = v_lat * r
     slide_t = mu_lat * a_t  # axial friction coefficient of a locked wheel
-    # A rolling wheel uses μ_t of the friction cone. The coefficient √(μ_n² − μ_t²)
-    # remains for the force across the heading.
+    # A rolling wheel uses a part μ_t of the friction cone along the heading. The
+    # remaining friction coefficient across the heading is √(μ_n² − μ_t²).
     rest = np.sqrt(np.maximum(mu_lat * mu_lat - mu_t * mu_t, 0.0))
     # A rolling wheel has the full axle drag along the heading, whereas a skidding wheel
     # has the isotropic friction cone. Unlike np.where, this arithmetic also compiles for
@@ -100,7 +101,7 @@ def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]
 
 
 def viscous(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `viscous` law, like `axis`."""
+    """Return force (N) and derivatives (N·s/m) of the `viscous` law."""
     zero = 0.0 * v_t
     k_t = load * mu_t
     k_lat = load * mu_lat
@@ -108,7 +109,7 @@ def viscous(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-de
 
 
 def ellipse(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `ellipse` law, like `axis`."""
+    """Return force (N) and derivatives (N·s/m) of the `ellipse` law."""
     # The weights μ² and the common root 1/r define the direction of the force.
     w_t = mu_t * mu_t
     w_lat = mu_lat * mu_lat
@@ -128,7 +129,7 @@ def ellipse(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-de
 
 
 def cosine(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `cosine` law, like `axis`."""
+    """Return force (N) and derivatives (N·s/m) of the `cosine` law."""
     r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
     a_t = v_t * r
     a_lat = v_lat * r

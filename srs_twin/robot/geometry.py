@@ -34,11 +34,11 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
     $$ a(2x) = \tfrac14\,(a + A b), \qquad b(2x) = \tfrac12\,A^2, \qquad
        \tfrac{dA}{dx} = x\,(a - b), \qquad \tfrac{d^2A}{dx^2} = -A - 2\,(a - b). $$
 
-    The series of a and b are evaluated at x/4 and doubled twice, which is faster than
-    computing a sine, a cosine and their quotients. The result is exact to rounding for
-    |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
+    The series of a and b are evaluated at x/4, and the argument is doubled twice. This
+    is faster than computing a sine, a cosine and their quotients. The result is exact
+    to rounding for |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
 
-    The bend q is in rad. It may be an array of any shape, or a scalar in compiled code.
+    The bend q (rad) may be an array of any shape, or a scalar in compiled code.
     """
     x = bend / 2
     # In terms of p = (x/4)², the truncated series are exact to rounding for |x/4| ≤ π/4.
@@ -55,7 +55,7 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
         / 12
         * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))
     ) / 2
-    # The variable `arc` is A. The first doubling goes from x/4 to x/2, the second to x.
+    # The variable `arc` is A. Two doublings of the argument lead from x/4 to x.
     arc = 1 - p * a
     a = (a + arc * b) / 4
     b = arc * arc / 2
@@ -149,7 +149,7 @@ def pair_heading(rear: Array, front: Array) -> Array:
 
 
 def measured_bend(front: Array, rear: Array) -> Array:
-    """Return the bends q = θ_A − θ_B in [−π, π) (Algorithm 1, E9).
+    """Return the bends q = θ_A − θ_B, wrapped to [−π, π) (Algorithm 1, E9).
 
     The curvature κ is the bend divided by the segment length l.
 
@@ -171,8 +171,8 @@ def arc_between(front: Array, rear: Array, curvature: Array, points: int = 21) -
        \beta}\, (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s), $$
 
     These equations need no centre of the arc and no special case for κ = 0. Noise can
-    make |κ d / 2| larger than 1, which is impossible for an arc. In this case the
-    function returns a half circle with β = ±π/2.
+    make |κ d / 2| larger than 1, which is impossible for an arc. If |κ d / 2| is larger
+    than 1, the function returns a half circle with β = ±π/2.
 
     Args:
         front: front end P_A, shape (…, 2), m.

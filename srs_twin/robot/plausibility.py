@@ -1,10 +1,11 @@
 """Detection of robot parameters that were probably written in another unit.
 
-All lengths of a robot are compared with each other, and so are all times, pressures and
-stiffnesses. A robot that is scaled as a whole therefore remains plausible. Each number
-divided by its typical ratio to the robot's size is an estimate of the size. The median
-of these estimates is robust against a single mistake. A number is implausible if its
-estimate differs from the median by more than the factors `below` and `above`.
+The lengths of a robot are compared with each other. Times, pressures and stiffnesses
+are compared in the same way. A robot that is scaled as a whole therefore remains
+plausible. Each number divided by its typical ratio to the robot's size is an estimate
+of the size. The median of these estimates is robust against a single mistake. A number
+is implausible if the quotient of its estimate and the median is outside the limits
+`below` and `above`.
 """
 
 from __future__ import annotations
@@ -16,8 +17,7 @@ from typing import Any, NamedTuple
 
 from srs_twin.robot.spec import GRAVITY
 
-# For each unit of a key, units that users may have used instead, with their conversion
-# factor to the unit of the key.
+# Units that users may confuse with the unit of a key, and their conversion factors.
 _OTHER_UNITS = {
     "m": {"cm": 0.01, "mm": 0.001, "": 0.1},
     "kg": {"g": 0.001},
@@ -34,8 +34,8 @@ class _Quantity(NamedTuple):
     Attributes:
         name: plural name of the quantity for messages.
         unit: unit of the keys.
-        below: maximum plausible ratio of the robot's size to its estimate.
-        above: maximum plausible ratio of an estimate to the robot's size.
+        below: maximum plausible ratio of the median size to a size estimate.
+        above: maximum plausible ratio of a size estimate to the median size.
         usual: typical ratio of each number to the robot's size, keyed by section and
             key.
     """
@@ -105,7 +105,7 @@ class Doubt(NamedTuple):
     Attributes:
         path: section and key of the number.
         text: reason for the doubt and likely unit.
-        is_certain: whether no robot can have this number.
+        is_certain: whether the number is impossible for any robot.
     """
 
     path: str
@@ -143,7 +143,7 @@ def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[
         "weight times body length": GRAVITY * sum(masses) * pitch * len(masses)
     }
     if "chamber.air_volume_ml" in values and "actuator.at_pressure_kpa" in values:
-        # The moment of the pressure is p dV/dq. It is in mJ, because pressures are in kPa
+        # The moment of the pressure, p dV/dq, is in mJ, because pressures are in kPa
         # and volumes in ml.
         moment = (
             1e-3

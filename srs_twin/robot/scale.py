@@ -13,9 +13,10 @@ lengths by u².
 
 The unit u is 1 for 3.1 cm < P < 12.5 cm, which contains all shipped robots.
 Multiplication by a power of two is exact. A robot scaled by a power of four therefore
-repeats the motion of the original robot to the last digit. For scales between powers of
-four, the settings are at most √2 times too fine or too coarse. The settings change by a
-factor of two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and so on.
+repeats the motion of the original robot to the last digit. For a scale that is not a
+power of four, the settings are at most √2 times too fine or too coarse. The settings
+change by a factor of two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and
+so on.
 """
 
 from __future__ import annotations
@@ -61,13 +62,12 @@ SHIPPED = Scale()
 
 
 def divide(interval: float, part: float) -> float:
-    """Return the time step into which an interval is divided, s.
+    """Return the time step that divides an interval into equal steps, s.
 
     The step is `part` if the interval is a multiple of `part`, and the whole interval
-    if the interval is shorter than `part`. Otherwise the number of steps is 1, 2 or 5
-    times a power of ten, chosen so that the ratio of the step to `part` is closest to
-    1. A tick of 20 ms that is scaled by any factor is then divided like the original
-    tick.
+    if the interval is shorter than `part`. In all other cases, the number of steps is
+    1, 2 or 5 times a power of ten, and the step is as close as possible to `part`. A
+    control tick of 20 ms therefore has the same number of steps after scaling.
 
     Args:
         interval: interval to divide, s.

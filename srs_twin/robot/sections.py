@@ -48,7 +48,7 @@ AngleStd = Record[Annotated[float, bounded(0.0, 0.5)], Literal["rad"]]
 _MAX_DEVIATIONS = 3.0
 """Truncation limit of the random numbers, in standard deviations."""
 
-# Robots between 1/40 and 100 times the size of the shipped robots satisfy these bounds.
+# The bounds allow robots between 1/40 and 100 times the size of the shipped robots.
 # Lengths scale with s, masses with s³ and stiffness with s⁴.
 LENGTHS_M = (1e-5, 100.0)
 """Minimum and maximum length of a robot, m."""
@@ -131,7 +131,7 @@ class ModulesFile(Records):
         return Modules.from_arrays(**arrays)
 
     def contradictions(self, segments: int, chambers: int) -> Iterator[tuple[Loc, str]]:
-        """Yield the lists that do not have one value per segment or chamber."""
+        """Yield lists whose length is not the number of segments or chambers."""
         for name, record in self:
             values = record.value if isinstance(record, Record) else None
             if name in PER_CHAMBER and isinstance(values, list):

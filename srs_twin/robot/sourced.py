@@ -50,8 +50,9 @@ UNITS = {
 }
 """Unit that belongs to each suffix of a key. Longer suffixes come first."""
 
-# SI unit of each unit, with numerator and denominator of the conversion factor. Division
-# keeps decimal numbers exact: 3.1 / 1000 is the double 0.0031, but 3.1 * 0.001 is not.
+# SI unit that corresponds to each unit, with numerator and denominator of the factor.
+# Division keeps decimal numbers exact: 3.1 / 1000 is the double 0.0031, but 3.1 * 0.001
+# is not.
 _SI_CONVERSIONS = {
     "kPa": ("Pa", 1000, 1),
     "m/kPa": ("m/Pa", 1, 1000),
@@ -65,7 +66,7 @@ _SI_CONVERSIONS = {
 
 def split_unit(key: str) -> tuple[str, str]:
     """Return a key without its unit suffix, and the unit or "1"."""
-    # In mu_n, the letter n means the normal direction and not the unit newton.
+    # The letter n in mu_n denotes the normal direction, not the unit newton.
     suffix = next(
         (suffix for suffix in UNITS if key.endswith(suffix) and key != "mu_n"), ""
     )
@@ -243,9 +244,8 @@ def number_field(low: float, high: float, kind: type = float, **options: Any) ->
         kind: type of the number, float or int.
         **options: `shape` is a function that converts the type of one number to the
             type of the record's value (default: one number). `optional` states whether
-            the key may be missing. `needed_by` is the only kind of robot that has the
-            key, and the key is then mandatory. `only_for` is the only kind of robot
-            that may have the key.
+            the key may be missing. `needed_by` is the kind of robot that requires the
+            key. `only_for` is the kind of robot that may have the key.
     """
     return _NumberField(low, high, kind, **options)
 
@@ -263,8 +263,8 @@ class Records(StrictModel):
 
     Attributes:
         bounds: minimum and maximum of each number, by key.
-        needed_by: for a mandatory key, the only kind of robot that has the key.
-        only_for: for an optional key, the only kind of robot that may have the key.
+        needed_by: kind of robot that requires a key. Other kinds must not have the key.
+        only_for: kind of robot that may have a key. Other kinds must not have the key.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -319,7 +319,8 @@ def replace_value(
     """Return the data of a record whose number is replaced and has status "estimated".
 
     Args:
-        before: data of the old record, whose unit is kept, or None for a new record.
+        before: data of the old record, or None for a new record. The unit of the old
+            record is kept.
         value: new number.
         unit: unit of a new record.
         source: origin of the number.

@@ -44,8 +44,8 @@ PER_CHAMBER = ("gain", "tau_fill", "tau_vent")
 class Modules:
     """Individual properties of each module, ordered from the head.
 
-    The last axis of a chamber property is (+ chamber, − chamber). For a spatial robot,
-    the last axis has the chambers of `Chamber.directions`.
+    The last axis of a chamber property is (+ chamber, − chamber) for a planar robot.
+    For a spatial robot, the last axis corresponds to `Chamber.directions`.
 
     Attributes:
         gain: gain of each chamber relative to the nominal gain, shape (segments, 2).
@@ -94,7 +94,7 @@ class Modules:
 
     @classmethod
     def from_arrays(cls, **arrays: np.ndarray) -> Modules:
-        """Return modules with properties from arrays, whose names are attributes."""
+        """Return modules whose attributes are given as arrays."""
         tuples: dict[str, Any] = {
             field.name: _tuples(arrays[field.name]) for field in fields(cls)
         }
@@ -148,13 +148,13 @@ class Geometry:
         connectors: N, number of connectors ("links" in the dissertation), at least 2.
         segment_length: l, length of the bending part of a segment, m.
         rigid_gap: L_o, length of the straight part of a segment, m (Fig. 35). Half of
-            this length is at each end of the segment.
+            the rigid gap is at each end of the segment.
         half_track: distance of each contact point from the centre line, m. For a skin
             of width w, the contact points are the Gauss points at w/(2√3).
-        wheel_radius: radius of a wheel, m. For a skin, it is the radius of the spheres
-            with which the twin touches the floor.
+        wheel_radius: radius of a wheel, m. For a robot with skin, the attribute is the
+            radius of the spheres with which the twin touches the floor.
         com_height: height of a connector's centre of mass above the floor, m.
-        width: width of the soft body, m. It affects only pictures and collision checks.
+        width: width of the soft body for pictures and collision checks, m.
     """
 
     connectors: int
@@ -197,10 +197,10 @@ class Mass:
     Attributes:
         connectors: mass of each connector including its wheels, head first, shape (N,),
             kg.
-        wheel: mass of one wheel, which is part of the connector's mass, kg. It is 0 for
-            a robot with skin.
-        connector_gyration: radius of gyration of a connector without its wheels, m. If
-            it is None, `RobotSpec.connector_gyration` computes a default.
+        wheel: mass of one wheel, which is part of the connector's mass, kg. A robot
+            with skin has a wheel mass of 0.
+        connector_gyration: radius of gyration of a connector without its wheels, m, or
+            None for the default of `RobotSpec.connector_gyration`.
         segments: mass of each segment of a robot with skin, head first, kg, or None for
             a robot on wheels. The mass is distributed evenly over the segment.
     """
@@ -250,14 +250,13 @@ class Friction:
     """Friction coefficients of wheels (Eq. 17) or skin on the floor, and axial drag.
 
     Attributes:
-        mu_t: friction coefficient along the heading. For wheels it is the axle drag,
-            and for a skin the coefficient for slip towards the head.
-        mu_n: friction coefficient across the heading. For wheels it applies to sliding
-            sideways.
+        mu_t: friction coefficient along the heading, for the axle drag of a wheel, or
+            for a skin that slips towards the head.
+        mu_n: friction coefficient across the heading.
         drag: total axial drag of tubes and belly, N. Equal parts act on the connectors
             against their motion along the heading, independent of the wheel loads.
-        mu_back: friction coefficient of a skin for slip towards the tail. If it is
-            None, the coefficient is `mu_t`.
+        mu_back: friction coefficient of a skin for slip towards the tail, by default
+            equal to `mu_t`.
     """
 
     mu_t: float
@@ -342,8 +341,8 @@ class Actuator:
         tau_vent: vent time constant τ₁, s.
         tau_mode: mode time constant τ₂, with which the free bend lags the pressures, s.
         gain: free bend C₀ divided by the chamber pressure that causes it, rad/Pa.
-        bend_limit: q_m, limit of the free bend at high pressure, rad. It is infinite
-            for a linear gain.
+        bend_limit: q_m, limit of the free bend at high pressure, rad. The limit is
+            infinite if the gain is linear.
         onset_fraction: s, fraction of the gain that is missing in the dead zone around
             zero pressure.
         dead_zone: d, free bend of the linear law at the end of the dead zone, rad.
@@ -392,13 +391,13 @@ class Chamber:
     The volume of a chamber is V(q) = dead_volume + displacement · max(0, ± q).
 
     Attributes:
-        dead_volume: volume of the chamber of a straight segment including its tube, m³.
-            It is also the minimum volume of the chamber.
+        dead_volume: minimum volume of the chamber, including its tube, m³. A straight
+            segment has this chamber volume.
         displacement: derivative of the volume with respect to a bend towards the side
             of the chamber, m³/rad.
         directions: bending direction of each chamber of a spatial robot, rad. The angle
-            is 0 to the left and π/2 upwards. A planar robot has a left and a right
-            chamber, and None instead of directions.
+            is 0 to the left and π/2 upwards. The attribute is None for a planar robot,
+            which has a left and a right chamber.
     """
 
     dead_volume: float
@@ -448,7 +447,7 @@ class Tail:
     Attributes:
         axle: distance of the second axle behind the axle of the last connector, m.
         com: distance of the centre of mass behind the axle of the last connector, m.
-            The maximum is `axle`.
+            The maximum distance is `axle`.
         com_height: height of the centre of mass above the floor, m.
         gyration: radius of gyration of the assembly including its wheels, m.
     """
@@ -483,7 +482,7 @@ class RobotSpec:
     """Parameters of one snake.
 
     Attributes:
-        name: short name, which is also the name of the MJCF model.
+        name: short name of the robot and of its MJCF model.
         title: description on one line.
         geometry: dimensions and number of connectors.
         mass: masses of connectors and wheels.
@@ -635,8 +634,8 @@ class RobotSpec:
         """Radius of gyration of a connector without its wheels, m.
 
         By default, the connector is a uniform block with the length of the rigid gap
-        L_o and the width of the track 2 w. Its radius of gyration is √((L_o² + (2
-        w)²)/12).
+        L_o and the width of the track 2 w. The radius of gyration of this block is
+        √((L_o² + (2 w)²)/12).
         """
         if self.mass.connector_gyration is not None:
             return self.mass.connector_gyration

@@ -256,7 +256,7 @@ _MAX_TRIES = 200
 
 
 def fig54_world(count: int, seed: int) -> World:
-    """Return a world with random circles at some of the 18 sites of Fig. 54.
+    """Return a world with circles at randomly chosen sites of Fig. 54.
 
     Args:
         count: number of circles, 0 to 18.

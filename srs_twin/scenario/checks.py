@@ -66,7 +66,7 @@ def check(
 ) -> None:
     """Report contradictions between the sections of a scenario.
 
-    The argument `robot` is None if the robot is not valid.
+    An invalid robot is given as None.
     """
     spec = None if robot is None else robot.spec()
     sections = [
@@ -177,7 +177,7 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
 
 
 def _unit_hint(pressure: float, nominal: float) -> str:
-    """Ask whether an implausible pressure (kPa) has another unit, or return ""."""
+    """Return a question about the unit of an implausible pressure (kPa), or ""."""
     in_psi = abs(pressure * _PSI_KPA / nominal - 1) < _PSI_TOLERANCE
     plausible = 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL and not in_psi
     if pressure <= 0 or plausible:
@@ -298,7 +298,7 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 
 def check_controller(file: ScenarioFile, loading: Loading) -> None:
-    """Set the valve layout and report a controller that the scenario rules out."""
+    """Set the valve layout, and report controllers that contradict the scenario."""
     document = loading.document
     spec = loading.robot.spec()
     controller = file.controller

@@ -98,10 +98,7 @@ class ControllerSection(Section):
         return True
 
     def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
-        """Return the valve layouts that the controller can drive.
-
-        The argument `products` contains the products of extension sections.
-        """
+        """Return the valve layouts that the controller can drive."""
         layouts: tuple[str, ...] = self.constructors[0].layouts  # type: ignore[attr-defined]
         return layouts
 
@@ -175,7 +172,7 @@ class LearningFile(ControllerSection):
     """
 
     constructors = (ILC,)
-    tick = 0.005  # s; measuring amplitudes must resolve a carrier period of 17 ms
+    tick = 0.005  # s; the tick must resolve a carrier period of 17 ms
 
     kind: Literal["ilc"]
     """Kind of controller."""
@@ -289,7 +286,7 @@ class SquareFile(_PeriodicFile):
 
 
 class StaircaseFile(Section):
-    """Sequence of bends of equal duration, of which the last is kept to the end."""
+    """Sequence of bends of equal duration, of which the last continues to the end."""
 
     constructors = (Staircase,)
 
@@ -308,7 +305,7 @@ ReferenceFile = Annotated[
 
 
 class _TrackingFile(ControllerSection):
-    """Base class of controllers that follow a reference bend."""
+    """Base class of controllers that track a reference bend."""
 
     reference: ReferenceFile
     """Reference bend of all segments."""
@@ -394,7 +391,7 @@ class HoldFile(ControllerSection):
 
 
 class GraspFile(ControllerSection):
-    """Whole-body grasp: the tail curls around an object, and the front drags it."""
+    """Whole-body grasp, in which the tail holds an object and the front drags it."""
 
     constructors = (Grasp,)
 

@@ -5,8 +5,8 @@ expectation is not judged in three cases:
 
 - the metric is undefined for the run;
 - the stored interval belongs to another run;
-- a published value lies too close to an end of the interval, compared with the standard
-  error of the end.
+- the distance of a published value from an end of the interval is too small compared
+  with the standard error.
 """
 
 from __future__ import annotations
@@ -100,7 +100,8 @@ _METRIC_SCHEMAS: list[Any] = [
 def known_metrics(subject: str | None = None) -> tuple[str, ...]:
     """Return the names of the metrics of a subject.
 
-    The subject is "comparison" or a plant. If it is None, all names are returned.
+    The subject is "comparison" or the name of a plant. If `subject` is None, the names
+    of all metrics are returned.
     """
     if subject is None:
         return (*metric_units(), *COMPARISON_UNITS)
@@ -119,7 +120,7 @@ class ExpectationRow(TypedDict, total=False):
         of: "analytical", "twin" or "comparison".
         value: value of the metric, or None if the metric has no value.
         allowed: allowed values as text.
-        met: whether the value is allowed. It is False if the metric has no value.
+        met: whether the metric has a value, and the value is allowed.
         state: "met", "missed", "expected_failure" (missed for a known reason) or
             "not_judged". Rows of earlier versions have no state.
         reason: reason why the expectation is not judged, or None.
@@ -176,7 +177,7 @@ class AllowedRange(NamedTuple):
     def near(
         cls, value: float, relative: float | None, absolute: float | None
     ) -> AllowedRange:
-        """Return the range within the absolute or else the relative tolerance."""
+        """Return the range given by an absolute or else a relative tolerance."""
         tolerance = absolute
         if tolerance is None:
             tolerance = (relative or 0.0) * math.fabs(value)
@@ -307,8 +308,9 @@ class Expectation(Section):
         Args:
             metrics: data of metrics.json, with `experiment.stored_intervals` as the
                 entry "intervals".
-            undefined: reason why the metric is undefined. It is None if the metric has
-                a value, or if the missing value is itself a result of the run.
+            undefined: reason why the metric is undefined, or None if the metric has a
+                value. The reason is also None if the missing value is itself a result
+                of the run.
         """
         allowed = self.allowed
         if self.of:
@@ -352,7 +354,7 @@ class Expectation(Section):
     ) -> ExpectationRow:
         """Return the entries of a row that depend on a stored interval.
 
-        The row has a `reason` if no verdict is possible. For example, the published
+        The row has a `reason` if no verdict is possible, for example if the published
         value lies within two standard errors of an end of the interval.
         """
         published = self.published
@@ -457,8 +459,8 @@ def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | N
     The result is None if the second largest index lies within the error of the largest.
 
     Args:
-        sensitivity: for each parameter path, the `total` index and `total_error`, which
-            is half the width of the 95 % interval.
+        sensitivity: `total` Sobol index of each parameter, and `total_error`, which is
+            half the width of the 95 % interval of the index.
     """
     ranked = sorted(sensitivity, key=lambda path: -sensitivity[path]["total"])
     if not ranked:
@@ -496,7 +498,7 @@ class ExpectationsFile(Section):
 
 
 def verdict(checked: ExpectationRow) -> str:
-    """Return the state of a checked expectation, or "holds".
+    """Return the verdict on an expectation, which is a state or "holds".
 
     The result is "holds" if the expectation is met although `expected_failure` is set.
     """

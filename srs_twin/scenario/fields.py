@@ -1,12 +1,13 @@
 """Sections of scenario files, which convert keys with units to SI objects.
 
 A key ends with the unit of its number: ``frequency_hz``, ``k_per_rad``,
-``distance_mm``. A section builds an object by a constructor whose parameters have the
-names of the keys without units: ``frequency``, ``k`` or ``K``, ``distance``. The
-defaults of the constructor are also the defaults of the file.
+``distance_mm``. A section calls a constructor whose parameters have the names of the
+keys without units: ``frequency``, ``k`` or ``K``, ``distance``. The defaults of the
+constructor are also the defaults of the file.
 
-JSON Schemas describe each key by its docstring. The unit and the range of a number are
-appended, and ``{default}`` is replaced by the default of the constructor.
+The docstring of a key is the description of the key in JSON Schemas. The unit and the
+range of a number are appended, and ``{default}`` is replaced by the default of the
+constructor.
 
 While a scenario is loaded, each section of an extension reads its keys and files and
 returns a product, for example a planner or a recording. `Scenario.products` stores the
@@ -48,8 +49,8 @@ def quantity(
     Args:
         low: minimum allowed value.
         high: maximum allowed value.
-        default: default value. If it is not given, the default of the constructor is
-            used, and a key without any default is required.
+        default: default value. By default, the default of the constructor is used. A
+            key without any default is required.
         unit: unit of the number, if the key does not contain it.
     """
     options = {} if default is ... else {"default": default}
@@ -83,13 +84,13 @@ def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
 
 
 class Section(StrictModel):
-    """Set of keys in a file, with units and bounds.
+    """Group of keys in a file, with units and bounds.
 
     Attributes:
         constructors: constructors whose parameters the keys set. The method `build`
             calls the first constructor, whose parameters also take precedence.
         parameters: parameters of the constructors, keyed by name in lower case.
-        only: for a key and a value, the keys that are allowed only with this value.
+        only: keys that are allowed only if another key has a given value.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -190,7 +191,7 @@ class Section(StrictModel):
         return copied
 
     def with_defaults(self, *keys: str) -> Self:
-        """Return the section in which the constructor's defaults replace None."""
+        """Return the section with None replaced by the constructor's defaults."""
         missing = {
             key: self.parameter(key) for key in keys if getattr(self, key) is None
         }
@@ -214,7 +215,7 @@ class Contradiction(NamedTuple):
 
 
 class FileSections(Protocol):
-    """Sections of `scenario.file.ScenarioFile` that are visible to other sections."""
+    """Attributes of `scenario.file.ScenarioFile` that sections may read."""
 
     bench: bool
     seed: int
@@ -227,7 +228,7 @@ class FileSections(Protocol):
 
     @property
     def model_fields_set(self) -> set[str]:
-        """Names of the fields that are set in the file."""
+        """Names of the fields that the file sets."""
 
     def section(self, name: str) -> Any:
         """Return an extension section, or None if the file does not contain it."""
@@ -246,7 +247,7 @@ class Loading:
         warnings: warnings for the user.
         supply_pa: gauge supply pressure, Pa.
         layout: valve layout, "3/2" or "in_out".
-        initial_state: initial state of the plants (`start.InitialState`). None means a
+        initial_state: initial state of the plants (`start.InitialState`), or None for a
             straight snake at rest.
     """
 
@@ -318,7 +319,7 @@ class SectionEntry:
         annotation: type in the pydantic model of the file.
         description: description for the reference pages and the JSON Schema.
         input_files: function that yields the paths of the files that a section reads.
-            The argument is the section as plain data.
+            The argument of this function is the section as plain data.
         paths: kind of shipped files for each key that contains a file name
             (`Document.locate`).
     """

@@ -255,7 +255,7 @@ else:
 
 
 class ScenarioFile(Section):
-    """Experiment with a soft snake, to which `with_extensions` adds sections."""
+    """Scenario file without extensions, to which `with_extensions` adds sections."""
 
     name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = (
         None

@@ -2,7 +2,8 @@
 
 The first validation checks the file as the user wrote it and reports all problems
 together. The second validation reads the resolved document, in which all defaults and
-the robot are explicit. It ensures that a run can be repeated from its output folder.
+the robot are explicit. The second validation ensures that a run can be repeated from
+its output folder.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def parse_scenario(
     name: str = "scenario",
     set: Overrides = (),
 ) -> Scenario:
-    """Return the scenario that plain data describe.
+    """Build a scenario from plain data.
 
     Args:
         data: data of a scenario file.
@@ -184,7 +185,7 @@ def _set(document: Document, change: Override) -> None:
     before = document.get(*change.loc)
     is_record = isinstance(before, Mapping) and "unit" in before
     if is_record and not isinstance(change.value, Mapping):
-        # A plain number keeps the unit of the record that it replaces.
+        # If a plain number replaces a record, the unit of the record is kept.
         value = replace_value(before, change.value, None, f"set by {change.label}")
         change = replace(change, value=value)
     twin = document.get(*PRESET[:-1])

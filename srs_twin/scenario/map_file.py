@@ -246,8 +246,8 @@ def _colours(path: Path) -> np.ndarray:
 def _rectangles(full: np.ndarray) -> list[list[int]]:
     """Cover the occupied cells with rectangles (left, bottom, right, top).
 
-    A rectangle begins as an interval of occupied cells in one row. It extends upwards
-    over the rows that contain the same interval.
+    A rectangle begins as an interval of occupied cells in one row. The rectangle is
+    extended upwards over all rows that contain the same interval.
 
     Raises:
         InputError: there are more than `MAX_RECTANGLES` rectangles.

@@ -93,8 +93,8 @@ def changed_fields(
         before: plain data of the unmodified scenario.
         after: plain data of the modified scenario.
         locs: paths that were set. The values within a block are compared one by one.
-        earlier: changes that were made to `before`. A field that regains its original
-            value is omitted.
+        earlier: changes that were made to `before`. A field is omitted if it has its
+            original value again.
     """
     known = {change["field"]: change.get("from") for change in earlier}
     paths = {field: parse_path(field) for field in known if field != PLANTS}
@@ -116,7 +116,7 @@ def changed_fields(
 def with_plants(
     changes: Changes, named: Sequence[str], run: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Return changes with an entry for the plants if other plants run.
+    """Return changes, with an additional entry if other plants run.
 
     Args:
         changes: changed fields.
@@ -137,7 +137,7 @@ def marked(title: str, changes: Changes) -> str:
 
 
 def changes_text(changes: Changes) -> str:
-    """Return a text with the changed fields and values, or with their number."""
+    """Return a list of the changed fields and values as text, or only their number."""
     texts = [f"{c['field']} {text_of(c['from'])} → {text_of(c['to'])}" for c in changes]
     text = ", ".join(texts)
     if len(text) <= _MAX_TITLE_LENGTH:

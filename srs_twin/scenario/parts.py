@@ -39,7 +39,7 @@ from srs_twin.sensing import KINDS as SENSORS, Sensor
 
 
 class _Kind(NamedTuple):
-    """Kind of section that may name a plug-in class.
+    """Type of section that may refer to a plug-in class.
 
     Attributes:
         section: base class of the sections.
@@ -87,7 +87,7 @@ class _ArgumentsSection(Section):
         return {name[:-1]: value for name, value in self if name != "kind"}
 
     def written(self) -> dict[str, Any]:
-        """Return the section as plain data. An argument may have the value null."""
+        """Return the section as plain data. Arguments whose value is null are kept."""
         unset = self.not_written - self.model_fields_set
         return self.model_dump(mode="json", by_alias=True, exclude=unset)
 

@@ -220,7 +220,7 @@ PlantFile = AnalyticalFile | TwinFile
 
 
 class PlantsFile(Section):
-    """Plants that run, with their options. A plant that is not named does not run."""
+    """Plants that run, with their options. A plant without a section does not run."""
 
     analytical: AnalyticalFile | None = None
     """Analytical model; {} selects its defaults."""

@@ -2,7 +2,8 @@
 
 The provenance consists of the scenario, the files that the scenario reads, the source
 code, the package versions and the arithmetic of the processor. Names, displays and
-expectations are not part of it. A result is stored under the SHA-256 of the provenance.
+expectations are not part of the provenance. A result is stored under the SHA-256 of the
+provenance.
 """
 
 from __future__ import annotations
@@ -166,7 +167,7 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
 
 
 def judged_digest(document: Mapping[str, object]) -> str:
-    """Return a digest that shows whether stored intervals are valid for a scenario.
+    """Return a digest that changes when stored intervals are no longer valid.
 
     The digest depends on the robot and the input files. Code, duration and seed are
     excluded, because their effects are visible in the value of a result. Explanatory
@@ -244,8 +245,8 @@ def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -
 def source_digests(module: str) -> dict[str, str]:
     """Return the hexadecimal SHA-256 of the sources of a module and its imports.
 
-    Only imports from this package are considered. They are read from the source text,
-    including imports inside functions but not imports for type checkers. The
+    Only imports from this package are considered. Imports are read from the source
+    text, including imports inside functions but not imports for type checkers. The
     ``__init__`` of a package is included only if the package itself is imported.
 
     Args:

@@ -62,8 +62,8 @@ class Scenario:
         record_hz: recording rate, Hz.
         supply_pa: gauge supply pressure, Pa.
         pose: initial centre of mass x, y (m) and mean heading (rad).
-        initial_state: function that sets the initial state of a plant. If it is None,
-            the snake is straight and at rest at `pose`.
+        initial_state: function that sets the initial state of a plant, or None for a
+            straight snake at rest at `pose`.
         world: obstacles, bounds and goal.
         file: sections of the file with explicit defaults.
         document: plain data with explicit defaults and robot. Loading the document
@@ -138,7 +138,7 @@ class Scenario:
 
     @property
     def left_out(self) -> list[dict[str, Any]]:
-        """Invalidated expectations, each with the changed fields as `because`."""
+        """Invalidated expectations. The entry `because` contains the changed fields."""
         pairs = (
             (item, invalidated_by(item, self.changes)) for item in self.file.expect
         )
@@ -156,8 +156,8 @@ class Scenario:
     def run_on(self, plants: Sequence[str] | None) -> Scenario:
         """Return the scenario for a run on given plants.
 
-        By default, the scenario runs on its own plants. Other plants are recorded as a
-        changed field.
+        By default, the scenario runs on its own plants. A run on other plants is
+        recorded as a changed field.
         """
         changes = with_plants(
             self.changes, tuple(self.plants), plants or tuple(self.plants)
@@ -183,7 +183,7 @@ class Scenario:
 
     @property
     def timing(self) -> dict[str, Any]:
-        """Arguments of `rollout` and `Job` that the scenario determines."""
+        """Arguments of `rollout` and `Job` that are defined by the scenario."""
         names = (
             "duration",
             "pose" if self.initial_state is None else "initial_state",
@@ -194,7 +194,7 @@ class Scenario:
 
     @property
     def measured(self) -> Trajectory | None:
-        """Measured trajectory, shifted to the time of the run, or None."""
+        """Measured trajectory that starts at time 0 and ends with the run, or None."""
         measured = (
             section.measured(self.products[key])
             for key, section in self.file.sections().items()
@@ -228,8 +228,7 @@ class Scenario:
         Args:
             kind: "analytical" or "twin".
             robot: robot that replaces the robot of the scenario.
-            changes: arguments of the plant that replace the values of the scenario. The
-                argument `gaps` is allowed as well.
+            changes: arguments of the plant that replace the values of the scenario.
 
         Raises:
             UnknownNameError: the kind is unknown.
