@@ -1,4 +1,4 @@
-r"""Attribution of the difference between twin and analytical model to assumptions.
+r"""Attribution of the difference between the two plants to individual assumptions.
 
 A switch replaces one assumption of the analytical model by the corresponding assumption
 of the twin. Every subset S of the switches therefore defines a model, and v(S) is the
@@ -166,7 +166,7 @@ class PlantVariants:
         switches: other switches in which the plants of the scenario differ.
         first_on: names of the switches in `first`.
         sets: sets of active switches that are simulated, with the largest set last.
-        same: names of the switches in which the plants agree.
+        same: names of the assumptions in which the plants agree.
         refinements: refinements of approximations that only one plant makes.
     """
 
@@ -725,7 +725,7 @@ def _refinement_shares(
 def _make_share(
     assumption: Switch | Refinement, how: str, contribution: Contribution
 ) -> AssumptionShare:
-    """Return a share that is positive if the switch reduces the difference."""
+    """Return the share of an assumption, positive if it explains the difference."""
     value, low, high = (
         _to_floats(-bound)
         for bound in (contribution.value, contribution.high, contribution.low)

@@ -166,7 +166,7 @@ class UnitWarning(UserWarning):
 
 
 class EngineWarning(UserWarning):
-    """Warning that a computation uses another engine than the requested engine."""
+    """Warning that a computation does not use the requested engine."""
 
 
 class SessionWarning(UserWarning):
@@ -278,7 +278,7 @@ def _restore_error(
 
 
 def describe_exit(exit_code: int) -> str:
-    """Describe how a process ended. A negative exit code is a signal number."""
+    """Describe how a process ended. A negative exit code means a signal."""
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
     try:

@@ -88,7 +88,7 @@ class RunResult:
 
     Attributes:
         name: name of the scenario.
-        folder: output folder. A temporary folder no longer exists.
+        folder: output folder. A temporary folder has been deleted.
         trajectories: trajectory of each plant. The trajectory of a diverged plant ends
             at the divergence.
         metrics: metrics as in metrics.json, or an empty dictionary if a plant diverged.
@@ -638,7 +638,7 @@ def run_scenario(
     progress: Progress | None = None,
     explain: Explain | None = None,
 ) -> RunResult:
-    """Run a scenario like `srs-twin run`, and compute and compare metrics.
+    """Run a scenario, compare the metrics of the plants, and write the results.
 
     Args:
         scenario: name or path of a scenario, or a loaded scenario.

@@ -1,4 +1,4 @@
-"""Rollouts of plants under controllers.
+"""Simulation of plants under controllers.
 
 The function `rollout` simulates one run, and `run_many` simulates independent runs on
 several threads. Kernels and MuJoCo release the interpreter lock during a step, so the
@@ -93,7 +93,7 @@ def rollout(
         initial_state: function of plant and seed that sets another initial state, such
             as `Plant.place`.
         resume: saved states of plant and controller from which the run continues. The
-            simulated time continues as well.
+            simulated time continues from the saved time.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz. Either the number of samples per tick or the
             number of ticks per sample must be an integer.
@@ -498,7 +498,7 @@ def run_many(
     """Run jobs on several threads, with results bit-identical to `rollout`.
 
     Args:
-        jobs: jobs in any order. Two jobs must not share a plant or controller object.
+        jobs: jobs to run. Two jobs must not share a plant or controller object.
         threads: number of threads, by default one per processor.
         progress: function called on the calling thread with the number of finished
             jobs.

@@ -94,7 +94,7 @@ class HtmlResult:
 class Trajectory(HtmlResult):
     """Recorded columns of one rollout over time.
 
-    The arrays must not be modified.
+    The arrays must not be modified. The columns have the following names.
 
     - Columns of the body are ``time``, ``heading``, the centre of mass ``com_x`` and
       ``com_y``, and the connector poses ``x_1…N``, ``y_1…N`` and

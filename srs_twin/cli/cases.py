@@ -20,7 +20,7 @@ EXPECTATION_FAILED = 1
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Result of a run without trajectories, which worker processes send back.
+    """Result of a run without trajectories, as returned by worker processes.
 
     Attributes:
         run: results of the run, or None if the input was invalid or a worker process
@@ -35,7 +35,7 @@ class CaseResult:
 
     @property
     def metrics(self) -> Mapping[str, Any]:
-        """Data of metrics.json, or an empty dictionary if the run is incomplete."""
+        """Contents of metrics.json, or an empty dictionary if the run is incomplete."""
         if self.run is None:
             return {}
         return self.run.metrics
@@ -87,7 +87,7 @@ class Case:
         return self.scenario.label
 
     def document(self) -> Mapping[str, object]:
-        """Return the data of metrics.json, or the errors, as JSON data."""
+        """Return the contents of metrics.json, or the errors, as JSON data."""
         result = self.result or CaseResult(None)
         if result.errors:
             return {

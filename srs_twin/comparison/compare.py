@@ -33,7 +33,7 @@ _TIME_ROUNDING_S = 1e-9
 
 @dataclass(frozen=True)
 class Comparison(HtmlResult):
-    """Difference of a candidate (the twin) from a reference (the analytical model).
+    """Difference between a candidate (the twin) and a reference (the analytical model).
 
     A metric is None if a plant has no gait metrics or a denominator is close to zero.
 

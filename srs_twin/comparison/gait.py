@@ -153,9 +153,9 @@ class GaitWindow:
         return mean
 
     def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
-        """Return the mean over all periods of half the range of a signal in a period.
+        """Return the mean amplitude of a signal over all periods.
 
-        The signal has the shape (samples, …).
+        The amplitude in a period is half the range of the signal in this period.
         """
         signal = interpolant(trajectory, values)(self.times(self.periods))
         by_period = signal.reshape(

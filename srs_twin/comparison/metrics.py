@@ -273,7 +273,7 @@ def metric_name(name: str) -> str:
 
 
 def written_name(metric: str) -> str:
-    """Return the name of a metric for files, with the module of a plug-in."""
+    """Return the name of a metric as written in files, with the module of a plug-in."""
     for module, group in plugin_parts(MetricGroup):
         if metric in group.meanings:
             return f"{module}:{metric}"
@@ -325,7 +325,7 @@ def headline(metrics: Mapping[str, Any]) -> str:
     cause of the difference. The last sentences explain terms and limitations.
 
     Args:
-        metrics: data of metrics.json.
+        metrics: contents of metrics.json.
     """
     text = _summary(metrics)
     sentences = [*_contacts(metrics), text]
@@ -519,8 +519,8 @@ def _main_cause(
 ) -> str:
     """Return a text with the main cause of a relative difference, in per cent.
 
-    The word "would" indicates that the cause was switched alone. The text is empty if
-    no cause acts in the direction of the difference.
+    The text contains "would" if the effect was computed by switching only this cause.
+    The text is empty if no cause acts in the direction of the difference.
     """
     whole = round(100 * share)
     for name, change in causes:
@@ -640,7 +640,7 @@ def result_rows(
     """Yield the rows of a table of results. Metrics without values are omitted.
 
     Args:
-        metrics: data of metrics.json.
+        metrics: contents of metrics.json.
         names: names of the metrics.
         text: function that formats a value.
     """

@@ -89,7 +89,7 @@ def why_undefined(
     Args:
         metric: name of the metric.
         subject: "analytical", "twin" or "comparison".
-        metrics: data of metrics.json.
+        metrics: contents of metrics.json.
         runs: trajectory of each plant. The key "measured" contains the replayed
             recording.
     """

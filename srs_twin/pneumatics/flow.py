@@ -84,11 +84,11 @@ def conductances(spec: RobotSpec, critical: float) -> Conductances:
 
     One chamber fills or vents while the opposite chamber is vented, and the bend is q ≈
     G (p − τ₂ ṗ). A change dp of the gauge pressure requires the amount of air K dp, so
-    that ṗ = ṅ/K with the capacity K(p) = V + (p + P_a) A G. Terms of first order in τ₂
-    are corrected. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures.
-    For a valve, C is chosen so that dṗ/dp = −1/τ₁ at one working point. At the working
-    point, a pressure change between ambient and nominal supply has reached the fraction
-    1 − e⁻².
+    that ṗ = ṅ/K with the capacity K(p) = V + (p + P_a) A G. The effect of τ₂ is
+    included to first order. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all
+    pressures. For a valve, C is chosen so that dṗ/dp = −1/τ₁ at one working point. At
+    the working point, a pressure change between ambient and nominal supply has reached
+    the fraction 1 − e⁻².
 
     Args:
         spec: robot.

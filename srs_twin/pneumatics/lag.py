@@ -339,8 +339,9 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
         content_before = _filling_content(state, now, law)
         leaked = last = 0.0
         while True:
-            # Rows of the trace before the next valve event come first. The valve event
-            # comes last, because it is the start of the next interval.
+            # The rows of the trace before the next valve event are computed first. The
+            # state at the valve event is computed last, because it is the initial state
+            # of the next interval.
             requested = row < times.shape[0] and (times[row] <= stop or is_last)
             t = (times[row] if requested else stop) - begin
             if law.leak > 0.0:

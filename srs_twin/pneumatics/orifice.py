@@ -250,7 +250,8 @@ class OrificePneumatics(Pneumatics):
         super().reset()
         self._state = np.zeros((self._segments, 3))
         self._fill(self.pressure, self.plumbing.bias)
-        # The amounts of air are in the line, delivered by the supply, and lost.
+        # The three amounts of air are contained in the line, delivered by the supply,
+        # and lost.
         self._amounts = np.array(
             [self._line_begins * self.plumbing.line_volume, 0.0, 0.0]
         )
@@ -262,7 +263,7 @@ class OrificePneumatics(Pneumatics):
             self._state[j, side] = (AMBIENT_PA + pressure[j, side]) * size
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures (Pa), free bends (rad), and equal actual bends."""
+        """Set pressures (Pa), and equal free and actual bends (rad)."""
         plumbing = self.plumbing
         linear = invert_bend_law(bend - self.rest_bend, plumbing.law)
         self.pressure = check_pressure(

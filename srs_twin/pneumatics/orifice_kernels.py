@@ -26,9 +26,9 @@ _NEWTON_TOLERANCE = 1e-12
 _X = 2  # Column of y that contains the linear bend.
 
 # Indices of amounts of air (J) and flows (J/s) of the whole robot.
-LINE = 0  # in the line
-DRAWN = 1  # drawn from the supply
-LOST = 2  # vented and leaked
+LINE = 0  # Air in the line.
+DRAWN = 1  # Air delivered by the supply.
+LOST = 2  # Air vented and leaked.
 AMOUNTS = 3
 _SUPPLY_FLOW = 3
 _INFLOW = 4

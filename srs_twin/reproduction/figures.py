@@ -189,7 +189,7 @@ def _readings(runs: Trajectories) -> Figure:
 
 
 def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
-    """Draw the step to 8 psi and Eq. 14 (Fig. 20).
+    """Draw the response to a step of 8 psi, and Eq. 14 (Fig. 20).
 
     Eq. 14 is evaluated with the published time constants of the robot.
     """

@@ -153,7 +153,7 @@ class RunStore:
         if text not in self._keys:
             jobs = list(self._make_jobs(request))
             for job in jobs:
-                # A job that stores trajectories replaces an equal job that does not.
+                # A job that stores trajectories replaces an equal job that stores none.
                 if job.key not in self._jobs or job.stores_trajectories:
                     self._jobs[job.key] = job
             self._keys[text] = tuple(job.key for job in jobs)

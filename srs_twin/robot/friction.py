@@ -79,7 +79,7 @@ def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]
     r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
     a_t = v_t * r
     a_lat = v_lat * r
-    slide_t = mu_lat * a_t  # axial friction coefficient of a locked wheel
+    slide_t = mu_lat * a_t  # Axial friction coefficient of a locked wheel.
     # A rolling wheel uses a part μ_t of the friction cone along the heading. The
     # remaining friction coefficient across the heading is √(μ_n² − μ_t²).
     rest = np.sqrt(np.maximum(mu_lat * mu_lat - mu_t * mu_t, 0.0))

@@ -1,4 +1,4 @@
-"""Detection of robot parameters that were probably written in another unit.
+"""Detection of robot parameters that were probably written in a wrong unit.
 
 The lengths of a robot are compared with each other. Times, pressures and stiffnesses
 are compared in the same way. A robot that is scaled as a whole therefore remains
@@ -100,7 +100,7 @@ ratio is certainly wrong, because osmium has 22 600 kg/m³."""
 
 
 class Doubt(NamedTuple):
-    """Number that was probably written in another unit.
+    """Number that was probably written in a wrong unit.
 
     Attributes:
         path: section and key of the number.

@@ -1,7 +1,7 @@
 """Consistency rules between the parameters of a robot.
 
-`RobotSpec` raises violations as an error. A robot file reports each violation at the
-key of the parameter.
+A `RobotSpec` raises an error if a rule is violated. A robot file reports each violation
+at the key of the parameter.
 """
 
 from __future__ import annotations

@@ -412,7 +412,7 @@ class Chamber:
 
     @property
     def axes(self) -> np.ndarray:
-        """Left and upward components of each chamber's bend, shape (chambers, 2)."""
+        """Left and upward components of the chamber directions, shape (chambers, 2)."""
         directions = self.directions or (0.0, math.pi)
         vectors = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
         axes: np.ndarray = np.round(vectors, 15)

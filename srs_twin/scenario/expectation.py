@@ -306,7 +306,7 @@ class Expectation(Section):
         """Return the result of the expectation for a run.
 
         Args:
-            metrics: data of metrics.json, with `experiment.stored_intervals` as the
+            metrics: contents of metrics.json, with `experiment.stored_intervals` as the
                 entry "intervals".
             undefined: reason why the metric is undefined, or None if the metric has a
                 value. The reason is also None if the missing value is itself a result

@@ -239,7 +239,7 @@ class Loading:
     """State of a scenario while it is loaded.
 
     Attributes:
-        document: scenario file, which collects the problems.
+        document: scenario file, in which problems are collected.
         file: validated sections.
         robot: robot file with overrides.
         world: obstacles, bounds and goal.

@@ -73,7 +73,7 @@ def parse_scenario(
     """Build a scenario from plain data.
 
     Args:
-        data: data of a scenario file.
+        data: contents of a scenario file.
         name: name in messages, and default name of the scenario.
         set: values that override fields, keyed by dotted path.
 

@@ -64,9 +64,9 @@ class MapFile(StrictModel):
 
     model_config = ConfigDict(extra="ignore")
 
-    image: Annotated[str, Field(min_length=1, max_length=1000)]  # path of the picture
-    resolution: Annotated[float, Field(ge=1e-4, le=100.0)]  # side of a pixel, m
-    # x and y of the lower left corner, m, and rotation, rad
+    image: Annotated[str, Field(min_length=1, max_length=1000)]  # Path of the picture.
+    resolution: Annotated[float, Field(ge=1e-4, le=100.0)]  # Side of a pixel, m.
+    # Position (m) and rotation (rad) of the lower left corner.
     origin: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...]
     mode: Literal["trinary", "scale"] = "trinary"
     negate: bool = False
