@@ -73,12 +73,7 @@ def subsets(names: Sequence[str]) -> list[frozenset[str]]:
 def contributions(
     names: Sequence[str], differences: Mapping[frozenset[str], np.ndarray]
 ) -> dict[str, Contribution]:
-    """Return the Shapley value of each switch.
-
-    Args:
-        names: names of the switches.
-        differences: difference v(S) for each subset S of active switches.
-    """
+    """Return the Shapley value of each switch."""
     n = len(names)
     shapley = {}
     for name in names:
@@ -337,12 +332,7 @@ class PlantVariants:
         ]
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
-        """Build the analytical model with some switches active.
-
-        Args:
-            on: names of the active switches.
-            options: further arguments of the model.
-        """
+        """Build the analytical model with some switches active."""
         spec = self._scenario.robot
         changes: dict[str, Any] = {}
         for switch in self.all_switches:
@@ -532,10 +522,6 @@ def main_cause(
     """Return the effect of compliance on the analytical model, from one additional run.
 
     Of all contributions that `explain` computes, compliance usually has the largest.
-
-    Args:
-        scenario: scenario of the run.
-        trajectories: trajectory of each plant, keyed by the name of the plant.
 
     Returns:
         Name of the assumption (`name`) and effects on `com_speed_m_s` and

@@ -90,15 +90,7 @@ class AbsentPartError(InputError):
 
 
 class UnknownNameError(InputError):
-    """Error for a name that does not exist, with the closest names as suggestions.
-
-    Args:
-        kind: kind of object, such as "metric".
-        name: unknown name.
-        available: all valid names.
-        listing: command or page that lists the names.
-        longest: maximum number of names that the message lists.
-    """
+    """Error for a name that does not exist, with the closest names as suggestions."""
 
     def __init__(
         self,
@@ -120,11 +112,7 @@ class UnknownNameError(InputError):
 
 
 class TimeStepError(InputError):
-    """Error for a period that is not a multiple of a time step.
-
-    Attributes:
-        problem: message without suggestions.
-    """
+    """Error for a period that is not a multiple of a time step."""
 
     def __init__(
         self, name: str, period_s: float, step_name: str, step_s: float
@@ -147,9 +135,6 @@ class InputFileError(InputError):
     """Error with all problems of one file.
 
     Each line has the form ``path:line:column: key.path: message``.
-
-    Attributes:
-        lines: messages, ordered by their position in the file.
     """
 
     def __init__(self, lines: Iterable[str]) -> None:

@@ -114,13 +114,7 @@ class _Simulated:
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """Scenario with its plants and controllers, and a writable output folder.
-
-    Attributes:
-        scenario: scenario of the run.
-        folder: output folder.
-        pairs: plant and controller, keyed by the name of the plant.
-    """
+    """Scenario with its plants and controllers, and a writable output folder."""
 
     scenario: Scenario
     folder: Path
@@ -503,14 +497,7 @@ def _percents(
 
 @dataclass(frozen=True)
 class ComparedRuns(Comparison):
-    """Comparison of the two plants of a scenario, which notebooks display as a page.
-
-    Attributes:
-        title: title of the scenario.
-        trajectories: trajectory of each plant.
-        results: metrics as in metrics.json.
-        spec: robot of the plants.
-    """
+    """Comparison of the two plants of a scenario, which notebooks display as a page."""
 
     title: str
     trajectories: Mapping[str, Trajectory]

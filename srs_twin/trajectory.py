@@ -77,11 +77,7 @@ class UnknownColumnError(UnknownNameError, KeyError):
 
 
 class HtmlResult:
-    """Base class of results that notebooks display as an HTML page.
-
-    Attributes:
-        page: key in `extensions.PAGES` of the function that renders the page.
-    """
+    """Base class of results that notebooks display as an HTML page."""
 
     page: ClassVar[str] = "run"
 

@@ -220,11 +220,7 @@ class Display(ABC):
 
 
 class RunCounter(Display):
-    """Progress of several runs. The object is called after each completed run.
-
-    Attributes:
-        total: number of runs.
-    """
+    """Progress of several runs. The object is called after each completed run."""
 
     def __init__(
         self,

@@ -65,11 +65,6 @@ def write_report(
 ) -> None:
     """Write a report atomically.
 
-    Args:
-        path: path of the report.
-        name: name of the report.
-        suites: name and test cases of each suite.
-
     Raises:
         InputError: the file cannot be written.
     """

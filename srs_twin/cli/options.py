@@ -201,10 +201,6 @@ def expand_option_groups(
     options, for example "--out DIR: Output folder." for the parameter `out`. If a
     parameter has its own annotation, the section contains only the name and the help
     text.
-
-    Args:
-        command: function that implements the command.
-        plugins: whether to add the option ``--plugin``.
     """
     description, options = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)

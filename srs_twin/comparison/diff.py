@@ -97,14 +97,7 @@ def load_tolerances(path: StrPath) -> Tolerances:
 
 @dataclass(frozen=True)
 class ChangedValue:
-    """Value that differs between two sets of results.
-
-    Attributes:
-        where: scenario, sweep point or reproduction row.
-        metric: full name of the metric.
-        a: value in the reference results.
-        b: value in the other results.
-    """
+    """Value that differs between two sets of results."""
 
     where: str
     metric: str
@@ -124,12 +117,7 @@ class ChangedValue:
 
 @dataclass(frozen=True)
 class Results:
-    """Results of one or more runs as a flat table.
-
-    Attributes:
-        values: results, keyed by (where, metric).
-        versions: package versions.
-    """
+    """Results of one or more runs as a flat table."""
 
     values: Mapping[ValueKey, Leaf]
     versions: Mapping[str, str]

@@ -261,9 +261,6 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     ``extent_left_m`` and ``extent_right_m`` are measured from the circle or line that
     is fitted to the path of the last five periods.
 
-    Args:
-        trajectory: run with ``measured_bend``, ``duty_…`` and ``target_…``.
-
     Raises:
         InputError: columns or metadata are missing or unusable.
     """

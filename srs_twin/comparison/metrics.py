@@ -323,9 +323,6 @@ def headline(metrics: Mapping[str, Any]) -> str:
     The summary begins with a contact with obstacles, if there is one. The summary then
     states the difference over the whole run, the difference before the contact, and the
     cause of the difference. The last sentences explain terms and limitations.
-
-    Args:
-        metrics: contents of metrics.json.
     """
     text = _summary(metrics)
     sentences = [*_contacts(metrics), text]
@@ -617,15 +614,7 @@ def tidy(metric: str, value: Any) -> Any:
 
 
 class ResultRow(NamedTuple):
-    """Row of a table of results, in which every value is text.
-
-    Attributes:
-        metric: name of the metric.
-        unit: unit of the metric, or an empty string.
-        values: value for each plant.
-        difference: twin − analytical, or the value of a comparison metric.
-        per_cent: difference in per cent.
-    """
+    """Row of a table of results, in which every value is text."""
 
     metric: str
     unit: str
@@ -637,13 +626,7 @@ class ResultRow(NamedTuple):
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[ResultRow]:
-    """Yield the rows of a table of results. Metrics without values are omitted.
-
-    Args:
-        metrics: contents of metrics.json.
-        names: names of the metrics.
-        text: function that formats a value.
-    """
+    """Yield the rows of a table of results. Metrics without values are omitted."""
     units = all_units()
     plants = metrics["plants"]
     for name in names:

@@ -198,9 +198,6 @@ def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     and π. Outlet openings are counted for separate outlet valves if the run is recorded
     in every tick.
 
-    Args:
-        trajectory: run with ``reference_1`` and ``bend_1``.
-
     Returns:
         Metrics in `TRACKING_UNITS`.
 
@@ -387,10 +384,6 @@ def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     All metrics are None if the sensor is ideal. Averaging removes noise from
     ``reading_error_rad``. Without noise, ``reading_backstep_rad`` is 0 if each reading
     corresponds to a single bend. The metrics depend on the bends that occur in the run.
-
-    Args:
-        trajectory: run with ``bend_1``, ``measured_bend_1`` and the sensor in its
-            metadata.
 
     Raises:
         InputError: columns are missing or unusable.

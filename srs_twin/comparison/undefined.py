@@ -85,13 +85,6 @@ def why_undefined(
 
     The function returns None if the metric has a value, or if the undefined metric is
     itself a result of the run.
-
-    Args:
-        metric: name of the metric.
-        subject: "analytical", "twin" or "comparison".
-        metrics: contents of metrics.json.
-        runs: trajectory of each plant. The key "measured" contains the replayed
-            recording.
     """
     owners = metrics["plants"] | {"comparison": metrics["comparison"]}
     values = owners.get(subject) or {}

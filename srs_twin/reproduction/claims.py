@@ -440,11 +440,6 @@ def load_list(
 ) -> tuple[Document, list[tuple[int, Model]]]:
     """Read a list of sections from a YAML file.
 
-    Args:
-        path: path of the file.
-        model: model of the sections.
-        label: plural name of the sections for messages.
-
     Returns:
         Document with its problems, and index and section of each valid entry.
 

@@ -41,9 +41,6 @@ def spring_car(robot: str) -> Numbers:
     analytical model prescribes a friction law, so its coefficient is the maximum ratio
     of force to load of any connector during a gait.
 
-    Args:
-        robot: name of a shipped robot.
-
     Returns:
         ``mu_t`` and ``mu_n`` of both plants.
     """

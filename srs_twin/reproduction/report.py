@@ -133,12 +133,7 @@ def _count_met(
 def verification_grade(
     law: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
 ) -> Grade:
-    """Return the verification grade.
-
-    Args:
-        law: number of laws that are met, and number of all laws.
-        intervals: stored uncertainty intervals.
-    """
+    """Return the verification grade."""
     met, rows = law
     text = "its laws are tests of the program"
     if rows:

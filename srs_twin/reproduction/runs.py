@@ -116,10 +116,6 @@ def open_store(
 ) -> Iterator[RunStore]:
     """Open and lock a folder of stored runs.
 
-    Args:
-        folder: path of the folder.
-        change: function that modifies every scenario document, for tests.
-
     Raises:
         InputError: the folder is not writable, is locked, or contains other results.
     """
@@ -196,12 +192,6 @@ class RunStore:
         """Run missing jobs, and store each result as soon as the job is finished.
 
         If a job raises an error, a row with the error is stored.
-
-        Args:
-            jobs: jobs to run.
-            part: label for `progress`.
-            workers: number of worker processes.
-            progress: progress callback.
 
         Raises:
             InputError: a result cannot be stored.

@@ -70,25 +70,14 @@ class ClaimOutcome:
 
 @dataclass(frozen=True)
 class JudgedClaim:
-    """Claim with its outcomes.
-
-    Attributes:
-        claim: claim of the dissertation.
-        outcomes: outcome in each column of results, keyed by column.
-    """
+    """Claim with its outcomes."""
 
     claim: Claim
     outcomes: Mapping[str, ClaimOutcome] = field(default_factory=dict)
 
 
 def judge_column(store: RunStore, claim: Claim, column: str) -> ClaimOutcome:
-    """Return the outcome of a claim in one column, computed from finished runs.
-
-    Args:
-        store: stored runs.
-        claim: claim of the dissertation.
-        column: "analytical", "twin" or "alone".
-    """
+    """Return the outcome of a claim in one column, computed from finished runs."""
     values = tuple(_number(store, measure, column) for measure in claim.all_measures)
     if any(math.isnan(value) for value in values):
         return ClaimOutcome(
@@ -187,12 +176,7 @@ _OUTCOMES = TypeAdapter(Mapping[str, Mapping[str, ClaimOutcome]])
 
 @dataclass(frozen=True)
 class Baseline:
-    """Stored outcomes with which later reproductions are compared.
-
-    Attributes:
-        outcomes: outcomes, keyed by claim and column.
-        versions: package versions.
-    """
+    """Stored outcomes with which later reproductions are compared."""
 
     outcomes: Mapping[str, Mapping[str, ClaimOutcome]]
     versions: Mapping[str, str]
@@ -270,12 +254,6 @@ def judge(
     """Run and judge claims, and find the reasons for missed claims.
 
     A missed claim with a known reason is run again with the assumption changed.
-
-    Args:
-        claims: claims of the dissertation.
-        store: stored runs.
-        workers: number of worker processes.
-        progress: progress callback.
 
     Raises:
         InputError: a scenario or sweep is invalid, or a result cannot be stored.

@@ -100,13 +100,7 @@ ratio is certainly wrong, because osmium has 22 600 kg/m³."""
 
 
 class Doubt(NamedTuple):
-    """Number that was probably written in a wrong unit.
-
-    Attributes:
-        path: section and key of the number.
-        text: reason for the doubt and likely unit.
-        is_certain: whether the number is impossible for any robot.
-    """
+    """Number that was probably written in a wrong unit."""
 
     path: str
     text: str
@@ -114,13 +108,7 @@ class Doubt(NamedTuple):
 
 
 def likely_unit(value: float, unit: str, expected: float) -> str:
-    """Suggest another unit for a number, for example "0.4 bar would be 40 kPa".
-
-    Args:
-        value: number as the user wrote it.
-        unit: unit of the key.
-        expected: expected order of magnitude in the unit of the key.
-    """
+    """Suggest another unit for a number, for example "0.4 bar would be 40 kPa"."""
     factors = {unit: 1.0} | _OTHER_UNITS.get(unit, {})
     other = min(
         factors, key=lambda name: abs(math.log(factors[name] * value / expected))

@@ -45,14 +45,7 @@ def spatial_refusal(robot: str, feature: str) -> str:
 def kind_violations(
     *, is_spatial: bool, has_skin: bool, has_tail: bool, extends: bool
 ) -> Iterator[Violation]:
-    """Yield contradictions between the kinds of chambers and of contact.
-
-    Args:
-        is_spatial: whether the segments bend in two directions.
-        has_skin: whether the body slides on its belly instead of rolling on wheels.
-        has_tail: whether the last connector has a second axle.
-        extends: whether pressure lengthens the segments.
-    """
+    """Yield contradictions between the kinds of chambers and of contact."""
     if is_spatial and not has_skin:
         yield Violation(
             "directions",

@@ -365,10 +365,6 @@ def with_extensions(
     """Import extensions and return the model of scenario files with their sections.
 
     By default, all installed extensions are imported.
-
-    Args:
-        sections: names of the extension sections.
-        controllers: additional kinds of `controller`.
     """
     return _with_extensions(
         tuple(name for name in installed(SECTIONS) if name in sections),

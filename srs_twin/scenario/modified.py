@@ -116,13 +116,7 @@ def changed_fields(
 def with_plants(
     changes: Changes, named: Sequence[str], run: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Return changes, with an additional entry if other plants run.
-
-    Args:
-        changes: changed fields.
-        named: plants that the scenario names.
-        run: plants that run.
-    """
+    """Return changes, with an additional entry if other plants run."""
     rest = [dict(change) for change in changes if change["field"] != PLANTS]
     if set(named) == set(run):
         return rest

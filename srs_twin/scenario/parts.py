@@ -39,13 +39,7 @@ from srs_twin.sensing import KINDS as SENSORS, Sensor
 
 
 class _Kind(NamedTuple):
-    """Type of section that may refer to a plug-in class.
-
-    Attributes:
-        section: base class of the sections.
-        base: base class of the objects that the sections build.
-        known: names of the classes in this package.
-    """
+    """Type of section that may refer to a plug-in class."""
 
     section: type[Section]
     base: type

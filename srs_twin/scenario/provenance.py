@@ -248,9 +248,6 @@ def source_digests(module: str) -> dict[str, str]:
     Only imports from this package are considered. Imports are read from the source
     text, including imports inside functions but not imports for type checkers. The
     ``__init__`` of a package is included only if the package itself is imported.
-
-    Args:
-        module: dotted name of the module.
     """
     return dict(sorted(_closure(module, Path(__file__).resolve().parents[2])))
 

@@ -183,11 +183,7 @@ class _MotionState:
 
 @dataclass(frozen=True)
 class InitialState:
-    """Function that sets a plant to a given initial state (`rollout.PlaceFunction`).
-
-    Attributes:
-        states: initial state of each plant, keyed by name.
-    """
+    """Function that sets a plant to a given initial state (`rollout.PlaceFunction`)."""
 
     states: Mapping[str, _MotionState]
 

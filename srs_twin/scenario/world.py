@@ -144,11 +144,6 @@ class RandomFile(Section):
     ) -> tuple[Circle, ...]:
         """Draw the circles at random.
 
-        Args:
-            bounds: area that is used if the section does not set one.
-            seed: random seed that is used if the section does not set one.
-            places: start and goal, from which circles keep a distance.
-
         Raises:
             InputError: the circles do not fit into the area.
         """
