@@ -219,8 +219,8 @@ def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
 def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
     """Return the pressures for which a linear bend law gives equal bends.
 
-    MuJoCo's linear actuators use these pressures. The gauge pressures have the shape
-    (…, segments, 2), in Pa.
+    MuJoCo's linear actuators use the equivalent pressures. The gauge pressures have the
+    shape (…, segments, 2), in Pa.
     """
     linear = _linear_bend(spec, pressure)
     bends = free_bends(spec, linear)
