@@ -1,15 +1,15 @@
-r"""Attribution of the difference between twin and analytical model to assumptions.
+r"""Attribution of the difference between the two plants to individual assumptions.
 
-A switch replaces one assumption of the analytical model by the twin's assumption, so
-every subset S of the switches gives a model. The difference between this model and the
-twin is v(S). The contribution of switch i is its Shapley value, the average over all n!
-orders of switching:
+A switch replaces one assumption of the analytical model by the corresponding assumption
+of the twin. Every subset S of the switches therefore defines a model, and v(S) is the
+difference between this model and the twin. The contribution of switch i is the Shapley
+value of i, which is the average over all n! orders of switching:
 
 $$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr]. $$
 
 The contributions add up to v(all) − v(none). An approximation that only one plant
-makes, such as its time step, cannot be switched. It is refined instead, and the change
-under the refinement is extrapolated to the limit.
+makes, such as the time step, cannot be switched. The approximation is refined instead,
+and the effect of the refinement is extrapolated to the limit.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Contribution:
 
 
 def subsets(names: Sequence[str]) -> list[frozenset[str]]:
-    """Return all subsets in the order of their sizes."""
+    """Return all subsets, sorted by size."""
     return [
         frozenset(subset)
         for size in range(len(names) + 1)
@@ -73,12 +73,7 @@ def subsets(names: Sequence[str]) -> list[frozenset[str]]:
 def contributions(
     names: Sequence[str], differences: Mapping[frozenset[str], np.ndarray]
 ) -> dict[str, Contribution]:
-    """Return the Shapley value of each switch.
-
-    Args:
-        names: names of the switches.
-        differences: difference v(S) for each subset S of switches that are on.
-    """
+    """Return the Shapley value of each switch."""
     n = len(names)
     shapley = {}
     for name in names:
@@ -86,8 +81,8 @@ def contributions(
         changes = [
             differences[subset | {name}] - differences[subset] for subset in others
         ]
-        # The weight is the fraction of all orders in which exactly this subset precedes
-        # the switch.
+        # The weight is the fraction of all orders in which exactly the switches of the
+        # subset precede the switch.
         weights = [
             math.factorial(len(subset))
             * math.factorial(n - len(subset) - 1)
@@ -105,10 +100,10 @@ def contributions(
 
 FROZEN_CHORDS = "frozen chords"
 MATCHED_STIFFNESS_FACTOR = 45.0
-"""Factor on the bending stiffness of the twin in the matched setting.
+"""Factor on the bending stiffness of the twin for the comparison with matched models.
 
-Gen2 has 20 instead of 0.44 N·m/rad. Such a stiff segment follows its free bend, like
-the prescribed bends of the analytical model.
+The stiffness of gen2 becomes 20 instead of 0.44 N·m/rad. Such a stiff segment has the
+free bend at all times, like the prescribed bends of the analytical model.
 """
 
 
@@ -117,10 +112,11 @@ class Switch(NamedTuple):
 
     Attributes:
         name: short name.
-        title: assumptions of the model and of the twin, separated by an arrow.
-        differs: whether the plants of this scenario differ in the assumption.
-        options: arguments of the analytical model with the switch on. Later switches
-            take precedence.
+        title: assumption of the model and assumption of the twin, separated by an
+            arrow.
+        differs: whether the plants of the scenario differ in the assumption.
+        options: arguments of the analytical model if the switch is active. Arguments of
+            later switches take precedence.
     """
 
     name: str
@@ -134,9 +130,9 @@ class Refinement:
     """Reduction of an approximation that only one plant makes.
 
     The total effect is `factor` times the change under the refinement. The factor is 2
-    for a first-order error that is halved, and 4/3 for a second-order error that is
-    halved or a first-order error that is quartered. It is 1 if the refinement removes
-    the approximation.
+    for a first-order error whose step is halved, and 4/3 for a second-order error whose
+    step is halved or a first-order error whose step is quartered. The factor is 1 if
+    the refinement removes the approximation.
 
     Attributes:
         name: short name.
@@ -144,7 +140,7 @@ class Refinement:
         options: changed arguments of the plant.
         factor: ratio of the total effect to the change under the refinement.
         plant: plant that makes the approximation, "twin" or "analytical".
-        base: changed arguments of the plant without the refinement.
+        base: changed arguments of the plant that the refined plant is compared with.
     """
 
     name: str
@@ -156,17 +152,17 @@ class Refinement:
 
 
 class PlantVariants:
-    """Builder of the plants of a scenario with switched assumptions and refinements.
+    """Plants of a scenario with switched assumptions and refinements.
 
     Attributes:
-        all_switches: all switches, where later switches take precedence.
-        first: switches that must precede all others, because compliant bends need arcs
-            instead of frozen chords.
-        switches: all other switches in which the plants of the scenario differ.
+        all_switches: all switches. The options of later switches take precedence.
+        first: switches that must precede the other switches, because compliant bends
+            need arcs instead of frozen chords.
+        switches: other switches in which the plants of the scenario differ.
         first_on: names of the switches in `first`.
-        sets: all sets of switches that are simulated, with the largest set last.
-        same: names of the switches in which the plants agree.
-        refinements: refinements of approximations that one plant makes.
+        sets: sets of active switches that are simulated, with the largest set last.
+        same: names of the assumptions in which the plants agree.
+        refinements: refinements of approximations that only one plant makes.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -272,7 +268,7 @@ class PlantVariants:
             "axis",
         ):
             return []
-        # The preloaded twin needs axles with inertia, but the loaded twin does not.
+        # The preloaded twin needs axles with inertia, whereas the loaded twin does not.
         wheel_spin = 0.25
         factor = 4 / 3
         if self._twin.contact == "loaded":
@@ -287,8 +283,8 @@ class PlantVariants:
         hinges = self._twin.hinges_per_segment
         arcs = {"numerics": Numerics(constant_curvature=True)}
         finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
-        # The loaded twin is second-order accurate in its time step, the preloaded twin
-        # first-order accurate.
+        # The time integration of the loaded twin is second-order accurate, and that of the
+        # preloaded twin first-order accurate.
         order_factor = 4 / 3 if self._twin.contact == "loaded" else 2.0
         finer_model = {
             "timestep": self._model.timestep_s / 4,
@@ -336,12 +332,7 @@ class PlantVariants:
         ]
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
-        """Build the analytical model with some switches on.
-
-        Args:
-            on: names of the switches that are on.
-            options: further arguments of the model.
-        """
+        """Build the analytical model with some switches active."""
         spec = self._scenario.robot
         changes: dict[str, Any] = {}
         for switch in self.all_switches:
@@ -352,16 +343,16 @@ class PlantVariants:
         return self._scenario.build_plant("analytical", robot=spec, **changes | options)
 
     def twin(self, **options: Any) -> Plant:
-        """Build the twin with changed arguments, in a world without obstacles."""
+        """Build the twin with changed arguments in a world without obstacles."""
         free = replace(self._scenario.world, obstacles=(), polygons=(), objects=())
         return self._scenario.build_plant("twin", **{"world": free} | options)
 
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
-        """Return twins with the damping time at both ends of its 95 % interval.
+        """Return twins with the damping time at each end of its 95 % interval.
 
-        The result is empty without an interval. It is also empty if the air depends on
-        the bends, because closed chambers diverge with short damping times
-        (docs/planar-models.md).
+        The dictionary of twins is empty if the robot has no 95 % interval, or if the
+        chamber pressures depend on the bends. In the second case, closed chambers would
+        diverge with short damping times (docs/planar-models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}
@@ -382,7 +373,7 @@ class PlantVariants:
         return twins
 
     def stiff_twin(self) -> Plant:
-        """Build the twin of the matched setting, whose bends are stiff."""
+        """Build a twin with stiff bends, which is compared with `matched`."""
         spec = self._scenario.robot
         stiffness = MATCHED_STIFFNESS_FACTOR * spec.bending.stiffness
         return self.twin(
@@ -392,7 +383,7 @@ class PlantVariants:
         )
 
     def matched(self) -> Plant:
-        """Build the analytical model with friction, inertia and gaps of the twin."""
+        """Build an analytical model with the friction, inertia and gaps of the twin."""
         on = {"friction law", "wheel track", "rigid gaps", "connector inertia"}
         return self.analytical(frozenset(on), model="complete", friction_torque=True)
 
@@ -407,20 +398,20 @@ Progress = Callable[[float, float | None], None]
 _MAX_STEPS = 12_000
 """Maximum number of time steps of the twin if the controller reads the state.
 
-Such a controller acts at every tick, which costs several times as much as the physics.
-The attribution simulates the twin about eleven times.
+Such a controller is evaluated at every tick, which takes several times as long as the
+physics. The attribution simulates the twin about eleven times.
 """
 _TICK_ROUNDING = 1e-6
-"""Tolerance for whole ticks, as a fraction of a tick."""
+"""Rounding tolerance of a number of ticks."""
 _MIN_WINDOW_PERIODS = 4
 """Minimum number of gait periods of a shortened attribution."""
 
 _TWIN_COST = 1.4
-"""Mean computing time of a refined twin relative to the twin of the run."""
+"""Mean computing time of a refined twin divided by that of the unrefined twin."""
 _MODEL_COST = 2.5
-"""Mean computing time of a switched model relative to the model of the run.
+"""Mean computing time of a switched model divided by that of the original model.
 
-Compliant bends take longer than prescribed bends.
+Compliant bends need more computing time than prescribed bends.
 """
 
 
@@ -435,9 +426,9 @@ def explain(
     """Attribute the difference between the two plants of a run to assumptions.
 
     The analytical model is simulated with every subset of the switches and compared
-    with the given twin, which gives the Shapley value of each switch (`contributions`).
-    Then each approximation that only one plant makes is refined, and the effect is
-    measured with all switches on. Contributions and remainder add up to the difference.
+    with the given twin, which gives the Shapley value of each switch. Then each
+    approximation that only one plant makes is refined, and the effect is measured with
+    all switches active. Contributions and remainder add up to the difference.
 
     If the controller reads the state, only the first part of a long run is attributed
     (`Attribution.window_s`). A run with a contact is attributed up to the first
@@ -445,12 +436,12 @@ def explain(
 
     Args:
         scenario: scenario of the run.
-        trajectories: trajectories of both plants by name of the plant.
+        trajectories: trajectory of each plant, keyed by the name of the plant.
         progress: callback with the finished fraction, 0 to 1, and the remaining time,
             s.
-        wall_s: computing time of each plant's run, from which the remaining time is
+        wall_s: computing time of each plant, from which the remaining time is
             estimated, s.
-        whole: whether to attribute the whole runs, however long they are.
+        whole: whether to attribute the whole duration of long runs.
 
     Raises:
         InputError: only one plant ran, or the runs are too short for gait metrics.
@@ -530,17 +521,13 @@ def main_cause(
 ) -> dict[str, Any] | None:
     """Return the effect of compliance on the analytical model, from one additional run.
 
-    Compliance usually has the largest of the contributions that `explain` computes.
-
-    Args:
-        scenario: scenario of the run.
-        trajectories: trajectories of both plants by name of the plant.
+    Of all contributions that `explain` computes, compliance usually has the largest.
 
     Returns:
-        Name of the assumption (`name`), effects on `com_speed_m_s` and
-        `yaw_rate_rad_s`, and `window_s` if the effects refer to the time before a
-        contact. The result is None if the run has no gait, the model is already
-        compliant, or the robot is spatial.
+        Name of the assumption (`name`) and effects on `com_speed_m_s` and
+        `yaw_rate_rad_s`. The key `window_s` is added if the effects refer to the time
+        before a contact. The result is None if the run has no gait, the model is
+        already compliant, or the robot is spatial.
     """
     if scenario.robot.is_spatial:
         return None
@@ -606,9 +593,9 @@ def _run_all(
         report = _reporter(progress, costs, is_measured=bool(wall_s))
     results: Iterable[Trajectory | DivergedError]
     if not _is_script(controller):
-        # A controller that reads the state holds the lock of the interpreter, so
-        # threads would not help. The controller is sent together with its plan, so that
-        # the workers need not plan again.
+        # A controller that reads the state holds the interpreter lock, so the variants
+        # run in processes instead of threads. Each process receives the controller with
+        # its plan, so that planning is not repeated.
         duration = window or scenario.duration
         tasks = [_Task(scenario, name, controller, duration) for name in builders]
         results = _in_processes(tasks, report)
@@ -724,7 +711,7 @@ def _refinement_shares(
 def _make_share(
     assumption: Switch | Refinement, how: str, contribution: Contribution
 ) -> AssumptionShare:
-    """Return a contribution, which is positive if a switch reduces the difference."""
+    """Return the share of an assumption, positive if it explains the difference."""
     value, low, high = (
         _to_floats(-bound)
         for bound in (contribution.value, contribution.high, contribution.low)

@@ -1,8 +1,8 @@
-"""Exceptions and warnings of the package, with exit codes and remedies.
+"""Exceptions and warnings of the package.
 
-Every error that the package raises on purpose is an `SrsError`. The message says where
-the problem is, what was given, what is allowed and which valid input is closest. The
-command line prints the message and exits with `exit_code`.
+Every error that the package raises on purpose is an `SrsError`. The message states
+where the problem is, what was given, what is allowed and which valid input is closest.
+The command line prints the message and exits with `exit_code`.
 """
 
 from __future__ import annotations
@@ -25,18 +25,20 @@ _MIN_SIMILARITY = 0.6
 """Minimum similarity of a suggested name, on the scale of `difflib`."""
 
 _SIMILARITY_TIE = 0.05
-"""Maximum similarity difference from the best name for a joint suggestion."""
+"""Names whose similarity is lower than the best by at most this difference are
+suggested as well."""
 
 _MIN_PREFIX_SIMILARITY = 0.75
 """Minimum similarity to the first words of a name.
 
-It is higher than for whole names, because short texts are similar by chance.
+It is higher than the minimum similarity to whole names, because short texts are often
+similar by chance.
 """
 
 OUTSIDE: set[str] = set()
-"""Source files of imported parts that do not belong to the package.
+"""Source files of imported plug-ins, which do not belong to the package.
 
-Messages about errors in these parts name the file.
+Error messages name the plug-in file in which an error occurred.
 """
 
 _FILE_SUFFIXES = (
@@ -57,8 +59,8 @@ class SrsError(Exception):
     """Base class of all errors raised on purpose.
 
     Attributes:
-        exit_code: exit code of the command line (2 bad input, 3 diverged, 4 internal
-            error).
+        exit_code: exit code of the command line: 2 for invalid input, 3 for a
+            divergence, or 4 for an internal error.
     """
 
     exit_code = 4
@@ -66,21 +68,21 @@ class SrsError(Exception):
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle class, arguments and attributes.
 
-        `Exception` would call __init__ with the message alone.
+        By default, unpickling would call `__init__` with the message alone.
         """
         return _restore_error, (type(self), self.args, self.__dict__)
 
 
 class InputError(SrsError):
-    """Error for unusable input, after which nothing was written. Exit code 2."""
+    """Error for invalid input, with exit code 2. No files have been written."""
 
     exit_code = 2
 
 
 class AbsentPartError(InputError):
-    """Error for a part from outside the package that is not imported.
+    """Error for a plug-in class that was not imported.
 
-    Such parts are not imported if a file is only read.
+    Plug-ins are not imported while the files of a finished run are read.
     """
 
     def __init__(self, name: str) -> None:
@@ -88,15 +90,7 @@ class AbsentPartError(InputError):
 
 
 class UnknownNameError(InputError):
-    """Error for a name that does not exist, with the closest names as suggestions.
-
-    Args:
-        kind: kind of object with this name, such as "metric".
-        name: unknown name.
-        available: all valid names.
-        listing: command or page that lists the names.
-        longest: maximum number of names that the message lists.
-    """
+    """Error for a name that does not exist, with the closest names as suggestions."""
 
     def __init__(
         self,
@@ -118,17 +112,13 @@ class UnknownNameError(InputError):
 
 
 class TimeStepError(InputError):
-    """Error for a period that is not a whole multiple of a shorter period.
-
-    Attributes:
-        problem: message without the suggested times.
-    """
+    """Error for a period that is not a multiple of a time step."""
 
     def __init__(
         self, name: str, period_s: float, step_name: str, step_s: float
     ) -> None:
-        # Enough digits are printed to show the problem: with six digits, 0.13999994 s
-        # would be 0.14 s, a multiple of 0.02 s.
+        # With six digits, 0.13999994 s would be printed as 0.14 s, which is a multiple of
+        # 0.02 s. The message therefore shows enough digits to make the problem visible.
         period = shortest_decimal(period_s, lambda time: not _is_whole(time / step_s))
         self.problem = (
             f"{name} {period} s is not a multiple of {step_name}"
@@ -142,10 +132,9 @@ class TimeStepError(InputError):
 
 
 class InputFileError(InputError):
-    """All problems of one file, each as ``path:line:column: key.path: message``.
+    """Error with all problems of one file.
 
-    Attributes:
-        lines: messages in the order of the file.
+    Each line has the form ``path:line:column: key.path: message``.
     """
 
     def __init__(self, lines: Iterable[str]) -> None:
@@ -154,32 +143,32 @@ class InputFileError(InputError):
 
 
 class RenamedWarning(UserWarning):
-    """A file or a command line uses a former name of a key or an option."""
+    """Warning about a former name of a key or an option in a file or a command."""
 
 
 class UnitWarning(UserWarning):
-    """Warning about an implausible number in a robot file, perhaps in a wrong unit."""
+    """Warning about a number in a robot file that is probably in a wrong unit."""
 
 
 class EngineWarning(UserWarning):
-    """Warning about a computation on another engine than requested."""
+    """Warning that a computation does not use the requested engine."""
 
 
 class SessionWarning(UserWarning):
-    """Warning about a live twin that lags, or continues without a file or forecast."""
+    """Warning about a live twin that is too slow, or has no file or forecast."""
 
 
 class CacheWarning(UserWarning):
-    """Warning that kernels cannot be cached, so that every start compiles them."""
+    """Warning that kernels cannot be cached and are compiled at every start."""
 
 
 class DivergedError(SrsError):
-    """Error for a simulated value that is not finite or not plausible. Exit code 3.
+    """Error for a simulated value that is infinite or implausible, with exit code 3.
 
     Attributes:
         time: simulated time at which the divergence was detected, s.
-        history: samples of the unfinished chunk before that time, or None.
-        trajectory: samples recorded up to that time (set by `rollout`), or None.
+        history: samples of the unfinished chunk before the divergence, or None.
+        trajectory: samples that `rollout` recorded before the divergence, or None.
     """
 
     exit_code = 3
@@ -194,7 +183,7 @@ class DivergedError(SrsError):
 
 
 class TaskFailedError(SrsError):
-    """Error for an unexpected exception of a task in a worker process. Exit code 4."""
+    """Error for an unexpected exception in a worker process, with exit code 4."""
 
     def __init__(self, error: BaseException) -> None:
         if _is_memory_shortage(error):
@@ -229,7 +218,7 @@ def _is_memory_shortage(error: BaseException) -> bool:
 
 
 class WorkerDiedError(SrsError):
-    """Error for worker processes that died in every attempt at a task. Exit code 4."""
+    """Error for a task whose worker process died in every attempt, with exit code 4."""
 
     def __init__(self, exit_code: int, attempts: int) -> None:
         times = "" if attempts == 1 else f", {attempts} times in a row"
@@ -240,9 +229,9 @@ class WorkerDiedError(SrsError):
 
 
 def describe_error(error: BaseException) -> str:
-    """Return type, message and place of an error.
+    """Return the type, the message and the source line of an error.
 
-    A place in a part from outside the package is preferred.
+    If the traceback contains lines of a plug-in, the source line is a plug-in line.
     """
     frames = _frames(error, OUTSIDE) or traceback.extract_tb(error.__traceback__)
     if frames:
@@ -250,7 +239,7 @@ def describe_error(error: BaseException) -> str:
     else:
         where = ""
     if isinstance(error, SyntaxError):
-        where = ""  # the message already contains it
+        where = ""  # the message of a SyntaxError contains the source line
     return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
 
 
@@ -274,7 +263,7 @@ def _restore_error(
 
 
 def describe_exit(exit_code: int) -> str:
-    """Describe how a process ended; a negative exit code is a signal number."""
+    """Describe how a process ended. A negative exit code means a signal."""
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
     try:
@@ -305,18 +294,14 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
 def format_names(
     names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
 ) -> str:
-    """Return names as text, or their number and `listing` if they are many."""
+    """Return the names as text, or the number of names and `listing` for long lists."""
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
     return ", ".join(names) or "none"
 
 
 def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
-    """Check that a value is allowed.
-
-    Raises:
-        InputError: the value is not allowed.
-    """
+    """Raise an `InputError` if a value is not among the allowed values."""
     allowed = tuple(allowed)
     if value not in allowed:
         raise InputError(
@@ -364,9 +349,9 @@ RENAMED = {
     "--threads": "--workers",
     "--duration-s": "--duration",
 }
-"""Former names of keys, kinds, columns, metrics and options → names since 0.1.0.
+"""Current name of each former key, kind, column, metric and option.
 
-A column with a number (``theta_1``) is listed without it.
+Numbered columns are listed without their number (``theta`` for ``theta_1``).
 """
 
 
@@ -379,13 +364,14 @@ def current_name(name: str) -> str | None:
 
 
 def did_you_mean(text: str, available: Iterable[str]) -> str:
-    """Return '; did you mean A, B or C?' for the closest names, or an empty string.
+    """Return a suggestion such as "; did you mean A, B or C?", or an empty string.
 
-    A former name gets '; it is now called A'.
+    For a former name, the suggestion is "; it is now called A".
 
-    Names are compared by their last component, such as `frequency_hz` of
-    `controller.frequency_hz`. Abbreviations and names without their unit count as
-    similar. Among equally similar names, names of the same section are preferred.
+    Only the last component of a dotted name is compared, for example `frequency_hz` in
+    `controller.frequency_hz`. Abbreviations and names without a unit suffix are treated
+    as similar. Among equally similar names, names in the section of `text` are
+    preferred.
     """
     available = tuple(available)
     if (renamed := current_name(text)) in available:
@@ -395,7 +381,9 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
     for name in available:
         name_section, candidate = _split_name(name)
         closeness = _similarity(last, candidate)
-        if not section and name_section:  # it may be the beginning of the full name
+        if (
+            not section and name_section
+        ):  # the text may be the beginning of a dotted name
             closeness = max(closeness, _similarity(last, name.lower()))
         if closeness >= _MIN_SIMILARITY:
             similarity[name] = closeness + (
@@ -453,8 +441,9 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
         step_s: duration of the step, s.
 
     Raises:
-        TimeStepError: the ratio is not a whole number (relative tolerance 1e-9).
-        InputError: one of the times is not finite or not positive.
+        TimeStepError: the period is not a multiple of the step. The relative tolerance
+            is 1e-9.
+        InputError: a duration is not finite or not positive.
     """
     for label, value in ((name, period_s), (step_name, step_s)):
         if not (math.isfinite(value) and value > 0):
@@ -478,7 +467,7 @@ def _is_whole(ratio: float, tolerance: float = 1e-9) -> bool:
 
 
 def shortest_decimal(value: float, fits: Callable[[float], bool]) -> str:
-    """Return the shortest decimal text, from six digits on, whose value still fits."""
+    """Return the shortest decimal text of six or more digits for which `fits` holds."""
     return next(
         (text for n in range(6, 17) if fits(float(text := f"{value:.{n}g}"))),
         repr(value),
@@ -486,7 +475,7 @@ def shortest_decimal(value: float, fits: Callable[[float], bool]) -> str:
 
 
 def format_exact(value: float) -> str:
-    """Return the shortest text that reads back as an equal number."""
+    """Return the shortest decimal text that represents the number exactly."""
     return shortest_decimal(value, lambda read: read == value)
 
 
@@ -495,18 +484,15 @@ class SamplingGrid(NamedTuple):
 
     Attributes:
         tick: control tick, s.
-        step: time step, s, of which sampling intervals within a tick must be
-            multiples, or None if any interval is allowed.
+        step: time step of which a sampling interval shorter than a tick must be a
+            multiple, s, or None if any interval is allowed.
     """
 
     tick: float
     step: float | None = None
 
     def fits(self, rate: float, tolerance: float = 1e-9) -> bool:
-        """Return whether samples at a rate (Hz) fit the grid.
-
-        Samples must coincide with ticks, or divide ticks into allowed intervals.
-        """
+        """Return whether a plant can be sampled at a rate (Hz)."""
         per_tick = self.tick * rate
         if not 0 < per_tick < math.inf:
             return False
@@ -516,7 +502,7 @@ class SamplingGrid(NamedTuple):
         return allowed and _is_whole(per_tick, tolerance)
 
     def rates_near(self, rate: float) -> Iterator[float]:
-        """Yield rates (Hz) close to a given rate that fit this plant."""
+        """Yield allowed sampling rates close to a given rate, Hz."""
         ticks_per_sample = 1 / (self.tick * rate)
         samples_per_tick = self.tick * rate
         yield from (1 / (k * self.tick) for k in _integers_near(ticks_per_sample))
@@ -528,7 +514,7 @@ class SamplingGrid(NamedTuple):
 
 
 _NEIGHBOUR_COUNT = 20
-"""Integers to try on each side of a ratio."""
+"""Number of candidate integers on each side of a ratio."""
 
 
 def _integers_near(number: float) -> range:
@@ -539,19 +525,19 @@ def _integers_near(number: float) -> range:
 def nearest_rate(
     rate: float, grids: Sequence[SamplingGrid], low: float = 0.0, high: float = math.inf
 ) -> str | None:
-    """Return the closest sampling rate to a requested rate that fits all plants, in Hz.
+    """Return the sampling rate that fits all plants and is closest to a requested rate.
 
     Args:
-        rate: requested positive rate, Hz.
+        rate: requested rate, Hz.
         grids: sampling grids of the plants.
         low: minimum allowed rate, Hz.
         high: maximum allowed rate, Hz.
 
     Returns:
-        Rate as text, or None if no rate fits.
+        Rate in Hz as text, or None if no rate fits.
     """
-    # Ticks that are not multiples of each other coincide at multiples of their least
-    # common multiple.
+    # Ticks with different periods coincide at multiples of the least common multiple of
+    # the periods.
     ticks = [Fraction(grid.tick).limit_denominator(1_000_000) for grid in grids]
     scale = math.lcm(*(tick.denominator for tick in ticks))
     common = math.lcm(*(max(1, int(tick * scale)) for tick in ticks)) / scale
@@ -559,8 +545,8 @@ def nearest_rate(
     candidates += [near for grid in grids for near in grid.rates_near(rate)]
 
     def fits(rate: float) -> bool:
-        # The plants divide once more, so the tolerance here is tighter than the
-        # tolerance of the plants.
+        # The tolerance here is tighter than the tolerance of the plants, because the
+        # plants repeat the division with rounding errors.
         return low <= rate <= high and all(grid.fits(rate, 1e-10) for grid in grids)
 
     fitting = sorted(

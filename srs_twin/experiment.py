@@ -1,7 +1,4 @@
-"""Runs of scenarios: simulate, measure, compare, write the results, and load them.
-
-Data flow: scenario → plants → trajectories → metrics → comparison → files.
-"""
+"""Functions that run a scenario, compare the plants and write the results."""
 
 from __future__ import annotations
 
@@ -59,13 +56,13 @@ from srs_twin.viewing.content import RunContent, end_event
 METRICS = "metrics.json"
 """File name of the metrics."""
 RESOLVED = "scenario.resolved.yaml"
-"""File name of the scenario with all defaults and the robot written out."""
+"""File name of the scenario with explicit defaults and an explicit robot."""
 REPORT = "report.html"
 """File name of the report."""
 RECORDING = "recording.rrd"
 """File name of the Rerun recording."""
 MEASURED = "measured"
-"""Name of the measured trajectory among the trajectories of the plants."""
+"""Key of the measured trajectory in a dictionary of trajectories."""
 PRODUCTS = (
     METRICS,
     RESOLVED,
@@ -73,12 +70,12 @@ PRODUCTS = (
     RECORDING,
     *(f"{plant}.parquet" for plant in PLANTS),
 )
-"""File names of a run. The first file marks a complete folder."""
+"""File names of a run. A folder with the first file contains a complete run."""
 _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
-"""File names of a run in a scenario with a measured trajectory."""
+"""File names of a run whose scenario has a measured trajectory."""
 
 Progress = Callable[..., None]
-"""Callback with the name of a task, the completed fraction and optionally the
+"""Callback that receives the name of a task, the completed fraction and optionally the
 remaining time, s."""
 Explain = Callable[..., Attribution]
 """Function that attributes the difference between the plants, such as
@@ -91,13 +88,13 @@ class RunResult:
 
     Attributes:
         name: name of the scenario.
-        folder: output folder, which no longer exists if it was temporary.
+        folder: output folder. A temporary folder has been deleted.
         trajectories: trajectory of each plant. The trajectory of a diverged plant ends
             at the divergence.
-        metrics: content of metrics.json, which is empty if a plant diverged.
-        diverged: errors of diverged plants. The message of an error names the file with
-            the trajectory.
-        failed_attributions: errors of diverged runs of the attribution.
+        metrics: metrics as in metrics.json, or an empty dictionary if a plant diverged.
+        diverged: errors of diverged plants. The error message contains the path of the
+            recorded trajectory.
+        failed_attributions: errors of attribution runs that diverged.
     """
 
     name: str
@@ -117,13 +114,7 @@ class _Simulated:
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """Scenario with its plants and controllers, and a writable output folder.
-
-    Attributes:
-        scenario: scenario of the run.
-        folder: output folder.
-        pairs: plant and controller by name of the plant.
-    """
+    """Scenario with its plants and controllers, and a writable output folder."""
 
     scenario: Scenario
     folder: Path
@@ -133,7 +124,7 @@ class PreparedRun:
     def build(
         cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None
     ) -> PreparedRun:
-        """Build plants and controllers, as described in `prepare`."""
+        """Build plants and controllers and open the output folder."""
         kinds = tuple(plants or scenario.plants)
         scenario = scenario.run_on(plants)
         with scenario.named_in_errors():
@@ -152,16 +143,16 @@ class PreparedRun:
     ) -> RunResult:
         """Simulate all plants, compute and compare metrics, and write the files.
 
-        The file metrics.json is written last. If a plant diverges, the other plants
-        still run, and the trajectory up to the divergence is written. Comparison,
-        pictures and metrics.json are then missing.
+        The file metrics.json is written last. If a plant diverges, the remaining plants
+        are still simulated, and each trajectory is written. After a divergence, neither
+        a comparison nor pictures nor metrics.json are written.
 
         Args:
             progress: callback with the name of the plant and the completed fraction.
             explain: function that attributes the difference between the plants
-                (`attribution.explain`), or None for no attribution.
+                (`attribution.explain`), or None to skip the attribution.
             main_cause: function that computes the main cause of the difference
-                (`attribution.main_cause`) without an attribution.
+                (`attribution.main_cause`) if `explain` is None.
 
         Raises:
             InputError: a file cannot be written, or the difference cannot be
@@ -172,7 +163,7 @@ class PreparedRun:
             scenario.robot.require_planar("the attribution of a difference")
         done = _Simulated()
         for kind, (plant, controller) in self.pairs.items():
-            # This step compiles the kernels, so the measured time excludes compilation.
+            # The kernels are compiled here, so that the measured time excludes compilation.
             shape = (plant.spec.segments, plant.spec.chambers)
             plant.step(np.full(shape, -1, dtype=np.int8))
             report = partial(progress, kind) if progress else None
@@ -219,8 +210,8 @@ class PreparedRun:
         if main_cause is not None and not (done.diverged or attribution):
             cause = main_cause(scenario, done.trajectories)
         metrics: dict[str, Any] = {}
-        # All files are replaced at once, so that the files of an earlier run survive an
-        # interrupt or a full disk.
+        # All files are replaced at once, so that the files of an earlier run remain
+        # intact after an interruption or on a full disk.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
             self._write_trajectories(fresh, done.trajectories)
             if not done.diverged:
@@ -254,13 +245,13 @@ class PreparedRun:
         attribution: Attribution | None = None,
         cause: dict[str, Any] | None = None,
     ) -> tuple[dict[str, Any], RunContent]:
-        """Return the content of metrics.json, and the content of report and recording.
+        """Return the entries of metrics.json, and the data for report and recording.
 
         Args:
             trajectories: trajectory of each plant.
             walls: wall time of each plant, s.
             attribution: attribution of the difference, or None if it was not computed.
-            cause: main cause of the difference as described in `execute`, or None.
+            cause: result of `attribution.main_cause`, or None if it was not computed.
         """
         scenario = self.scenario
         comparison = None
@@ -294,7 +285,8 @@ class PreparedRun:
         if "twin" in trajectories and twin and twin.fast_preset:
             metrics["preset"] = twin.fast_preset
         metrics |= self._judged(metrics, drawn) | {"versions": versions()}
-        # Plants without rigid gaps have a robot that differs from the scenario's robot.
+        # The robot of a plant without rigid gaps differs from the robot of the
+        # scenario.
         spec = [plant.spec for plant, _ in self.pairs.values()][-1]
         return metrics, RunContent(spec, drawn, comparison, differences, scenario.world)
 
@@ -319,13 +311,12 @@ class PreparedRun:
     def _judged(
         self, metrics: dict[str, Any], runs: Mapping[str, Trajectory]
     ) -> dict[str, Any]:
-        """Return the entries of metrics.json on expectations.
+        """Return the entries of metrics.json that describe the expectations.
 
-        `metrics` contains all other entries, and `runs` includes the measured
-        trajectory.
+        The trajectories `runs` include the measured trajectory.
         """
         scenario = self.scenario
-        # An expectation of a plant that did not run does not count as missed.
+        # An expectation about a plant that did not run does not count as a failure.
         available = metrics["plants"].keys() - {MEASURED}
         if metrics["comparison"]:
             available |= {"comparison"}
@@ -354,7 +345,7 @@ class PreparedRun:
         content: RunContent,
         attribution: Attribution | None,
     ) -> None:
-        # These modules are imported here, because rerun alone takes half a second.
+        # These modules are imported here because importing rerun takes half a second.
         from srs_twin.viewing.html.report import write_report
         from srs_twin.viewing.rerun.recording import write_recording
 
@@ -374,11 +365,11 @@ class PreparedRun:
 
 
 INTERVALS = Path("calibration/intervals")
-"""Folder of stored intervals."""
+"""Folder of the stored uncertainty intervals."""
 
 
 def twin_contact(scenario: Scenario) -> str | None:
-    """Return the contact of the twin of a scenario, or None without twin or floor."""
+    """Return the contact model of the twin, or None if there is no twin or no floor."""
     contact: str | None = (scenario.document["plants"].get("twin") or {}).get("contact")
     return contact
 
@@ -389,10 +380,11 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
     The file is searched in the current folder and then among the shipped files.
 
     Returns:
-        Mapping whose entry "stale" is the reason why the file does not apply, or None.
-        If the file applies, "file" is its path and "renew" the command that writes it
-        again. "plants" has the intervals of each plant's metrics, and "segments" the
-        ranges of the twin's speed over stiffness and damping, or None.
+        Dictionary in which "stale" is the reason why the file is not applicable, or
+        None. For an applicable file, "file" is the path and "renew" is the command that
+        updates the file. The entry "plants" contains the intervals of the metrics of
+        each plant, and "segments" the range of the twin's speed over stiffness and
+        damping, or None.
     """
     if scenario.name in shipped_names("scenario"):
         reference = scenario.name
@@ -470,9 +462,9 @@ def _can_be_explained(done: _Simulated) -> bool:
 
 
 def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
-    """Return speeds and yaw rates before the first contact, if there is a contact.
+    """Return speeds and yaw rates before the first contact, or None without a contact.
 
-    A value is None if too few whole gait periods precede the contact.
+    A speed or yaw rate is None if too few whole gait periods precede the contact.
     """
     end = contact_free_s(runs.values())
     names = ("com_speed_m_s", "yaw_rate_rad_s")
@@ -505,14 +497,7 @@ def _percents(
 
 @dataclass(frozen=True)
 class ComparedRuns(Comparison):
-    """Comparison of both plants in a scenario, displayed as a page in notebooks.
-
-    Attributes:
-        title: title of the scenario.
-        trajectories: trajectory of each plant.
-        results: content of metrics.json.
-        spec: robot of the plants.
-    """
+    """Comparison of the two plants of a scenario, which notebooks display as a page."""
 
     title: str
     trajectories: Mapping[str, Trajectory]
@@ -529,7 +514,7 @@ class ComparedRuns(Comparison):
         return notebook_run(self.title, self.results, self.trajectories, self.spec)
 
     def show(self) -> None:
-        """Display the page in a notebook, or print the headline elsewhere."""
+        """Display the page in a notebook. Outside a notebook, print the headline."""
         try:
             from IPython.display import display
         except ImportError:
@@ -549,20 +534,21 @@ def compare(
     """Compare two trajectories, or run a scenario and compare its plants.
 
     Args:
-        reference: trajectory of the analytical model, or a scenario, its name or its
-            path.
-        candidate: trajectory of the twin, or None with a scenario.
+        reference: trajectory of the analytical model, or a scenario given as an object,
+            by name or by path.
+        candidate: trajectory of the twin, or None if `reference` is a scenario.
         set: values that override scenario fields, as described in `load_scenario`.
         gap_factor: whether to scale the speed as described in
-            `comparison.compare.compare`. For a scenario, the scenario file decides.
+            `comparison.compare.compare`. For a scenario, the key
+            `comparison.gap_factor` of the file is used instead.
 
     Returns:
-        A `Comparison`. For a scenario it is a `ComparedRuns`, which also contains the
-        trajectories.
+        Comparison of the plants. For a scenario, the result is a `ComparedRuns`, which
+        also contains the trajectories.
 
     Raises:
         InputError: the combination of arguments is not allowed, or
-            `comparison.compare.compare` or `load_scenario` refuses an argument.
+            `comparison.compare.compare` or `load_scenario` rejects an argument.
         DivergedError: the state of a plant is no longer finite.
     """
     if isinstance(reference, Trajectory):
@@ -602,17 +588,17 @@ def compare(
 def prepare(
     scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None
 ) -> PreparedRun:
-    """Build the plants and controllers of a scenario and open its output folder.
+    """Build the plants and controllers of a scenario and open the output folder.
 
     Args:
         scenario: scenario to run.
-        out: output folder, which is created if missing and may contain other files.
+        out: output folder, which is created if necessary and may contain other files.
         plants: names of the plants in the order in which they run, or None for the
             plants of the scenario.
 
     Raises:
-        InputError: a plant or controller cannot be built, or the folder cannot be
-            written.
+        InputError: a plant or controller cannot be built, or the folder is not
+            writable.
     """
     run = PreparedRun.build(scenario, out, plants)
     check_output_folder(out, _ALL_PRODUCTS)
@@ -620,10 +606,10 @@ def prepare(
 
 
 def check_run(scenario: Scenario, out: Path) -> None:
-    """Check that a scenario can run into a folder before its plants are built.
+    """Check the output folder and the plan of a scenario before plants are built.
 
     Raises:
-        InputError: the folder cannot be written, or the plan cannot be computed.
+        InputError: the folder is not writable, or the plan cannot be computed.
     """
     check_output_folder(out, _ALL_PRODUCTS)
     scenario.check_run()
@@ -639,24 +625,24 @@ def run_scenario(
     progress: Progress | None = None,
     explain: Explain | None = None,
 ) -> RunResult:
-    """Run a scenario on its plants, measure and compare, as `srs-twin run`.
+    """Run a scenario, compare the metrics of the plants, and write the results.
 
     Args:
         scenario: name or path of a scenario, or a loaded scenario.
-        out: output folder, or None to write nothing.
+        out: output folder, or None to write no files.
         set: values that override scenario fields, as described in `load_scenario`.
         plants: names of the plants in the order in which they run, or None for the
             plants of the scenario.
         progress: callback with the name of the plant and the completed fraction.
         explain: function that attributes the difference between the plants
-            (`attribution.explain`), or None for no attribution.
+            (`attribution.explain`), or None to skip the attribution.
 
     Returns:
         Trajectories and metrics. Errors of diverged plants are in `diverged`.
 
     Raises:
-        InputError: the scenario cannot run or the folder cannot be written. The error
-            is raised before the simulation.
+        InputError: the scenario cannot run or the folder is not writable. The error is
+            raised before the simulation.
     """
     loaded = load_scenario(scenario, set=set)
     with folder_or_temporary(out) as folder:
@@ -665,11 +651,11 @@ def run_scenario(
 
 @dataclass(frozen=True)
 class FinishedRun:
-    """Finished run, loaded from its output folder.
+    """Finished run that was loaded from an output folder.
 
     Attributes:
         folder: output folder.
-        scenario: scenario with defaults and robot written out.
+        scenario: scenario with explicit defaults and an explicit robot.
         trajectories: trajectory of each plant, and the measured trajectory, if any.
     """
 
@@ -679,15 +665,15 @@ class FinishedRun:
 
     @property
     def name(self) -> str:
-        """Name of the run, which is the name of its folder."""
+        """Name of the output folder."""
         return self.folder.resolve().name
 
 
 def load_run(run: str | Path) -> FinishedRun:
-    """Load a finished run by its output folder, or by its name in ``./runs``.
+    """Load a finished run from an output folder, or from ``./runs`` by name.
 
     Raises:
-        InputError: there is no such run, or its files are not valid.
+        InputError: the run does not exist, or its files are not valid.
     """
     folder = find_run(run)
     paths = {kind: folder / f"{kind}.parquet" for kind in (*PLANTS, MEASURED)}
@@ -709,7 +695,7 @@ def find_run(run: str | Path) -> Path:
     """Return the output folder of a run, given by path or by name in ``./runs``.
 
     Raises:
-        InputError: there is no such run.
+        InputError: the run does not exist.
     """
     candidates = [Path(run), Path("runs") / run]
     for folder in candidates:

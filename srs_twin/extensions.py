@@ -1,15 +1,15 @@
-"""Registry of the extensions of the core, and of parts from outside the package.
+"""Registry of extensions and plug-ins.
 
-This module is the only place in the core that names the extensions. An entry has the
-form ``name: "module:object"``, and the module is imported when the object is needed.
-Entries of extensions that are not installed are ignored.
+The core refers to extensions only in this module. An entry has the form ``name:
+"module:object"``, and the module is imported when the object is first used. Entries of
+extensions that are not installed are ignored.
 
-Files may also name parts from outside the package as ``module:Name``. A file alone
-never runs code. The module must be a plug-in that the user allows (`allow_plugin`), or
-belong to an installed distribution that declares entry points ``srs_twin.*``. Such a
-distribution may register short names in the groups ``srs_twin.controllers``,
-``pneumatics``, ``sensors``, ``metrics`` and ``formats``. These groups are read only if
-a name is unknown.
+Files may also name plug-in classes as ``module:Name``. To prevent a file from executing
+arbitrary code, the user must allow the module with `allow_plugin`. Modules of installed
+distributions with entry points ``srs_twin.*`` are allowed as well. Such a distribution
+may register short names in the groups ``srs_twin.controllers``, ``pneumatics``,
+``sensors``, ``metrics`` and ``formats``. The entry points are read only if a file
+contains an unknown name.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ COMMANDS = {
     "shadow": "srs_twin.live.shadow_command:shadow",
     "calibrate": "srs_twin.identification.command:app",
 }
-"""Commands, which are functions or typer applications with subcommands."""
+"""Commands, each of which is a function or a typer application with subcommands."""
 
 CONTROLLERS = {
     "replay": "srs_twin.recordings.takes:ReplayFile",
     "follow": "srs_twin.planning.follow_file:FollowFile",
 }
-"""Kinds of `controller` in a scenario, and the file models that build them."""
+"""Kinds of `controller` in a scenario, with the file models that build controllers."""
 
 SECTIONS = {
     "recording": "srs_twin.recordings.takes:RECORDING",
@@ -92,12 +92,12 @@ FORMATS = {
 }
 """File formats of motion recordings, of the type `recordings.formats.base.Format`.
 
-A file is read by the first format that recognizes it. The format `plain` is last,
+The first format that recognizes a file reads the file. The format `plain` is last,
 because it accepts most tables.
 """
 
 LOADERS = {"study": "srs_twin.studies.optimization.loading:load_study"}
-"""Functions that read and check files of a kind."""
+"""Functions that load and validate files, keyed by the kind of file."""
 
 SCHEMAS = {
     "sweep": "srs_twin.studies.sweep.points:sweep_json_schema",
@@ -105,11 +105,11 @@ SCHEMAS = {
     "setup": "srs_twin.live.setup_file:setup_json_schema",
     "inspect": "srs_twin.recordings.facts:facts_json_schema",
 }
-"""Functions that return the JSON Schema of a file or of printed JSON."""
+"""Functions that return the JSON Schema of a file or of JSON output."""
 
 
 def load(entry: str) -> Any:
-    """Import the object of an entry, ``module:object``."""
+    """Import the object of an entry ``module:object``."""
     module, _, name = entry.partition(":")
     return getattr(import_module(module), name)
 
@@ -125,7 +125,7 @@ def objects(table: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
 
 
 def module_of(entry: str) -> str:
-    """Return the dotted name of an entry's module."""
+    """Return the dotted module name of an entry."""
     return entry.partition(":")[0]
 
 
@@ -139,10 +139,10 @@ def _has_package(name: str) -> bool:
 
 
 class _LazyPackage(ModuleType):
-    """Package whose public names are imported when used and hide submodules."""
+    """Package whose public names are imported on first use."""
 
     _homes: dict[str, str | None]
-    """Public name → module that defines the object."""
+    """Module that defines each public name."""
 
     def __getattr__(self, name: str) -> Any:
         if name not in self._homes:
@@ -153,8 +153,8 @@ class _LazyPackage(ModuleType):
         return sorted(self.__all__)
 
     def __setattr__(self, name: str, value: object) -> None:
-        # After the import of a submodule, Python sets it as an attribute of the
-        # package. Here it would hide the public object with this name.
+        # After the import of a submodule, Python sets the submodule as an attribute of
+        # the package, where it would hide a public object of the same name.
         if isinstance(value, ModuleType) and name in self._homes:
             value = getattr(value, name)
         super().__setattr__(name, value)
@@ -164,11 +164,10 @@ class _LazyPackage(ModuleType):
 
 
 def lazy(package: str) -> None:
-    """Make a package import its public names when they are used.
+    """Make a package import its public names on first use.
 
-    The source of the package imports the names below ``TYPE_CHECKING`` in the form
-    ``from module import name as name``, where type checkers and editors find them. This
-    function reads the names from the source, so that each name is written once.
+    The names are read from the block ``TYPE_CHECKING`` in the source of the package,
+    in which type checkers also find them.
     """
     module = sys.modules[package]
     homes = {
@@ -185,28 +184,27 @@ def lazy(package: str) -> None:
 PLUGINS = "SRS_TWIN_PLUGINS"
 """Environment variable that lists the plug-ins that the user allows.
 
-The entries are Python files and names of modules. Child processes inherit the variable.
+The entries are Python files and module names. Child processes inherit the variable.
 """
 
 PART_PATTERN = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z]\w*"
-"""Pattern ``module:Name`` for the name of a part from outside the package."""
+"""Pattern ``module:Name`` for the name of a plug-in class."""
 
 READING = ContextVar("READING", default=False)
-"""Whether the files of a finished run are being read.
-
-In this mode, the parts that the files name are not imported.
-"""
+"""Whether the files of a finished run are being read, for which no plug-ins are
+imported."""
 
 
 def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
-    """Allow scenarios and other files to name the parts of a plug-in.
+    """Allow scenarios and other files to name the classes of a plug-in.
 
     Args:
-        source: path of a Python file, a module, the name of a module, or a class in it.
+        source: path of a Python file, a module, the name of a module, or a class in a
+            module.
 
     Raises:
-        InputError: the file or module does not exist, or another module has the name of
-            the file.
+        InputError: the file or module does not exist, or another module has the same
+            name as the file.
     """
     if isinstance(source, type | ModuleType):
         source = getattr(source, "__module__", source.__name__)
@@ -221,7 +219,7 @@ def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
 
 
 def _why_unusable(entry: str) -> str:
-    """Return why a plug-in cannot be imported, or an empty string if it can be."""
+    """Return why a plug-in cannot be imported, or an empty string if it is usable."""
     name = os.path.basename(entry).partition(".")[0]
     module = name.isidentifier() and (sys.modules.get(name) or find_spec(name))
     if not entry.endswith(".py"):
@@ -244,7 +242,7 @@ def _why_unusable(entry: str) -> str:
 
 
 def plugins() -> dict[str, str]:
-    """Return the allowed plug-ins as name of the module → path of the file, or name."""
+    """Return the file path or module name of each allowed plug-in, keyed by module."""
     entries = os.environ.get(PLUGINS, "").split(os.pathsep)
     return {
         os.path.basename(entry).removesuffix(".py"): entry for entry in entries if entry
@@ -252,7 +250,7 @@ def plugins() -> dict[str, str]:
 
 
 class _PluginFinder:
-    """Finder that imports plug-in files if no other finder knows the module."""
+    """Import hook for plug-in files, which runs after all other finders."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> Any:
@@ -267,7 +265,7 @@ sys.meta_path.append(_PluginFinder)
 
 def owners() -> dict[str, Any]:
     """Return the distributions with entry points ``srs_twin.*``, by package name."""
-    # An empty entry of sys.path is the current folder, whose files are not trusted.
+    # An empty entry in sys.path is the current folder, whose files are not trusted.
     return _owners(tuple(filter(None, sys.path)))
 
 
@@ -290,9 +288,9 @@ def _owners(path: tuple[str, ...]) -> dict[str, Any]:
 
 
 def registered(kind: str) -> dict[str, str]:
-    """Return the parts of a kind that installed distributions register.
+    """Return the classes of a kind that installed distributions register.
 
-    The result maps short names to ``module:Name``.
+    The dictionary maps short names to ``module:Name``.
     """
     group = f"srs_twin.{kind.removesuffix('s')}s"
     entries = (
@@ -303,7 +301,7 @@ def registered(kind: str) -> dict[str, str]:
 
 
 def import_plugin(module: str) -> ModuleType:
-    """Import a module from outside the package.
+    """Import a plug-in module.
 
     Raises:
         InputError: neither the user nor an installed distribution allows the module, or
@@ -321,7 +319,7 @@ def import_plugin(module: str) -> ModuleType:
     OUTSIDE.update(plugins().values())
     try:
         imported = import_module(module)
-    except (Exception, SystemExit) as error:  # foreign code may raise any error
+    except (Exception, SystemExit) as error:  # a plug-in may raise any error
         raise InputError(
             f"module {module} cannot be imported: {describe_error(error)}"
         ) from error
@@ -332,17 +330,17 @@ def import_plugin(module: str) -> ModuleType:
 def part(
     kind: str, name: str, bases: tuple[type, ...], known: Iterable[str] = ()
 ) -> Any:
-    """Import a class from outside the package.
+    """Import a plug-in class.
 
     Args:
-        kind: controller, pneumatics, sensor or format.
+        kind: kind of class: controller, pneumatics, sensor or format.
         name: name in the form ``module:Name``, or a registered short name.
         bases: allowed base classes.
-        known: other names of this kind for messages.
+        known: other names of this kind, which the error message suggests.
 
     Raises:
-        UnknownNameError: no distribution registers the short name.
-        InputError: the part is not allowed, or derives from none of the base classes.
+        UnknownNameError: no distribution has registered the short name.
+        InputError: the class is not allowed, or has none of the base classes.
     """
     names = {name: name} if ":" in name else registered(kind)
     if name not in names:
@@ -367,7 +365,7 @@ def part(
 
 
 def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
-    """Yield the modules and the instances and subclasses of a class in plug-ins."""
+    """Yield the instances and subclasses of a class in plug-ins, with their modules."""
     for module in plugins():
         for found in vars(import_plugin(module)).values():
             is_class = isinstance(found, type) and found.__module__ == module
@@ -379,7 +377,7 @@ def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
 
 @contextmanager
 def reading() -> Iterator[None]:
-    """Import no parts in a block that reads the files of a finished run."""
+    """Disable the import of plug-ins while the files of a finished run are read."""
     token = READING.set(True)
     try:
         yield

@@ -1,9 +1,9 @@
-"""Rollouts of plants under controllers.
+"""Simulation of plants under controllers.
 
-`rollout` simulates one run. `run_many` runs independent jobs on several threads and
-gives the results that `rollout` would give. `run_batch` simulates a batch of twins that
-one policy commands tick by tick. Kernels and MuJoCo release the interpreter's lock
-while they step, so the threads run in parallel.
+The function `rollout` simulates one run, and `run_many` simulates independent runs on
+several threads. Kernels and MuJoCo release the interpreter lock during a step, so the
+threads run in parallel. The function `run_batch` simulates a batch of twins whose
+commands one policy computes tick by tick.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 Observer = Callable[[SnakeState], None]
 PlaceFunction = Callable[[Plant, int], SnakeState]
-"""Function of a plant and a seed that sets an initial state and returns the state."""
+"""Function of a plant and a seed that sets and returns an initial state."""
 
 Policy = Callable[[SnakeState], np.ndarray]
 """Function that maps the states of a batch to valve commands."""
@@ -82,7 +82,7 @@ def rollout(
 
     The snake starts at rest at `pose`, unless `initial_state` or `resume` is given. A
     controller without sensor input has a script of valve commands, which the plant
-    simulates in chunks of many ticks. Otherwise, and with `until` or `observers`, plant
+    simulates in chunks of many ticks. With sensor input, `until` or `observers`, plant
     and controller alternate every tick.
 
     Args:
@@ -90,13 +90,13 @@ def rollout(
         controller: controller of the robot's valves.
         duration: simulated time, a multiple of the plant's tick, s.
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
-        initial_state: function of plant and seed that sets another initial state, such as
-            `Plant.place`.
+        initial_state: function of plant and seed that sets another initial state, such
+            as `Plant.place`.
         resume: saved states of plant and controller from which the run continues. The
-            simulated time continues as well.
+            simulated time continues from the saved time.
         seed: random seed of plant and controller.
-        record_hz: sampling rate, Hz. Either the samples per tick or the ticks per
-            sample must be a whole number.
+        record_hz: sampling rate, Hz. Either the number of samples per tick or the
+            number of ticks per sample must be an integer.
         until: predicate that ends the run after the first tick for which it returns
             True.
         observers: functions called with the initial state and with the state after
@@ -104,19 +104,19 @@ def rollout(
         progress: function called at intervals with the simulated time, s.
 
     Returns:
-        Trajectory from the initial state on. If `until` or the controller ends the run
-        between two samples, the last state is recorded as well. The metadata contain
-        the reason for an early end (``ended_by``) and the description of the controller
-        (``control``).
+        Trajectory that begins with the initial state. If `until` or the controller ends
+        the run between two samples, the last state is recorded as well. The metadata
+        contain the reason for an early end (``ended_by``) and the description of the
+        controller (``control``).
 
     Raises:
         InputError: the run is not possible. Duration, tick, time step and record_hz may
             be incompatible, or several of pose, initial_state and resume are given. The
             controller may not fit the valve layout or the saved state, an obstacle may
-            overlap the initial body, or another thread uses the plant or the
+            overlap the initial body, or another thread may use the plant or the
             controller.
-        DivergedError: plant or controller diverged. The `trajectory` of the error has
-            all samples recorded before.
+        DivergedError: plant or controller diverged. The attribute `trajectory` of the
+            error contains the samples before the divergence.
     """
     check_types("rollout", rollout, locals())
     if sum(start is not None for start in (pose, initial_state, resume)) > 1:
@@ -190,11 +190,7 @@ def _play_script(
     ticks: int,
     progress: Callable[[float], None] | None,
 ) -> bool:
-    """Simulate a script in chunks and return False if the plant cannot play scripts.
-
-    A chunk is a whole number of recorded ticks. Ticks after the last sample are not
-    recorded.
-    """
+    """Simulate a script in chunks and return False if the plant cannot play scripts."""
     plant = recorder.plant
     stride = recorder.stride
     controller = _describe_controller(recorder.controller)
@@ -279,11 +275,11 @@ def sample_counts(
     Args:
         tick: control tick of the plant, s.
         record_hz: sampling rate, Hz.
-        step: step of which the sampling interval must be a multiple, s.
+        step: time step of which the sampling interval must be a multiple, s.
 
     Raises:
-        InputError: the rate does not fit the tick. The message suggests the nearest
-            rate.
+        InputError: the rate is not compatible with the tick. The message suggests the
+            nearest allowed rate.
     """
     if not 0 < record_hz < math.inf:
         raise InputError(
@@ -303,7 +299,7 @@ def sample_counts(
 
 
 class Recorder:
-    """Recorder of plant states and controller signals that builds a trajectory.
+    """Recorder that builds a trajectory from plant states and controller signals.
 
     Attributes:
         plant: recorded plant.
@@ -311,7 +307,8 @@ class Recorder:
         samples: number of samples per tick.
         stride: number of ticks per sample, or 1 if there are several samples per tick.
         events: events of the controller.
-        ended_by: reason for an early end, "until" or "controller", or None.
+        ended_by: reason for an early end, "until" or "controller", or None if the run
+            did not end early.
     """
 
     def __init__(
@@ -329,7 +326,7 @@ class Recorder:
         self.ended_by: str | None = None
 
     def add(self, state: SnakeState) -> None:
-        """Append one state or a history, with the current signals of the controller."""
+        """Append one or several states with the current signals of the controller."""
         self._states.append(state)
         self._signals.append(
             (np.size(state.time), _flatten_signals(self.controller.signals()))
@@ -338,7 +335,7 @@ class Recorder:
     def trajectory(
         self, metadata: Mapping[str, object] = MappingProxyType({})
     ) -> Trajectory:
-        """Return the trajectory recorded so far, with additional metadata."""
+        """Return the trajectory recorded so far with additional metadata."""
         states = SnakeState.history(self._states)
 
         def values_of(name: str) -> np.ndarray:
@@ -457,25 +454,26 @@ def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]
 def _numbered_columns(
     prefix: str, values: np.ndarray, names: str | None = None
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a (samples, n) array with the suffixes 1…n or `names`."""
+    """Return the columns of an array (samples, n) with the suffixes 1…n or `names`."""
     suffixes = names or [str(i) for i in range(1, values.shape[1] + 1)]
     return {f"{prefix}{suffix}": values[:, i] for i, suffix in enumerate(suffixes)}
 
 
 @dataclass(frozen=True)
 class Job:
-    """One run of `run_many`, with arguments of `rollout`.
+    """Arguments of one `rollout` in `run_many`.
 
     Attributes:
         plant: simulated robot, or a function that builds it. A thread reuses the plant
-            for consecutive jobs with an identical function.
-        controller: controller of the valves, or a function that builds it for every
-            job.
+            for consecutive jobs with the same function.
+        controller: controller of the valves, or a function that builds a controller for
+            every job.
         duration: simulated time, s.
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz.
-        initial_state: function that sets another initial state of the plant, instead of `pose`.
+        initial_state: function that sets another initial state of the plant, instead of
+            `pose`.
     """
 
     plant: Plant | Callable[[], Plant]
@@ -500,18 +498,18 @@ def run_many(
     """Run jobs on several threads, with results bit-identical to `rollout`.
 
     Args:
-        jobs: runs in any order, without a common plant or controller object.
+        jobs: jobs to run. Two jobs must not share a plant or controller object.
         threads: number of threads, by default one per processor.
         progress: function called on the calling thread with the number of finished
             jobs.
 
     Returns:
-        Trajectory of each job, in order. A diverged job has its error instead, whose
-        `trajectory` has the samples recorded before.
+        Trajectory of each job, in order. For a diverged job, the list contains the
+        error, whose attribute `trajectory` has the samples before the divergence.
 
     Raises:
         InputError: two jobs share a plant or a controller, or a job cannot be run. The
-            message has the number of the first such job.
+            message contains the number of the first invalid job.
     """
     jobs = list(jobs)
     _check_not_shared(jobs)
@@ -531,7 +529,7 @@ def run_many(
             parts = {"plant": _build_plant(job, thread_data), "controller": controller}
             return rollout(**vars(job) | parts, progress=check_cancelled)
         except DivergedError as error:
-            # The traceback is removed, because its frames would keep the plant alive.
+            # The traceback is removed because its frames would keep the plant in memory.
             return error.with_traceback(None)
         except InputError as error:
             raise InputError(f"job {k + 1} of {len(jobs)}: {error}") from error
@@ -556,14 +554,15 @@ def run_batch(
         policy: function that maps the states of all twins (leading axis: runs) to valve
             commands of shape (runs, segments, 2) or (runs, slots, segments, 2).
         duration: simulated time, a multiple of the tick, s.
-        poses: initial pose of each twin, as in `rollout`, by default the origin.
+        poses: initial pose of each twin as in `rollout`, by default the origin.
         seed: random seed of the twins.
         record_hz: sampling rate as in `rollout`, Hz.
         progress: function called with the simulated time after every tick, s.
 
     Returns:
-        Trajectory of each twin, in order. A diverged twin has its error instead, whose
-        `trajectory` has the samples recorded before. All other twins continue.
+        Trajectory of each twin, in order. For a diverged twin, the list contains the
+        error, whose attribute `trajectory` has the samples before the divergence. The
+        simulation of the remaining twins continues.
 
     Raises:
         InputError: duration, tick and record_hz are not compatible, or a valve command
@@ -642,13 +641,13 @@ def run_scripts(
         batch: batch of twins, one per run.
         controllers: controllers without sensor input, one per twin.
         duration: simulated time, a multiple of the tick, s.
-        poses: initial pose of each twin, as in `rollout`, by default the origin.
+        poses: initial pose of each twin as in `rollout`, by default the origin.
         seed: random seed of twins and controllers.
         record_hz: sampling rate as in `rollout`, Hz.
         progress: function called at intervals with the simulated time, s.
 
     Returns:
-        Trajectories or errors as in `run_batch`.
+        Trajectory or error of each twin, as in `run_batch`.
 
     Raises:
         InputError: a controller uses sensor readings, the numbers of controllers and
@@ -710,7 +709,7 @@ def _check_not_shared(jobs: Sequence[Job]) -> None:
 
 
 def _build_plant(job: Job, thread_data: threading.local) -> Plant:
-    """Return the plant of a job, which a thread reuses for an identical builder."""
+    """Build the plant of a job, or reuse a plant that the same function has built."""
     if isinstance(job.plant, Plant):
         return job.plant
     if getattr(thread_data, "builder", None) is not job.plant:
@@ -725,12 +724,12 @@ class _CancelledError(Exception):
 
 
 class _PolicyController(Controller):
-    """Placeholder for the controller in recordings of batches under a policy."""
+    """Placeholder controller for batches, whose commands come from a policy."""
 
     kind = "policy"
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
-        """Do nothing."""
+        """Do nothing, because the policy commands the valves."""
 
     def step(self, state: SnakeState) -> np.ndarray:
         return state.valves

@@ -1,4 +1,4 @@
-"""Trajectories: recorded signals of a rollout over time, with units and events.
+"""Recorded signals of a rollout over time, with units and events.
 
 Trajectories are stored as Parquet files.
 """
@@ -40,8 +40,8 @@ _COLUMNS_OF_UNIT = {
     "J": "work internal_loss pneumatic_energy",
     "mixed": "qpos",
 }
-# The name of a numbered column is its stem, such as "bend". All other columns are
-# dimensionless.
+# Numbered columns are listed without number, for example "bend". Columns that are not
+# listed are dimensionless.
 _UNIT_OF_COLUMN = {
     name: unit for unit, names in _COLUMNS_OF_UNIT.items() for name in names.split()
 }
@@ -53,11 +53,11 @@ _TIME_ROUNDING_S = 1e-9
 
 @dataclass(frozen=True)
 class Event:
-    """Event at one instant, such as an ILC update, replanning, saturation or a contact.
+    """Event of a run, such as an ILC update, replanning, saturation or a contact.
 
     Attributes:
         time: time of the event, s.
-        kind: name of the kind of event, e.g. ``"ilc_update"``.
+        kind: type of the event, for example ``"ilc_update"``.
         text: description of the event on one line.
     """
 
@@ -72,16 +72,12 @@ class UnknownColumnError(UnknownNameError, KeyError):
     The message suggests similar names.
     """
 
-    # KeyError would print the message in quotes.
+    # The method `__str__` of KeyError would print the message in quotes.
     __str__ = Exception.__str__
 
 
 class HtmlResult:
-    """Base class of results that notebooks display as an HTML page.
-
-    Attributes:
-        page: entry of `extensions.PAGES` that renders the page.
-    """
+    """Base class of results that notebooks display as an HTML page."""
 
     page: ClassVar[str] = "run"
 
@@ -94,30 +90,31 @@ class HtmlResult:
 class Trajectory(HtmlResult):
     """Recorded columns of one rollout over time.
 
-    The arrays must not be modified. Column names are fixed:
+    The arrays must not be modified. The columns have the following names.
 
-    - The body has ``time``, ``heading``, the centre of mass ``com_x`` and ``com_y``,
-      and the connector poses ``x_1…N``, ``y_1…N`` and ``connector_heading_1…N``, head first. The
-      energies are ``work`` and, if the plant measures air, ``pneumatic_energy``.
-    - Each segment has ``bend_1…``, ``measured_bend_1…`` and ``torque_1…``, and each chamber
-      has ``pressure_plus_1…``, ``pressure_minus_1…``, ``valve_plus_1…`` and
-      ``valve_minus_1…``.
+    - Columns of the body are ``time``, ``heading``, the centre of mass ``com_x`` and
+      ``com_y``, and the connector poses ``x_1…N``, ``y_1…N`` and
+      ``connector_heading_1…N``, head first. The energies are ``work`` and, if the plant
+      measures the consumed air, ``pneumatic_energy``.
+    - Columns of a segment are ``bend_1…``, ``measured_bend_1…`` and ``torque_1…``.
+      Columns of its chambers are ``pressure_plus_1…``, ``pressure_minus_1…``,
+      ``valve_plus_1…`` and ``valve_minus_1…``.
     - The controller adds its own signals, and the twin adds ``qpos_1…``.
-    - A world with objects has ``object_x_1…``, ``object_y_1…`` and
+    - A world with objects has the columns ``object_x_1…``, ``object_y_1…`` and
       ``object_heading_1…``. In a world with obstacles or objects, ``clearance`` is the
-      distance from the body to the nearest one. A plant that allows contact with them
-      has ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
+      distance from the body to the nearest obstacle or object. A plant that simulates
+      contact has the columns ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
     - A spatial robot also has ``pitch_1…`` (upward bends), ``measured_pitch_1…``,
       ``torque_pitch_1…``, ``z_1…``, ``quaternion_w_1…`` to ``quaternion_z_1…`` and
       ``load_1…``. Each chamber c has the columns ``pressure_c_1…`` and ``valve_c_1…``
       instead of the columns for plus and minus.
 
     Attributes:
-        columns: float array of each column by its name, shape (samples,).
-        units: units of columns whose names are not listed here.
+        columns: float array of each column, keyed by name, shape (samples,).
+        units: units of columns whose names are not listed above.
         events: events in chronological order.
         metadata: JSON values such as plant, robot, tick, gait frequency and valve
-            switch counts, but no wall times.
+            switch counts. Wall times are excluded.
     """
 
     columns: Mapping[str, Array]
@@ -129,7 +126,7 @@ class Trajectory(HtmlResult):
         """Return one column, shape (samples,).
 
         Raises:
-            UnknownColumnError: there is no such column.
+            UnknownColumnError: the trajectory has no such column.
         """
         if name not in self.columns:
             raise UnknownColumnError("column", str(name), self.columns)
@@ -160,7 +157,7 @@ class Trajectory(HtmlResult):
         For example, ``stack("bend")`` has shape (samples, segments).
 
         Raises:
-            UnknownColumnError: there is no column ``<name>_1``.
+            UnknownColumnError: the trajectory has no column ``<name>_1``.
         """
         arrays: list[Array] = []
         while (column := self.columns.get(f"{name}_{len(arrays) + 1}")) is not None:
@@ -175,7 +172,7 @@ class Trajectory(HtmlResult):
         return np.stack(arrays, axis=-1)
 
     def between(self, begin: float, end: float) -> Trajectory:
-        """Return the samples from `begin` to `end`, including both times.
+        """Return the samples between two times, including samples at both times.
 
         Args:
             begin: start time, s.
@@ -189,7 +186,7 @@ class Trajectory(HtmlResult):
         )
 
     def has(self, name: str) -> bool:
-        """Return whether there is a column ``name`` or ``name_1``."""
+        """Return whether the trajectory has a column ``name`` or ``name_1``."""
         return name in self.columns or f"{name}_1" in self.columns
 
     def unit(self, name: str) -> str:
@@ -221,7 +218,8 @@ class Trajectory(HtmlResult):
         """Write the trajectory to a Parquet file or a file-like object.
 
         Equal trajectories give identical bytes. Units are stored in the metadata of the
-        fields. The metadata of the schema contain events and metadata as JSON.
+        Parquet fields. Events and metadata are stored as JSON in the metadata of the
+        Parquet schema.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -234,7 +232,7 @@ class Trajectory(HtmlResult):
             "srs_twin.events": json.dumps([asdict(event) for event in self.events]),
             "srs_twin.metadata": json.dumps(dict(self.metadata), sort_keys=True),
         }
-        # Buffers are passed, because pa.array() imports pandas if it is installed,
+        # Buffers are passed because pa.array() would import pandas if it is installed,
         # which takes half a second.
         values = [
             np.ascontiguousarray(column, dtype=float)
@@ -249,8 +247,9 @@ class Trajectory(HtmlResult):
             ],
             schema=pa.schema(fields, metadata=schema_metadata),
         )
-        # BYTE_STREAM_SPLIT stores equal bytes of all floats together, which compresses
-        # smooth signals better than a dictionary.
+        # BYTE_STREAM_SPLIT stores the first bytes of all floats together, then the
+        # second bytes, and so on. This encoding compresses smooth signals better than a
+        # dictionary.
         encoding = dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
         options = {
             "compression": "zstd",

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 _GC_THRESHOLD = 200_000
 """Number of new objects after which Python collects garbage.
 
-With Python's default of 700, garbage collection takes a sixth of the processor time of
-`compare`. This value increases the memory use by 3 %.
+With Python's default of 700, garbage collection takes a sixth of the computing time of
+`compare`. The threshold of 200,000 increases the memory use by 3 %.
 """
 
 _SHORT_WARNINGS = (
@@ -47,9 +47,9 @@ _SHORT_WARNINGS = (
 )
 _PYTHON_FORMATWARNING = warnings.formatwarning
 
-# Errors of the file system that earlier checks cannot exclude, such as a full disk or
-# missing permission. They are reported as invalid input. A missing file is not in the
-# list, because it would be a bug of the program.
+# File system errors that earlier checks cannot exclude, such as a full disk or missing
+# permission, are reported as invalid input. A missing file is not listed here, because
+# it would be a bug of the program.
 _FILE_SYSTEM_ERRORS = [
     "ENAMETOOLONG",
     "EROFS",
@@ -63,21 +63,21 @@ _FILE_SYSTEM_ERRORS = [
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run `srs-twin` and exit the process with its exit code.
+    """Run `srs-twin` and exit with the exit code of the command.
 
     The exit codes are 0 (success), 1 (an expectation failed under ``--check``), 2
     (invalid input), 3 (a simulation diverged), 4 (internal error) and 130
-    (interrupted). If the reader of a pipe closes it (``| head -1``), the command
-    continues with an unchanged exit code.
+    (interrupted). If the output is piped to a process that ends early (``| head -1``),
+    the command continues with an unchanged exit code.
 
     Args:
-        argv: arguments after the program name, by default those of the process.
+        argv: arguments after the program name, by default the arguments of the process.
     """
     sys.stdout = _without_broken_pipes(sys.stdout)
     sys.stderr = _without_broken_pipes(sys.stderr)
     gc.set_threshold(_GC_THRESHOLD)
-    # The operating system frees the memory anyway. Without a last garbage collection,
-    # the interpreter ends 0.7 s earlier.
+    # The operating system frees the memory anyway. Without a final garbage collection,
+    # the interpreter exits 0.7 s earlier.
     atexit.register(gc.freeze)
     warnings.formatwarning = _format_warning  # type: ignore[assignment]
     try:
@@ -89,7 +89,7 @@ def main(argv: list[str] | None = None) -> None:
         from srs_twin.cli.app import command
 
         try:
-            # Shell completion applies to the installed program, without "uv run".
+            # Shell completion works for the installed program, but not for "uv run".
             completes = any(argument.endswith("-completion") for argument in arguments)
             started = "srs-twin" if completes else f"{launcher()}srs-twin"
             named = next((each for each in arguments if each != "--debug"), "")
@@ -98,8 +98,8 @@ def main(argv: list[str] | None = None) -> None:
             )
         finally:
             if sys.stdout is not None:
-                # An error in this explicit flush can still be reported. An error in
-                # the interpreter's own flush at exit could not.
+                # An error in this explicit flush can still be reported, in contrast to
+                # an error in the flush of the interpreter at exit.
                 sys.stdout.flush()
     except SrsError as error:
         show_traceback(error)
@@ -107,7 +107,7 @@ def main(argv: list[str] | None = None) -> None:
         sys.exit(error.exit_code)
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
-    except Exception as error:  # unexpected: one line and exit code 4
+    except Exception as error:  # report an unexpected error on one line
         if _is_interrupt(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
@@ -127,7 +127,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _with_current_option(argument: str) -> str:
-    """Return an argument with the current name of its option; warn about a former name."""
+    """Replace a former option name by the current name, and warn the user."""
     option, equals, value = argument.partition("=")
     if not option.startswith("--") or option not in RENAMED:
         return argument
@@ -148,18 +148,18 @@ def _check_current_folder() -> None:
 class _StandardStream(io.FileIO):
     """Standard stream that writes to the null device after a write has failed.
 
-    A closed pipe is ignored. Any other failure, such as a full disk, is an error.
+    A closed pipe is ignored. Any other failure, such as a full disk, raises an error.
     """
 
     def write(self, data: ReadableBuffer, /) -> int:
         if not memoryview(data).nbytes:
-            return 0  # libraries write zero bytes to test if the stream is binary
+            return 0  # libraries write zero bytes to test whether the stream is binary
         try:
             return super().write(data)
         except OSError as error:
             null = os.open(os.devnull, os.O_WRONLY)
             # The file descriptor itself is replaced, so that later writes by libraries,
-            # child processes and the shutdown of the interpreter succeed.
+            # by child processes and at the shutdown of the interpreter succeed.
             os.dup2(null, self.fileno())
             os.close(null)
             if isinstance(error, BrokenPipeError):
@@ -192,7 +192,7 @@ def _format_warning(message: Any, category: type[Warning], *location: Any) -> st
 
 
 def _is_interrupt(error: BaseException | None) -> bool:
-    """Return whether an interrupt caused an error.
+    """Return whether an error was caused by an interrupt.
 
     C extensions may convert an interrupt during their import to another error.
     """

@@ -27,7 +27,7 @@ _CORE_COMMANDS = {
     "models": "srs_twin.cli.models:app",
     "new": "srs_twin.cli.new:app",
 }
-"""Commands of the core, in the form of `extensions.COMMANDS`."""
+"""Commands of the core, as entries of the form `extensions.COMMANDS`."""
 
 _HELP_ORDER = [
     "list",
@@ -54,7 +54,7 @@ _HELP_ORDER = [
     "models",
     "new",
 ]
-"""Order of the commands in the help. Other commands follow in alphabetical order."""
+"""Order of the commands in the help. Unlisted commands follow in alphabetical order."""
 
 _WITHOUT_PLUGINS = [
     "view",
@@ -66,22 +66,18 @@ _WITHOUT_PLUGINS = [
     "reproduce",
     "emulate",
 ]
-"""Commands that read finished runs, or no files of the user.
-
-They never import parts from outside the package.
-"""
+"""Commands that read finished runs or no files at all, and never import plug-ins."""
 
 
 @cache
 def command(only: str = "") -> Any:
     """Return the click command of the application.
 
-    Args:
-        only: name of the only command to import. All commands are imported if no
-            command has this name.
+    If `only` is the name of a command, only this command is imported. Otherwise all
+    commands are imported.
     """
-    # Help and usage errors are printed without rich. Its boxes break file names across
-    # lines, and its import would double the duration of `--help`.
+    # Help and usage errors are printed without rich. The boxes of rich break file names
+    # across lines, and importing rich would double the duration of `--help`.
     app = typer.Typer(
         no_args_is_help=True,
         rich_markup_mode=None,

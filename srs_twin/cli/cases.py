@@ -1,4 +1,4 @@
-"""Scenarios that are given on the command line, and their results."""
+"""Scenarios that are given on the command line, and the results of their runs."""
 
 from __future__ import annotations
 
@@ -15,16 +15,17 @@ if TYPE_CHECKING:
     from srs_twin.scenario.scenario import Scenario
 
 EXPECTATION_FAILED = 1
-"""Exit code of a failed expectation."""
+"""Exit code if an expectation is missed."""
 
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Result of a case without trajectories, so that processes can exchange it.
+    """Result of a run without trajectories, as returned by worker processes.
 
     Attributes:
-        run: results of the run, or None after invalid input or the death of a worker.
-        errors: errors that stopped the run or one of its plants.
+        run: results of the run, or None if the input was invalid or a worker process
+            died.
+        errors: errors that stopped the run or one of the plants.
         wall_s: wall time, s.
     """
 
@@ -34,14 +35,14 @@ class CaseResult:
 
     @property
     def metrics(self) -> Mapping[str, Any]:
-        """Content of `metrics.json`, or an empty mapping if the run is incomplete."""
+        """Contents of metrics.json, or an empty dictionary if the run is incomplete."""
         if self.run is None:
             return {}
         return self.run.metrics
 
     @property
     def verdicts(self) -> Counter[str]:
-        """Number of expectations per state (see `scenario.expectation.verdict`)."""
+        """Number of expectations in each state (`scenario.expectation.verdict`)."""
         from srs_twin.scenario.expectation import verdict
 
         return Counter(map(verdict, self.metrics.get("expectations", ())))
@@ -63,7 +64,7 @@ class Case:
         source: name or path as the user typed it.
         scenario: loaded scenario, or None if it is invalid.
         folder: output folder.
-        result: result, or None until the run is complete.
+        result: result of the run, or None if the run is not complete.
     """
 
     source: str
@@ -73,7 +74,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Name of the scenario, or the stem of the file name if it is invalid."""
+        """Name of the scenario. An invalid scenario is named after its file."""
         if self.scenario is None:
             return Path(self.source).stem
         return self.scenario.name
@@ -86,7 +87,7 @@ class Case:
         return self.scenario.label
 
     def document(self) -> Mapping[str, object]:
-        """Return the content of `metrics.json`, or the errors, as JSON data."""
+        """Return the contents of metrics.json, or the errors, as JSON data."""
         result = self.result or CaseResult(None)
         if result.errors:
             return {

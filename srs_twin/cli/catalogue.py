@@ -16,7 +16,7 @@ from srs_twin.extensions import SCHEMAS, installed, load, plugins, reading
 
 _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _DEFAULT_KINDS = _KINDS[:-1]
-"""Keys that `list --json` prints without an argument. They are a public interface."""
+"""Keys that `list --json` prints without an argument, which are a public interface."""
 
 _PRINTED_KINDS = ("scenarios", "robots", "sweeps", "studies", "controllers")
 """Kinds that `list` prints without an argument."""
@@ -31,7 +31,7 @@ _BEGINNING = {
     "module_step_direct": "control the bend of one module",
     "sensor_up": "read a curvature sensor",
 }
-"""Scenarios for new users, at most one per group, with a description of each."""
+"""Scenarios for new users with descriptions, at most one scenario per group."""
 
 _GROUPS = {
     "crawl": r"(gen\d|skin)_(straight|climb)",
@@ -43,7 +43,7 @@ _GROUPS = {
     "touch and move objects": "(pegs|push|grasp)_.*",
     "three dimensions": "spatial_.*",
 }
-"""Groups of scenarios: title → pattern of the names."""
+"""Pattern of the scenario names in each group, keyed by the title of the group."""
 
 _FILE_KINDS = {
     "scenarios": "scenario",

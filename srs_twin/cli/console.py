@@ -34,11 +34,11 @@ _HINT = re.compile(r"(`(?:\w+=\w+ )?)(srs-twin )")
 
 
 def launcher() -> str:
-    """Return "uv run " or "uvx " if the user typed it in front of `srs-twin`."""
+    """Return the prefix "uv run " or "uvx " with which the user started `srs-twin`."""
     if "UV_RUN_RECURSION_DEPTH" in os.environ:  # set by `uv run`
         return "uv run "
     # `uvx` sets only the variable UV, which a user may also set. The environments of
-    # `uvx` are in uv's archive folder.
+    # `uvx` are in the archive folder of uv.
     if "UV" in os.environ and "archive-v" in sys.prefix:
         return "uvx "
     return ""
@@ -47,8 +47,9 @@ def launcher() -> str:
 def as_started(text: str) -> str:
     """Adapt the commands in a message to the way in which the program was started.
 
-    Commands in backticks get the prefix "uv run " or "uvx " if the user typed it. In an
-    installed wheel, a page of the documentation becomes the command that prints it.
+    Commands in backticks get the prefix "uv run " or "uvx " if the user typed this
+    prefix. In an installed wheel, the name of a documentation page is replaced by the
+    command that prints the page.
     """
     if data_root().name == "_data":
         text = _PAGE.sub(r"`srs-twin show \g<0>`", text)
@@ -56,7 +57,7 @@ def as_started(text: str) -> str:
 
 
 def say(*lines: str, quiet: bool = False) -> None:
-    """Print lines on stderr unless `quiet` is set, after `as_started`."""
+    """Adapt lines with `as_started` and print them on stderr unless `quiet` is set."""
     for line in () if quiet else lines:
         print(
             escape_unprintable(as_started(line), keep="\n\t"),
@@ -77,8 +78,8 @@ def handle_signals(
 @contextmanager
 def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
     """Exit with code `INTERRUPTED` on Ctrl-C or SIGTERM, after printing a message."""
-    # CI pipelines cancel jobs with SIGTERM. If the caller ignores the signal, it
-    # remains ignored.
+    # CI pipelines cancel jobs with SIGTERM. A signal that the caller ignores remains
+    # ignored.
     handled = threading.current_thread() is threading.main_thread()
     handled = handled and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     if handled:
@@ -101,10 +102,7 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
 
 
 def console() -> Console:
-    """Return a rich console on stdout that ignores markup.
-
-    Control characters are escaped.
-    """
+    """Return a rich console on stdout that ignores markup and escapes control codes."""
     import rich.console
 
     class Plain(rich.console.Console):
@@ -121,7 +119,8 @@ def new_table(
 ) -> Table:
     """Return an empty table whose columns do not wrap.
 
-    All columns are right-aligned, except for those whose indices are in `left`.
+    The columns with the indices `left` are left-aligned, and all other columns are
+    right-aligned.
     """
     from rich import box
     from rich.table import Table
@@ -146,7 +145,7 @@ def show_traceback(error: Exception) -> None:
 
 
 DISPLAY_DELAY_S = 2.0
-"""Duration of a task from which its progress is displayed, s."""
+"""Duration of a task after which the progress is displayed, s."""
 
 LINE_INTERVAL_S = 10.0
 """Interval between two progress lines if stderr is not a terminal, s."""
@@ -192,14 +191,14 @@ class Display(ABC):
 
     @abstractmethod
     def _line(self) -> str:
-        """Return the progress as text."""
+        """Return the progress as one line of text."""
 
     @abstractmethod
     def _bar(self) -> tuple[str, float | None, str]:
         """Return the title, the completed fraction and the status of the bar."""
 
     def _draw(self) -> None:
-        # The import of rich takes as long as a short run.
+        # Importing rich takes as long as a short run.
         from rich.console import Console
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -221,11 +220,7 @@ class Display(ABC):
 
 
 class RunCounter(Display):
-    """Progress of several runs, called once per completed run.
-
-    Attributes:
-        total: number of runs.
-    """
+    """Progress of several runs. The object is called after each completed run."""
 
     def __init__(
         self,
@@ -324,7 +319,7 @@ class ScenarioProgress(Display):
     ) -> None:
         """Update the completed fraction (0 to 1) of a stage.
 
-        The start of a stage that is expected to take long is shown at once.
+        The start of a stage is displayed at once if the stage is expected to take long.
         """
         is_new = stage != self._stage
         self._stage = stage

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from srs_twin.comparison.diff import ChangedValue, Difference, Leaf
 
 EXIT_DIFFERENT = 1
-"""Exit code if a value differs by more than its tolerance."""
+"""Exit code if the difference of a value exceeds the tolerance."""
 
 _MAX_ROWS = 40
 """Maximum number of rows in all printed tables together."""
@@ -97,9 +97,9 @@ def _show(difference: Difference) -> None:
 
 
 def _cells(change: ChangedValue) -> list[str]:
-    """Return a, b, b − a, and this difference in per cent of a.
+    """Return a, b, b − a, and (b − a)/|a| in per cent.
 
-    Both values are printed with enough digits to show the difference.
+    The values a and b are printed with enough digits to show the difference.
     """
     from srs_twin.comparison.diff import tolerance_names
     from srs_twin.comparison.sampling import is_near_zero, split_unit

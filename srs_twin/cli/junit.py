@@ -1,4 +1,4 @@
-"""Reports in JUnit XML with one test suite per scenario."""
+"""JUnit XML reports with one test suite per scenario."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ if TYPE_CHECKING:
     from srs_twin.scenario.expectation import ExpectationRow
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
-# XML 1.0 excludes control characters and surrogates. Surrogates represent bytes of file
-# names that are not UTF-8.
+# XML 1.0 excludes control characters and surrogates. In Python, surrogates represent
+# bytes of file names that are not UTF-8.
 _INVALID_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def report_path(name: str) -> Path:
     """Return the path of a report.
 
-    The suffix is checked, so that a mistyped command cannot overwrite a scenario file.
+    The suffix must be .xml, so that a mistyped command cannot overwrite a scenario
+    file.
 
     Raises:
-        InputError: the name does not end in .xml.
+        InputError: the name does not end with .xml.
     """
     path = Path(name)
     if path.suffix.lower() != ".xml":
@@ -44,10 +45,10 @@ class TestCase(NamedTuple):
         classname: group of the test case, for example the scenario.
         name: name of the test case.
         wall_s: wall time, s.
-        outcome: "failure", "error" or "skipped", or an empty string for a passed test.
+        outcome: "failure", "error" or "skipped", or an empty string if the test passed.
         message: reason for the outcome.
         kind: type of the failure.
-        text: full description.
+        text: full description of the outcome.
     """
 
     classname: str
@@ -63,11 +64,6 @@ def write_report(
     path: Path, name: str, suites: Iterable[tuple[str, Iterable[TestCase]]]
 ) -> None:
     """Write a report atomically.
-
-    Args:
-        path: path of the report.
-        name: name of the report.
-        suites: names and test cases of the suites.
 
     Raises:
         InputError: the file cannot be written.
@@ -102,13 +98,14 @@ def write_junit(
 ) -> None:
     """Write a report with one suite per scenario.
 
-    A suite contains the test case ``runs`` for the simulation and one test case per
-    expectation. A divergence, invalid input or a dead worker process is an error of
-    ``runs``. An expectation is skipped if it cannot be judged or is known to be missed.
+    A suite contains one test case ``runs`` for the simulation and one test case for
+    each expectation. A divergence, invalid input or the death of a worker process is an
+    error of ``runs``. A test case is skipped if the expectation cannot be judged or is
+    missed for a known reason.
 
     Args:
         path: path of the report.
-        cases: scenarios.
+        cases: scenarios with results.
         fails: states of expectations that count as failures, in addition to "missed".
 
     Raises:
@@ -135,7 +132,7 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
     rows: list[ExpectationRow] = [
         {"of": each.subject, "metric": each.metric} for each in expected
     ]
-    # The metrics contain no expectations of plants that did not run.
+    # The metrics contain no expectations about plants that did not run.
     rows = result.metrics.get("expectations", rows)
     counts: Counter[str] = Counter()
     for row in rows:

@@ -82,7 +82,7 @@ _ANY_ARGUMENTS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 @app.command(hidden=True, context_settings=_ANY_ARGUMENTS)
 def check() -> None:
-    """Report that this command was retired."""
+    """Report that this command no longer exists."""
     raise InputError(
         "`models check` was retired; `python -m mujoco.viewer --mjcf=FILE` opens an"
         " MJCF or URDF file and shows its faults, and `srs-twin models export` writes"
@@ -91,7 +91,7 @@ def check() -> None:
 
 
 def _exportable_robots() -> list[str]:
-    """Return the shipped robots with wheels, because MJCF has no friction of skin."""
+    """Return the shipped robots with wheels, because MJCF does not support skin."""
     from srs_twin.io.files import shipped_names
     from srs_twin.robot.file import load_robot
 

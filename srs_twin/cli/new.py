@@ -35,7 +35,7 @@ OutOption = Annotated[
     option("--out FILE", "Path of the new file. [default: NAME.yaml, NAME.py]"),
 ]
 
-# Values of generation 2, from which new robots are scaled.
+# Values of generation 2. The values of new robots are scaled from these values.
 _PITCH_M = 0.055
 """Distance between connectors, m."""
 
@@ -57,13 +57,11 @@ The remaining length is a rigid link.
 """
 
 _SERVO_PLANE_RATIO = 0.1
-"""Default stiffness of a servo joint in pitch and roll (dimensionless).
-
-The stiffness is divided by the product of weight and body length.
-"""
+"""Default stiffness of a servo joint in pitch and roll, divided by the product of
+weight and body length, dimensionless."""
 
 _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
-"""Suffix of a template → suffix of the file."""
+"""Suffix of the written file for each suffix of a template."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +92,8 @@ class NewRobotOptions:
         """Return the size of the robot, and prompt for values that no option sets.
 
         Raises:
-            InputError: a value is not positive, or a robot with servos has a supply
-                pressure.
+            InputError: a value is not positive, or a supply pressure is given for a
+                robot with servos.
         """
         count = int(_answer("number of segments", self.segments, 4))
         length = _answer("body length, m", self.length, 4 * _PITCH_M)
@@ -128,7 +126,7 @@ class RobotSize(NamedTuple):
         segments: number of segments.
         length: body length, m.
         mass: mass, kg.
-        pressure: supply pressure (gauge), kPa.
+        pressure: gauge supply pressure, kPa.
         bend: maximum bend, rad.
     """
 
@@ -139,10 +137,10 @@ class RobotSize(NamedTuple):
     bend: float
 
     def doubts(self) -> list[str]:
-        """Return a message for each value whose unit is in doubt.
+        """Return a message for each value that was probably given in a wrong unit.
 
-        The unit is in doubt if the value differs by a large factor from the value of
-        generation 2 scaled to this size.
+        Each value is compared with the value of generation 2 scaled to the size of the
+        robot.
         """
         from srs_twin.robot.plausibility import likely_unit
 
@@ -173,7 +171,8 @@ _PLAUSIBLE = {
     "pressure": ("kPa", 1 / 6, 20.0),
     "bend": ("rad", 0.0, 4.0),
 }
-"""Option → unit, and plausible range of its ratio to a scaled generation 2."""
+"""Unit of each option, and plausible range of the value divided by the scaled value of
+generation 2."""
 
 
 def _default_mass(segments: int, length: float) -> float:
@@ -344,7 +343,10 @@ for _command in (robot, scenario, controller, study):
 
 
 def _answer(question: str, value: float | None, default: float) -> float:
-    """Return an option, or the user's answer, or the default without a terminal."""
+    """Return the value of an option or the answer of the user.
+
+    Without a terminal, the default is returned.
+    """
     if value is not None:
         return value
     if not sys.stdin.isatty():
@@ -363,7 +365,7 @@ def _write(
 ) -> Path:
     """Write a file from a template, and remove the file if the check fails.
 
-    If there are `doubts`, the error states them, because they are the likely cause.
+    The error message contains the `doubts`, which are the likely cause of the failure.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(
@@ -383,7 +385,7 @@ def _write(
     except BaseException as error:
         path.unlink(missing_ok=True)
         if isinstance(error, InputFileError):
-            # The file was removed, so the positions in it would mean nothing.
+            # The file was removed, so positions in the file would be meaningless.
             place = re.compile(rf"{re.escape(str(path))}[\d:]*: ")
             raise InputError(
                 "\n".join(doubts or [place.sub("", line) for line in error.lines])

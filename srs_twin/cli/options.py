@@ -23,7 +23,8 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
 
     Args:
         declaration: flags and name of the value, such as "--robot -r ROBOT".
-        text: help text, by default from the docstring (see `expand_option_groups`).
+        text: help text. By default, `expand_option_groups` reads the help text from a
+            docstring.
         settings: additional arguments of `typer.Option`.
     """
     words = declaration.split()
@@ -33,9 +34,9 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
 
 
 class OptionRange(NamedTuple):
-    """Minimum and maximum of an option that is declared in a docstring.
+    """Minimum and maximum of an option whose help text is in a docstring.
 
-    See `expand_option_groups`.
+    The values are evaluated by `expand_option_groups`.
     """
 
     min: float | None = None
@@ -48,9 +49,9 @@ def argument(
     """Return an argument of a command.
 
     Args:
-        metavar: name of the argument.
-        text: help text, as in `option`.
-        shipped: kinds of shipped files whose names a shell offers as completions.
+        metavar: name of the argument in the help.
+        text: help text, by default from a docstring.
+        shipped: kinds of shipped files whose names the shell offers as completions.
     """
 
     def complete(incomplete: str) -> list[str]:
@@ -129,11 +130,11 @@ FloorOption = Annotated[str | None, option("--law NAME", _FRICTION)]
 
 
 def print_json(document: Any) -> None:
-    """Print a JSON document on stdout, with NumPy arrays as lists."""
+    """Print a JSON document on stdout. NumPy arrays are printed as lists."""
     import json
 
-    # The output is pure ASCII, because names from foreign files may contain control
-    # characters that a terminal would execute.
+    # The output is ASCII, because names in files may contain control characters that a
+    # terminal would execute.
     typer.echo(
         json.dumps(
             document, indent=2, allow_nan=False, default=lambda value: value.tolist()
@@ -142,7 +143,7 @@ def print_json(document: Any) -> None:
 
 
 def parse_plants(text: str | None) -> list[str] | None:
-    """Return the plants that `--plants` names, or None if the option is not given."""
+    """Return the plants in the option `--plants`, or None without this option."""
     plants = ("analytical", "twin")
     names = [name.strip() for name in text.split(",")] if text else []
     for name in names:
@@ -196,13 +197,10 @@ def expand_option_groups(
 
     Typer supports neither groups of options nor options in docstrings. This function
     replaces a parameter whose type is a dataclass by the fields of the dataclass. The
-    section "Options:" in the docstring of the command or of the dataclass declares the
-    options, such as "--out DIR: Output folder." for the parameter `out`. It contains
-    only the name and the help text of a parameter that has its own annotation.
-
-    Args:
-        command: function that implements the command.
-        plugins: whether to add the option ``--plugin``.
+    section "Options:" in the docstring of the command or dataclass declares the
+    options, for example "--out DIR: Output folder." for the parameter `out`. If a
+    parameter has its own annotation, the section contains only the name and the help
+    text.
     """
     description, options = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)
@@ -258,7 +256,8 @@ def _with_option(annotation: Any, declaration: str, text: str) -> Any:
 def _parse_docstring(documented: object) -> tuple[str, dict[str, tuple[str, str]]]:
     """Split a docstring into the description and the section "Options:".
 
-    The section is returned as parameter → (declaration, help text).
+    The section is returned as a dictionary that maps each parameter to its declaration
+    and help text.
     """
     description, _, section = (inspect.getdoc(documented) or "").partition(
         "\n\nOptions:\n"

@@ -64,7 +64,7 @@ class ReportOptions:
 
     @property
     def fails(self) -> frozenset[str]:
-        """States (`scenario.expectation.verdict`) that set the exit code to 1."""
+        """States of expectations that set the exit code to 1."""
         if self.strict:
             return frozenset({"missed", "expected_failure", "holds", "not_judged"})
         if self.check:
@@ -87,7 +87,7 @@ def run_case(
     Args:
         task: scenario and output folder.
         progress: progress callback of `PreparedRun.execute`.
-        plants: plants to run, by default those of the scenario.
+        plants: plants to run, by default the plants of the scenario.
         explain: whether to attribute the difference between the plants.
     """
     from srs_twin.experiment import prepare
@@ -109,8 +109,8 @@ def run_case(
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.failed_attributions)
     for failure in errors:
-        # The trajectories are in files already, and sending them from a worker process
-        # would be slow.
+        # The trajectories are already stored in files, and sending them from a worker
+        # process would be slow.
         failure.trajectory = failure.history = None
     result = replace(result, trajectories={}, diverged=(), failed_attributions=())
     return CaseResult(result, errors, time.perf_counter() - start)
@@ -126,7 +126,7 @@ def run_all(
     explain: bool = False,
     changes: Sequence[Override] = (),
 ) -> None:
-    """Check all scenarios, run the valid ones, and exit with the highest exit code.
+    """Check all scenarios, run the valid scenarios, and exit with the highest code.
 
     With `--json`, a single scenario prints its `metrics.json`, and several scenarios
     print `{"runs": […]}`. A failed scenario prints `{"scenario": …, "errors": […]}`.
@@ -134,15 +134,15 @@ def run_all(
     Args:
         cases: scenarios, which are loaded if necessary.
         report: options for the reports and the exit code.
-        out: output folder, in which each of several scenarios gets a subfolder.
-        jobs: number of worker processes, by default one per processor. With 1, the
-            scenarios run in this process.
-        plants: plants to run, by default those of each scenario.
+        out: output folder. Each of several scenarios has a subfolder.
+        jobs: number of worker processes, by default one per processor. With one worker,
+            the scenarios run in this process.
+        plants: plants to run, by default the plants of each scenario.
         explain: whether to attribute the difference between the plants.
         changes: overridden fields.
 
     Raises:
-        InputError: the JUnit file or the output folder cannot be written.
+        InputError: the JUnit file or the output folder is not writable.
         typer.Exit: the exit code differs from 0.
     """
 
@@ -158,8 +158,8 @@ def run_all(
             from srs_twin.cli.junit import report_path, write_junit
 
             write = partial(write_junit, report_path(report.junit), cases, fails)
-            # Writing the report before the runs reveals an unusable path early. It also
-            # replaces the report of an earlier run.
+            # The report is written before the simulation in order to detect an unusable
+            # path and to replace the report of an earlier run.
             write()
             stack.callback(write)
         valid = _load(cases, out, report.quiet, changes, plants)
@@ -195,13 +195,13 @@ def _print_tally(results: Sequence[CaseResult]) -> None:
 
 
 def make_cases(names: Sequence[str]) -> list[Case]:
-    """Return one case per scenario, given names, files, or folders of files."""
+    """Return one case per scenario from names, files, or folders of files."""
     from srs_twin.io.files import shipped_names
 
     sources: list[str] = []
     for name in names:
-        # A shipped scenario takes precedence over a folder with the same name. If a
-        # name is too long, `glob` would raise an error, but `isdir` returns False.
+        # A shipped scenario takes precedence over a folder with the same name. For a
+        # name that is too long, `glob` would raise an error, but `isdir` returns False.
         is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
         if is_folder:
             files = sorted(map(str, Path(name).glob("*.yaml")))
@@ -242,7 +242,7 @@ def _load(
             folders.add(case.folder)
     valid = [case for case in cases if case.result is None]
     if len(valid) > 1:
-        # This check reports an unusable folder once instead of once per scenario.
+        # An unusable folder is reported once instead of once per scenario.
         check_output_folder(base)
     for case in valid:
         with _record_input_errors(case):
@@ -271,7 +271,7 @@ def _run(
     *,
     quiet: bool,
 ) -> Generator[Case, None, None]:
-    """Run cases, and yield them in their order as soon as they are complete."""
+    """Run cases, and yield each case in order as soon as it is complete."""
     from srs_twin.compute.workers import processor_count, run_tasks
 
     workers = min(jobs or processor_count(), len(cases))

@@ -1,4 +1,4 @@
-"""Printed result of a run: a table of metrics, the events and the expectations."""
+"""Printed results of a run, with metrics, events and expectations."""
 
 from __future__ import annotations
 
@@ -28,23 +28,20 @@ STATE_LABELS = {
     "holds": "HOLDS",
     "not_judged": "not judged",
 }
-"""State of an expectation → label at the beginning of the printed line."""
+"""Label of each state of an expectation, which begins the printed line."""
 
 _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
 """Differences that `compare --explain` attributes to assumptions."""
 
 _ZERO = 5e-5
-"""Absolute value below which a difference is printed as 0.
-
-The value applies to differences in m, m/s, rad and rad/s.
-"""
+"""Absolute difference below which 0 is printed, in m, m/s, rad or rad/s."""
 
 
 def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
     """Return the rows of the table of metrics.
 
-    A row contains metric, unit, one value per plant, the difference, the difference in
-    per cent, and the published value.
+    The columns are the metric, the unit, the value for each plant, the difference, the
+    difference in per cent, and the published value.
     """
     plants = metrics["plants"]
     published_values = published(metrics["expectations"])
@@ -68,7 +65,7 @@ def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
 
 
 def show(result: RunResult) -> None:
-    """Print the table, the events and the expectations of a run on stdout."""
+    """Print the metrics, the events and the expectations of a run on stdout."""
     terminal = console()
     print(*textwrap.wrap(headline(result.metrics), terminal.width), "", sep="\n")
     lines = rows(result.metrics)
@@ -110,10 +107,10 @@ def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     """Return a table with the contribution of each assumption to the difference.
 
     If a contribution depends on the order in which the assumptions are switched, the
-    table shows the average, minimum and maximum over all orders.
+    table contains the average, minimum and maximum over all orders.
     """
     measures = [MEASURES[measure] for measure in attribution["measures"]]
-    # Headings of several lines leave room for the names of the assumptions.
+    # Headings with several lines leave space for the names of the assumptions.
     headings = [title.replace(" ", "\n", 1) + f"\n{unit}" for title, unit in measures]
     title = "attribution: twin − analytical, and the contribution of each assumption"
     if (window := attribution["window_s"]) is not None:
@@ -149,13 +146,13 @@ def _number(value: float | str | None) -> str:
 
 
 def event_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """Return one line per event, without contacts."""
+    """Return one line per event. Contacts are not included."""
     return [
         f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
         for plant, events in metrics.get("events", {}).items()
         for event in events
-        # There may be many contacts. The headline names the first one, and the table
-        # contains their number and duration.
+        # A run may have many contacts. The headline names the first contact, and the
+        # table contains the number and the duration of contacts.
         if event["kind"] not in CONTACT_EVENTS
     ]
 
@@ -163,7 +160,7 @@ def event_lines(metrics: Mapping[str, Any]) -> list[str]:
 def expectation_lines(
     metrics: Mapping[str, Any], verdicts: Container[str] = STATE_LABELS
 ) -> list[str]:
-    """Return one line per expectation in the given states."""
+    """Return one line for each expectation whose state is in `verdicts`."""
     return [
         _expectation_line(row)
         for row in metrics["expectations"]

@@ -80,7 +80,7 @@ def _serve(recording: Path, port: int) -> None:
 
 
 def find_recording(run: str) -> Path:
-    """Return the path of a recording, given its path, a run folder or a run name.
+    """Return the path of a recording for a path, a run folder or the name of a run.
 
     Raises:
         InputError: no recording was found.
@@ -106,7 +106,7 @@ def find_recording(run: str) -> Path:
 
 
 def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
-    """Return the recordings by unique names.
+    """Return the recordings, keyed by unique names.
 
     A name consists of the last parts of the path, and has as few parts as possible.
 
@@ -242,11 +242,7 @@ class PictureOptions:
     to: float | None = None
 
     def check(self) -> None:
-        """Check that the options can be combined.
-
-        Raises:
-            InputError: the options contradict each other.
-        """
+        """Raise an `InputError` if the options contradict each other."""
         if sum((self.video is not None, self.image is not None, self.strobe)) != 1:
             raise InputError(
                 "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe"
@@ -270,7 +266,7 @@ class PictureOptions:
         """Return the suffix of the file name and the function that writes the file.
 
         Raises:
-            InputError: the size or the time cannot be read.
+            InputError: the size or the time is not valid.
         """
         from srs_twin.viewing.mujoco.render import (
             write_image,
@@ -290,7 +286,7 @@ class PictureOptions:
         return f"-strobe{IMAGE_SUFFIX}", partial(write_strobe, width=size.width)
 
     def target(self, runs: int) -> Path | None:
-        """Return the output file or folder, or None for the folders of the runs.
+        """Return the output file or folder, or None for output in the run folders.
 
         Raises:
             InputError: the suffix is wrong, or one file is given for several runs.
@@ -315,8 +311,8 @@ class PictureOptions:
         """Return the samples of the twin in the selected interval.
 
         Raises:
-            InputError: the run lacks a plant that is drawn, or has fewer than two
-                samples in this interval.
+            InputError: the run lacks a required plant, or has fewer than two samples in
+                the interval.
         """
         if "twin" not in run.trajectories:
             raise InputError(
@@ -355,8 +351,8 @@ def render(
     picture.check()
     from srs_twin.viewing.mujoco.opengl import usable_opengl
 
-    # This check must precede the import of MuJoCo, which fails for an unknown name in
-    # MUJOCO_GL.
+    # OpenGL is checked before MuJoCo is imported, because the import fails if
+    # MUJOCO_GL has an unknown value.
     usable_opengl()
     from srs_twin.experiment import load_run
     from srs_twin.io.files import check_output_folder

@@ -1,8 +1,8 @@
 """Centre line and sides of the body, computed from recorded connector poses.
 
-Between two connectors, a segment consists of an arc of constant curvature and of two
-straight halves of its rigid gap (Fig. 35). Each half follows the heading of the
-adjacent connector.
+Between two connectors, a segment consists of an arc of constant curvature and of a
+straight half of the rigid gap at each end (Fig. 35). Each straight half has the heading
+of the adjacent connector.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 _MIN_OVERLAP = 0.25
-"""Minimum overlap that is reported, body widths.
+"""Minimum overlap of two parts of the body that is reported, in body widths.
 
-Smaller overlaps may be artefacts: the collision geoms of the twin are chords, up to 3 mm inside
-the arcs, and contacts are not perfectly rigid.
+Smaller overlaps may be artefacts. The collision geoms of the twin are chords, which lie
+up to 3 mm inside the arcs, and contacts are not perfectly rigid.
 """
 _MAX_SAMPLES = 200
-"""Maximum number of samples in which overlaps are searched."""
+"""Maximum number of samples that are searched for overlaps."""
 
 
 def centre_lines(
@@ -29,15 +29,15 @@ def centre_lines(
 ) -> Array:
     """Return the centre line of every segment, ordered from the front.
 
-    The points are the front connector, the arc with both ends, and the rear connector.
-    The twin bends in a few hinges and not in an exact arc, so the line misses the
-    recorded rear connector. The error is distributed evenly along the segment, so that
-    both ends have their recorded positions.
+    The points are the front connector, points on the arc, and the rear connector. The
+    twin bends in a few hinges instead of an exact arc, so that the computed rear end
+    deviates from the recorded rear connector. The deviation is distributed evenly along
+    the segment, so that both ends have their recorded positions.
 
     Args:
         trajectory: recorded connector poses.
         geometry: robot geometry.
-        divisions: chords per arc.
+        divisions: number of chords per arc.
 
     Returns:
         Centre lines, shape (samples, segments, divisions + 3, 2), m.
@@ -76,8 +76,8 @@ def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
     """Return points offset to the left, followed by the points offset to the right.
 
     Args:
-        points: points (…, k, 2), m.
-        heading: line direction (…, k), rad.
+        points: points, shape (…, k, 2), m.
+        heading: direction of the line, shape (…, k), rad.
         half_width: offset, m.
     """
     offset = half_width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
@@ -87,11 +87,11 @@ def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
 def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
     """Return the maximum overlap of two parts of a planar body, m.
 
-    Only the twin in a world with objects has contacts of the body with itself. At most
-    200 samples are searched. In these samples the headings of the body span more than
-    π, because other bodies cannot touch themselves. Points are compared whose distance
-    along the body exceeds twice the body width. Overlaps below a quarter of the width
-    give 0.
+    Contacts between parts of the body are simulated only by the twin in a world with
+    objects. At most 200 samples are searched. Samples in which the headings of the body
+    span less than π are skipped, because such a body cannot touch itself. Two points
+    are compared if their distance along the body exceeds twice the body width. An
+    overlap of less than a quarter of the width is returned as 0.
     """
     curled = np.flatnonzero(
         np.ptp(trajectory.stack("connector_heading"), axis=1) > np.pi

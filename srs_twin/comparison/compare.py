@@ -1,6 +1,6 @@
-"""Differences between runs or between a run and a recording, and their attribution.
+"""Differences between two runs, or between a run and a recording.
 
-`Attribution` divides the difference between the plants into contributions of the
+An `Attribution` divides the difference between the plants into contributions of the
 assumptions in which the plants differ.
 """
 
@@ -33,23 +33,24 @@ _TIME_ROUNDING_S = 1e-9
 
 @dataclass(frozen=True)
 class Comparison(HtmlResult):
-    """Difference of a candidate (the twin) from a reference (the analytical model).
+    """Difference between a candidate (the twin) and a reference (the analytical model).
 
-    A metric is None if a plant has no gait metrics or a denominator is near zero.
+    A metric is None if a plant has no gait metrics or a denominator is close to zero.
 
     Attributes:
-        metrics: values of `COMPARISON_UNITS`. ``com_speed_rel`` is (candidate −
-            reference) / reference, where the reference speed is multiplied by
-            ``gap_factor`` (1 unless requested). For ``shape_rms_m``, both bodies are
+        metrics: values of `COMPARISON_UNITS`. The metric ``com_speed_rel`` is
+            (candidate − reference) / reference, where the reference speed is multiplied
+            by ``gap_factor``, by default 1. For ``shape_rms_m``, both bodies are
             transformed to their centre-of-mass frames at zero mean heading (Section
-            3.4.1). ``shape_rms_body`` is relative to the body length of the reference.
-            Spatial snakes also have the metrics of `gait.spatial_differences`.
+            3.4.1). The metric ``shape_rms_body`` is ``shape_rms_m`` divided by the body
+            length of the reference. Spatial snakes also have the metrics of
+            `gait.spatial_differences`.
         time: sample times of the reference, shape (T,), s.
-        shape_error: RMS distance of the connectors, shape (T,), m.
-        path_error: distance of the centres of mass, shape (T,), m.
+        shape_error: RMS distance between corresponding connectors, shape (T,), m.
+        path_error: distance between the centres of mass, shape (T,), m.
         bend_error: candidate − reference, shape (T, segments), rad.
         heading_error: candidate − reference, shape (T,), rad. Whole turns between the
-            initial headings are removed.
+            initial headings are subtracted.
     """
 
     page: ClassVar[str] = "comparison"
@@ -67,12 +68,12 @@ def compare(
 ) -> Comparison:
     """Compare two runs at equal times.
 
-    If the sample times differ, the candidate is interpolated to the sample times of the
+    If the sample times differ, the candidate is interpolated at the sample times of the
     reference in the common interval.
 
     Args:
-        reference: analytical run.
-        candidate: twin's run.
+        reference: run of the analytical model.
+        candidate: run of the twin.
         gap_factor: whether to multiply the reference speed by (l + L_o)/l of the
             candidate, because the model of the dissertation has no rigid gaps (Section
             3.4.2).
@@ -118,10 +119,10 @@ def in_body_frame(
 ) -> np.ndarray:
     """Transform bodies to their centre-of-mass frames (Section 3.4.1, Fig. 27).
 
-    In the frame, the mean heading is zero, x points forward, and y points to the left.
+    In this frame, the mean heading is zero, x points forward, and y points to the left.
 
     Args:
-        position: connectors (…, N, 2), m.
+        position: positions of the connectors, shape (…, N, 2), m.
         com: centre of mass, m.
         heading: mean heading, rad.
     """
@@ -217,14 +218,13 @@ _MAX_INTERVALS = 50
 
 @dataclass(frozen=True)
 class MeasuredDifference:
-    """Difference of a plant from a measured motion.
+    """Difference between a plant and a measured motion.
 
     Attributes:
         comparison: plant minus measurement.
-        only_bends: whether only bends were measured, so that the body position is
-            computed from the bends.
-        clamped: whether the heads of plant and robot were clamped, so that neither
-            could travel.
+        only_bends: whether only bends were measured. The body position is then computed
+            from the bends.
+        clamped: whether the heads of plant and robot were clamped and could not move.
     """
 
     comparison: Comparison
@@ -233,10 +233,10 @@ class MeasuredDifference:
 
     @classmethod
     def between(cls, measured: Trajectory, run: Trajectory) -> MeasuredDifference:
-        """Compare a plant's run with a measurement.
+        """Compare the run of a plant with a measurement.
 
         Raises:
-            InputError: `compare` cannot compare the runs.
+            InputError: the runs cannot be compared.
         """
         only_bends = bool(measured.metadata.get("bends_only"))
         return cls(
@@ -245,7 +245,7 @@ class MeasuredDifference:
 
     @property
     def metrics(self) -> dict[str, float | None]:
-        """Values of `MEASURED_UNITS`; None for quantities that were not measured."""
+        """Values of `MEASURED_UNITS`. Quantities that were not measured are None."""
         measured = set(MEASURED_UNITS)
         if self.only_bends:
             measured = {"measured_bend_rms_rad"}
@@ -277,7 +277,7 @@ class MeasuredDifference:
         return np.asarray(np.sqrt((self.comparison.bend_error**2).mean(axis=1)))
 
     def document(self) -> dict[str, object]:
-        """Return RMS differences over the run and over equal intervals."""
+        """Return RMS differences over the whole run and over equal intervals."""
         time = self.comparison.time
         count = min(_MAX_INTERVALS, len(time))
         edges = np.linspace(0, len(time), count + 1).round().astype(int)
@@ -301,9 +301,9 @@ MEASURES = {
     "mean_bend_amplitude_rad": ("bend amplitude", "rad"),
     "shape_rms_m": ("body shape, RMS", "m"),
 }
-"""Attributed measures with title and unit.
+"""Measures that an attribution divides into contributions, with title and unit.
 
-The values are the shape distance and the differences (twin − analytical) of three
+The measures are the shape distance and the difference (twin − analytical) of three
 metrics.
 """
 
@@ -315,11 +315,11 @@ class AssumptionShare:
     Attributes:
         name: short name.
         title: one-line description.
-        value: contribution to each of `MEASURES`, in that order.
-        low: minimum over the orders in which the assumptions may be switched.
-        high: maximum over these orders.
-        how: "averaged" over the orders or "first" in the order (both in the analytical
-            model), or "refined" in the only plant that has the assumption.
+        value: contribution to each of `MEASURES`, in the order of `MEASURES`.
+        low: minimum contribution over all orders of switching the assumptions.
+        high: maximum contribution over all orders of switching the assumptions.
+        how: "averaged" over all orders, "first" if the assumption is switched first, or
+            "refined" if only one plant makes the assumption.
     """
 
     name: str
@@ -337,18 +337,18 @@ class Attribution:
     The contributions and the remainder add up to the difference.
 
     Attributes:
-        reference: values of `MEASURES` for the analytical model; 0 for the shape
-            distance.
+        reference: values of `MEASURES` for the analytical model. The shape distance of
+            the analytical model is 0.
         gap: twin − analytical.
-        remainder: unexplained part.
-        matched: difference that remains if both plants have stiff bends and equal
-            friction at the same points.
-        same: shared assumptions.
-        shares: contributions.
-        window_s: duration of the attributed part from the start of the runs, s, or
-            None for whole runs.
-        damping: change of the gap at each end of the 95 % interval of the twin's
-            damping time, keyed by name.
+        remainder: unexplained part of the difference.
+        matched: difference between plants with stiff bends and equal friction at the
+            same points.
+        same: assumptions in which the plants agree.
+        shares: contributions of the assumptions.
+        window_s: duration of the attributed part from the start of the runs, s, or None
+            if the whole runs are attributed.
+        damping: change of `gap` at each end of the 95 % interval of the twin's damping
+            time, keyed by name.
     """
 
     reference: tuple[float, ...]
@@ -362,13 +362,13 @@ class Attribution:
 
     @property
     def extent(self) -> str:
-        """Attributed part of the runs as text, or an empty string for whole runs."""
+        """Text about the attributed part of the runs, which is empty for whole runs."""
         if self.window_s is None:
             return ""
         return f"first {self.window_s:g} s of the runs"
 
     def document(self) -> dict[str, object]:
-        """Return the entry of metrics.json."""
+        """Return the attribution as an entry of metrics.json."""
         return {"measures": tuple(MEASURES), **asdict(self)}
 
 
@@ -376,7 +376,7 @@ def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     """Return candidate − reference in `MEASURES`, shape (4,).
 
     Raises:
-        InputError: `compare` cannot compare the runs.
+        InputError: the runs cannot be compared.
         ValueError: one of the runs has no gait metrics.
     """
     before = plant_metrics(reference)

@@ -1,7 +1,7 @@
 """Contacts of a run with obstacles and objects, and motion of objects.
 
-On a plant that ignores obstacles, such as most analytical models, the body passes
-through them. Overlaps of body and obstacles then take the place of contacts.
+In most analytical models the body passes through obstacles. For such a plant, overlaps
+between body and obstacles are reported instead of contacts.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ OBJECT_UNITS = units_of(OBJECT_MEANINGS)
 CONTACT = "contact"
 OVERLAP = "overlap"
 CONTACT_EVENTS = (CONTACT, OVERLAP)
-"""Event kinds for contacts, and for overlaps on a plant that ignores obstacles."""
+"""Kinds of events: contacts, and overlaps if the plant ignores obstacles."""
 
 TOUCH_N = 1e-3
-"""Minimum contact force, N. Smaller forces are numerical."""
+"""Minimum contact force, N. Smaller forces are numerical errors."""
 _MAX_INTERRUPTION_S = 0.1
-"""Maximum interruption within one contact, s."""
+"""Maximum interruption after which two contacts count as one contact, s."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class ContactInterval:
     """Contact with an obstacle.
 
     Attributes:
-        begin: start, s.
-        end: end, s.
+        begin: start time, s.
+        end: end time, s.
         force: maximum force, N.
         connector: number of the connector with the maximum force, counted from 1 at the
             head.
@@ -57,7 +57,7 @@ class ContactInterval:
 
 
 def touches(trajectory: Trajectory) -> list[ContactInterval]:
-    """Return contacts in order."""
+    """Return the contacts of a run in chronological order."""
     force = obstacle_force(trajectory)
     if force is None:
         return []
@@ -73,7 +73,7 @@ def touches(trajectory: Trajectory) -> list[ContactInterval]:
 
 
 def contact_events(trajectory: Trajectory) -> list[Event]:
-    """Return contacts, or overlaps on a plant that ignores obstacles, as events."""
+    """Return contacts as events, or overlaps if the plant ignores obstacles."""
     events = []
     for touch in touches(trajectory):
         text = f"connector {touch.connector}, at most {touch.force:.2g} N"
@@ -89,18 +89,19 @@ def contact_events(trajectory: Trajectory) -> list[Event]:
 
 
 def _duration(begin: float, end: float) -> str:
-    # The duration of a contact that is seen in a single sample is unknown.
+    # The duration of a contact that occurs in a single sample is unknown.
     if end > begin:
         return f", for {end - begin:.2g} s"
     return ""
 
 
 def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics in `CONTACT_UNITS`; all are None in a world without obstacles.
+    """Return the metrics in `CONTACT_UNITS`.
 
-    The clearance is the minimum distance of the collision collision geom from obstacles and
-    objects at the samples (`plants.clearance`). After a contact the clearance is at
-    most 0, even if the contact occurred between two samples.
+    The metrics are None in a world without obstacles. The clearance is the minimum
+    distance between the collision geoms of the body and the obstacles and objects at
+    the samples (`plants.clearance`). After a contact the clearance is at most 0, even
+    if the contact occurred between two samples.
     """
     metrics: dict[str, float | None] = dict.fromkeys(CONTACT_UNITS)
     touching = _touching(trajectory)
@@ -110,7 +111,7 @@ def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         metrics["contact_time_s"] = float(steps[touching].sum())
     if trajectory.has("clearance"):
         least = float(trajectory["clearance"].min())
-        # The force shows a contact between two samples, but the clearance does not.
+        # A contact between two samples affects the force but not the clearance.
         if metrics["contacts"]:
             least = min(least, 0.0)
         metrics["clearance_m"] = least
@@ -123,16 +124,16 @@ def ignores_obstacles(trajectory: Trajectory) -> bool:
 
 
 def contact_free_s(runs: Iterable[Trajectory]) -> float:
-    """Return the time of the last sample before the first contact in any run, s.
+    """Return the time of the last sample before the first contact of any run, s.
 
-    The time is infinite without contacts. Overlaps do not affect the motion and are not
-    counted.
+    The time is infinite if there are no contacts. Overlaps do not count as contacts,
+    because they do not affect the motion.
     """
     end = math.inf
     for run in runs:
         for touch in touches(run)[:1]:
-            # The force at a sample is a mean since the previous sample, so the contact
-            # began after the previous sample.
+            # The force at a sample is a mean since the previous sample, so the
+            # contact began after the previous sample.
             before = max(int(np.searchsorted(run.time, touch.begin)) - 1, 0)
             end = min(end, float(run.time[before]))
     return end
@@ -148,7 +149,7 @@ def _touching(trajectory: Trajectory) -> np.ndarray | None:
 
 
 def _spells(trajectory: Trajectory) -> list[np.ndarray]:
-    """Return sample indices per contact."""
+    """Return the sample indices of each contact."""
     touching = _touching(trajectory)
     if touching is None or not touching.any():
         return []
@@ -158,7 +159,7 @@ def _spells(trajectory: Trajectory) -> list[np.ndarray]:
 
 
 def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
-    """Return the obstacle force on each connector, shape (samples, N), N, if any."""
+    """Return the obstacle force on each connector, shape (samples, N), N, or None."""
     if not trajectory.has("obstacle_force_x"):
         return None
     return np.hypot(
@@ -167,7 +168,7 @@ def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
 
 
 def object_metrics(trajectory: Trajectory) -> dict[str, float]:
-    """Return the maximum displacement of an object as ``object_moved_m``, if any."""
+    """Return ``object_moved_m``, the maximum displacement of an object, or {}."""
     if not trajectory.has("object_x"):
         return {}
     place = np.stack([trajectory.stack("object_x"), trajectory.stack("object_y")])

@@ -1,8 +1,9 @@
 """Comparison of two sets of results, for example of two commits, machines or settings.
 
 Two numbers are equal if |a − b| ≤ max(abs, rel · max(|a|, |b|)). Other values, such as
-a verdict or a number that only one side has, must be identical. Two single runs are
-compared even if their scenarios have different names. Wall times are omitted.
+verdicts, must be identical. A number that only one set contains counts as a difference.
+Two single runs are compared even if their scenarios have different names. Wall times
+are not compared.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from srs_twin.io.untrusted import parse_json, read_json, read_table
 from srs_twin.io.validation import StrictModel, load_model
 
 REL = 1e-6
-"""Default relative tolerance: the allowed difference between two processor targets."""
+"""Default relative tolerance, which covers differences between types of processors."""
 ABS = 1e-9
 """Default absolute tolerance, in the unit of the number."""
 
@@ -35,7 +36,7 @@ _NUMBERED = re.compile(r"(_(plus|minus))?(_\d+)?(_period_\d+)?(\[\d+\])*$")
 
 Leaf = bool | int | float | str | None
 ValueKey = tuple[str, str]
-"""Scenario, sweep point or reproduction row, and metric."""
+"""Pair of a scenario, sweep point or reproduction row, and a metric."""
 
 
 class Tolerance(StrictModel):
@@ -60,13 +61,13 @@ class Tolerance(StrictModel):
         """Return whether two values are equal within the tolerance."""
         if _is_number(a) and _is_number(b):
             if math.isnan(a) and math.isnan(b):  # type: ignore[arg-type]
-                return True  # the number is undefined on both sides
+                return True  # the number is undefined in both sets
             return math.isclose(a, b, rel_tol=self.rel, abs_tol=self.abs)  # type: ignore[arg-type]
         return a == b and _is_number(a) == _is_number(b)
 
 
 class Tolerances(Tolerance):
-    """Tolerances file: default tolerances, and tolerances for individual metrics."""
+    """Tolerances file with default tolerances and tolerances for single metrics."""
 
     metrics: Annotated[
         dict[str, Tolerance],
@@ -76,8 +77,9 @@ class Tolerances(Tolerance):
     def for_metric(self, metric: str) -> Tolerance:
         """Return the tolerance for a metric.
 
-        A tolerance for the full name precedes a tolerance for the name without plant,
-        which precedes the default.
+        A tolerance for the full name of the metric takes precedence over a tolerance
+        for the name without the plant. The default tolerance applies to all other
+        metrics.
         """
         names = (name for name in tolerance_names(metric) if name in self.metrics)
         return next(map(self.metrics.__getitem__, names), self)
@@ -95,14 +97,7 @@ def load_tolerances(path: StrPath) -> Tolerances:
 
 @dataclass(frozen=True)
 class ChangedValue:
-    """Value that differs between two sets of results.
-
-    Attributes:
-        where: scenario, point or row.
-        metric: full metric name.
-        a: reference value.
-        b: other value.
-    """
+    """Value that differs between two sets of results."""
 
     where: str
     metric: str
@@ -111,7 +106,7 @@ class ChangedValue:
 
     @property
     def rel(self) -> float | None:
-        """Relative change (b − a)/|a|, or None unless it is finite."""
+        """Relative change (b − a)/|a|, or None if the quotient is not finite."""
         if not (_is_number(self.a) and _is_number(self.b)) or self.a == 0:
             return None
         change = (self.b - self.a) / abs(self.a)  # type: ignore[operator, arg-type]
@@ -122,12 +117,7 @@ class ChangedValue:
 
 @dataclass(frozen=True)
 class Results:
-    """Results of one or more runs as a flat table.
-
-    Attributes:
-        values: results, keyed by (where, metric).
-        versions: package versions.
-    """
+    """Results of one or more runs as a flat table."""
 
     values: Mapping[ValueKey, Leaf]
     versions: Mapping[str, str]
@@ -140,8 +130,8 @@ class Difference:
     Attributes:
         moved: changed values.
         same: number of equal values.
-        wheres: scenarios, sweep points and rows.
-        versions: differing package versions.
+        wheres: scenarios, sweep points and reproduction rows of the results.
+        versions: package versions that differ.
     """
 
     moved: tuple[ChangedValue, ...]
@@ -179,14 +169,14 @@ def diff(
     """Compare two sets of results, like `srs-twin diff`.
 
     Args:
-        a: reference results, or their path (see `read_results`).
-        b: other results.
-        tolerances: allowed differences. None selects the tolerances between two
-            processor targets.
+        a: reference results, or a path to results (see `read_results`).
+        b: results to compare, or a path to results.
+        tolerances: allowed differences. By default, differences between types of
+            processors are allowed.
 
     Raises:
         InputError: there are no results, or a file does not contain results.
-        UnknownNameError: a tolerance is for a metric that neither set has.
+        UnknownNameError: neither set of results contains the metric of a tolerance.
     """
     a, b = (
         given if isinstance(given, Results) else read_results(given) for given in (a, b)
@@ -196,7 +186,7 @@ def diff(
     after = b.values
     wheres = [{where for where, _ in values} for values in (before, after)]
     if all(len(names) == 1 for names in wheres):
-        # Single runs are compared regardless of their names.
+        # Two single runs are compared even if their names differ.
         (where,) = wheres[0]
         after = {(where, metric): value for (_, metric), value in after.items()}
     keys = list(dict.fromkeys((*before, *after)))
@@ -232,7 +222,7 @@ def read_results(path: StrPath) -> Results:
     """Read the results of `run`, `compare`, `replay`, `sweep` or `reproduce`.
 
     Args:
-        path: metrics.json, results.parquet or reproduce.json, or a folder, which is
+        path: metrics.json, results.parquet or reproduce.json, or a folder. Folders are
             searched recursively.
 
     Raises:
@@ -258,9 +248,9 @@ def read_results(path: StrPath) -> Results:
 
 
 def _result_files(folder: Path) -> Iterator[Path]:
-    """Yield the result files in a folder, without following links to folders."""
+    """Yield the result files in a folder. Links to folders are ignored."""
     pending = [os.fspath(folder)]
-    # A list replaces recursion, because folders may be nested too deeply for the stack.
+    # A list replaces recursion, because nested folders could exhaust the stack.
     while pending:
         current = pending.pop()
         try:
@@ -271,7 +261,7 @@ def _result_files(folder: Path) -> Iterator[Path]:
                     f"{display_path(folder)}: cannot be read ({error.strerror})"
                 ) from error
             continue
-        # Hidden folders may contain incomplete files of a killed process.
+        # Hidden folders may contain incomplete files of an interrupted process.
         entries = [entry for entry in entries if not entry.name.startswith(".")]
         pending += [
             entry.path for entry in entries if entry.is_dir(follow_symlinks=False)

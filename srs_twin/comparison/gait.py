@@ -1,6 +1,6 @@
-"""Metrics of a gait: speed, turning radius, power, cost of transport, spatial travel.
+"""Metrics of a gait, such as speed, turning radius, power and cost of transport.
 
-All means are taken over whole gait periods (`GaitWindow`).
+All means are computed over whole gait periods (`GaitWindow`).
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from srs_twin.robot.spec import GRAVITY
 from srs_twin.trajectory import Trajectory
 
 WARM_UP_PERIODS = 2
-"""Number of gait periods at the start of a run that means exclude."""
+"""Number of gait periods at the start of a run that are excluded from means."""
 MIN_PERIODS = 3
-"""Minimum number of whole gait periods of a run with gait metrics."""
+"""Minimum number of whole gait periods that a run needs for gait metrics."""
 _MIN_SAMPLES_PER_PERIOD = 4
-"""Minimum number of samples per gait period that resolves the gait."""
+"""Minimum number of samples per gait period at which gait metrics are computed."""
 _MIN_TIMES_PER_PERIOD = 64
 """Minimum number of times per gait period at which signals are evaluated."""
 _PERIOD_ROUNDING = 1e-6
@@ -36,20 +36,20 @@ _PERIOD_ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class GaitWindow:
-    r"""Whole gait periods after the warm-up, and means over them.
+    r"""Whole gait periods after the warm-up, over which means are computed.
 
     The running mean of a signal x over one period T, and its exact derivative, are
 
     $$\bar x(t) = \frac{1}{T} \int_t^{t+T} x\,ds, \qquad \dot{\bar x}(t) = \frac{x(t+T) - x(t)}{T},$$
 
-    for t from the start of the window to one period before its end. Between the
-    samples, x is a cubic spline. Therefore T need not be a multiple of the sample
-    period, and the window need not begin at a sample.
+    where t lies between the start of the window and one period before the end of the
+    window. The signal x is interpolated by a cubic spline. Therefore T need not be a
+    multiple of the sample period, and the window need not begin at a sample.
 
     Attributes:
         start: start time, s.
         period: period T, s.
-        periods: number K ≥ 2.
+        periods: number of periods, K ≥ 2.
         times_per_period: number of times per period at which signals are evaluated.
     """
 
@@ -60,10 +60,10 @@ class GaitWindow:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory) -> GaitWindow | None:
-        """Return the window of a run: all whole periods after a warm-up of two periods.
+        """Return the window of all whole periods after a warm-up of two periods.
 
-        The warm-up of a run of exactly three whole periods is one period, so that two
-        periods remain for the means. The result is None if the run has no gait
+        A run of exactly three whole periods has a warm-up of only one period, so that
+        two periods remain for the means. The result is None if the run has no gait
         frequency, fewer than three whole periods, or too few samples per period.
 
         Raises:
@@ -75,7 +75,7 @@ class GaitWindow:
         time = trajectory.time
         whole, samples = _extent(trajectory, frequency)
         warm_up = min(WARM_UP_PERIODS, whole - 2)
-        # Four evaluation times per sample period capture the spline between samples.
+        # Four evaluation times per sample period resolve the spline between samples.
         times = max(_MIN_TIMES_PER_PERIOD, int(np.ceil(4 * samples)))
         return cls(
             float(time[0]) + warm_up / frequency,
@@ -86,7 +86,7 @@ class GaitWindow:
 
     @classmethod
     def missing_reason(cls, trajectory: Trajectory) -> str:
-        """Return why a run has no window, or ""."""
+        """Return the reason why a run has no window, or an empty string."""
         frequency = positive_number(trajectory, "gait_frequency_hz")
         if frequency is None:
             return "the run has no gait frequency"
@@ -103,15 +103,9 @@ class GaitWindow:
     def ending_at(
         cls, trajectory: Trajectory, period: float, end: float, periods: int
     ) -> GaitWindow | None:
-        """Return a window of several periods that ends at a given time.
+        """Return a window of several periods (s) that ends at a given time (s).
 
         The result is None if the window would begin before the run.
-
-        Args:
-            trajectory: one run.
-            period: period T, s.
-            end: end time, s.
-            periods: number of periods.
         """
         start = end - periods * period
         step = float(np.median(np.diff(trajectory.time)))
@@ -126,10 +120,11 @@ class GaitWindow:
         return self.start + self.periods * self.period
 
     def times(self, periods: int) -> np.ndarray:
-        """Return equally spaced times over the first periods, s.
+        """Return equally spaced times (s) over the first periods of the window.
 
         The times are midpoints of equal intervals. For a smooth periodic signal, the
-        mean at these times equals the mean over whole periods to rounding accuracy.
+        mean of the values at the midpoints equals the mean over whole periods to
+        rounding accuracy.
         """
         step = self.period / self.times_per_period
         return self.start + step * (np.arange(periods * self.times_per_period) + 0.5)
@@ -139,11 +134,8 @@ class GaitWindow:
     ) -> tuple[Array, Array]:
         """Return the running mean of a signal over one period, and its derivative.
 
-        Both are evaluated at equally spaced times over K − 1 periods.
-
-        Args:
-            trajectory: one run.
-            values: samples (samples, …).
+        Mean and derivative are evaluated at equally spaced times over K − 1 periods.
+        The signal has the shape (samples, …).
         """
         signal = interpolant(trajectory, values)
         integral = signal.antiderivative()
@@ -161,11 +153,9 @@ class GaitWindow:
         return mean
 
     def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
-        """Return half the range of a signal in each period, averaged over periods.
+        """Return the mean amplitude of a signal over all periods.
 
-        Args:
-            trajectory: one run.
-            values: samples (samples, …).
+        The amplitude in a period is half the range of the signal in this period.
         """
         signal = interpolant(trajectory, values)(self.times(self.periods))
         by_period = signal.reshape(
@@ -178,7 +168,7 @@ class GaitWindow:
 def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
     """Return the number of whole gait periods, and the number of samples per period."""
     time = trajectory.time
-    # Rounding must not remove the last period of a run that ends with a whole period.
+    # The tolerance keeps the last period of a run that ends with a whole period.
     whole = int(np.floor((time[-1] - time[0]) * frequency + 1e-6))
     if len(time) < 2:
         return whole, 0.0
@@ -186,17 +176,17 @@ def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
 
 
 MIN_TRAVEL_BODY_LENGTHS = 1e-3
-"""Distance per gait period below which a snake has no path, body lengths."""
+"""Minimum distance per gait period of a snake that travels, in body lengths."""
 
 
 def displacement_per_period(
     trajectory: Trajectory, window: GaitWindow
 ) -> tuple[Array, Array]:
-    """Return the chord (m, negative for backward motion) and the turn (rad) per period.
+    """Return chord (m, negative for backward motion) and turn (rad) of each period.
 
-    Chord and turn are averaged over all periods that begin within one period. A single
-    phase would count the lateral oscillation of the body as a part of the radius. A
-    window of K periods gives K − 1 values of each.
+    The start of a period varies over one gait period, and chord and turn are averaged
+    over all starts. With a single start, the lateral oscillation of the body would
+    change the turning radius. A window of K periods gives K − 1 chords and K − 1 turns.
     """
     speed, turn_rate = running_rates(trajectory, window)
     shape = (window.periods - 1, window.times_per_period)
@@ -206,10 +196,10 @@ def displacement_per_period(
 
 
 def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Array]:
-    """Return the speed of the period-averaged path and the rate of the mean heading.
+    """Return the speed along the period-averaged path and the mean yaw rate.
 
-    The speed (m/s) is negative if the mean motion is opposite to the heading. The rate
-    (rad/s) is positive to the left.
+    The speed (m/s) is negative if the mean motion is opposite to the heading. The yaw
+    rate (rad/s) is positive to the left.
     """
     heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
     _, velocity = window.running_mean(trajectory, trajectory.com)
@@ -219,28 +209,27 @@ def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Ar
 
 
 STRAIGHT_BODY_LENGTHS = 100.0
-"""Turning radius above which a path counts as straight, body lengths.
+"""Turning radius above which a path counts as straight, in body lengths.
 
-For generation 2 the radius is about 20 m. A path of 2 m then deviates from its tangent
+For generation 2 this radius is about 20 m. A path of 2 m then deviates from its tangent
 by 0.1 m.
 """
 STRAIGHT_TURN_RAD = 1e-3
 """Turn per gait period below which a path counts as straight, rad.
 
-Contact creep causes turns of about this size (0.06°) in a snake that does not move
-forward.
+Contact creep causes turns of about 0.06° in a snake that does not move forward.
 """
 
 
 def turning_radius(
     speed: float, yaw_rate: float, period: float, length: float
 ) -> float | None:
-    """Return the signed turning radius, m, or None for a straight path.
+    """Return the signed turning radius (m), or None for a straight path.
 
-    The radius is positive to the left. It follows from the chord (speed · period) and
-    the turn (yaw_rate · period) of the body in one period. Speed divided by yaw rate
-    would be the radius of the averaged path. The averaged path has a smaller radius, by
-    1 % if the body turns by half a radian per period.
+    The radius is positive to the left. The turning radius is computed from the chord
+    (speed · period) and the turn (yaw_rate · period) of the body in one period. The
+    quotient of speed and yaw rate is the radius of the averaged path, which is smaller
+    by 1 % if the body turns by half a radian per period.
 
     Args:
         speed: forward speed, m/s.
@@ -258,7 +247,7 @@ def turning_radius(
 
 
 def path_curvature(chord: float, turn: float) -> float:
-    """Return the curvature (1/m) of a circle from a chord (m) and its turn (rad)."""
+    """Return the curvature (1/m) of a circular arc with a chord (m) and turn (rad)."""
     return 2 * math.sin(turn / 2) / chord
 
 
@@ -277,14 +266,10 @@ def energy_metrics(
 ) -> dict[str, Any]:
     """Compute the power and cost of transport of a gait (`ENERGY_MEANINGS`).
 
-    The mechanical power is dissipated by friction and segments. The pneumatic power is
-    the supply pressure times the volume flow of air drawn at that pressure. A metric is
-    None if the run does not record the required columns.
-
-    Args:
-        trajectory: one run.
-        window: gait periods.
-        speed: mean speed, m/s.
+    The mechanical power is the power that friction and segments dissipate. The
+    pneumatic power is the supply pressure times the volume flow of consumed air at the
+    supply pressure. A metric is None if the run does not record the required columns.
+    The argument `speed` is the mean speed in m/s.
     """
     mass = positive_number(trajectory, "mass_kg")
     metrics: dict[str, Any] = dict.fromkeys(ENERGY_MEANINGS)
@@ -317,7 +302,7 @@ supports: mean number of separate parts of the body that press on the floor
 roll_turns: turns of the body about its axis over the whole run, mean over the connectors
 """)
 SPATIAL_UNITS = units_of(SPATIAL_MEANINGS)
-"""Units of the metrics of a spatial snake. Each metric is one number or None."""
+"""Units of the metrics of a spatial snake, each of which is a number or None."""
 
 SPATIAL_DIFFERENCE_MEANINGS = meanings_of("""
 travel_speed_rel: travel speed of the twin minus that of the analytical model, divided by the latter
@@ -333,9 +318,10 @@ SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {
 def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Compute the metrics of a spatial snake (`SPATIAL_MEANINGS`).
 
-    A sidewinder travels across its body, so that its forward speed is smaller than its
-    travel speed. With two separate supports, the body can roll over. Speed and
-    direction of travel are None without a gait of at least three whole periods.
+    A sidewinder travels across the direction of its body, so that the forward speed is
+    smaller than the travel speed. A body with two separate supports can roll over.
+    Speed and direction of travel are None without a gait of at least three whole
+    periods.
     """
     if not trajectory.has("z"):
         return {}
@@ -359,7 +345,7 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         (np.diff(touches, axis=1, prepend=False) & touches).sum(axis=1).mean()
     )
     w, x, y, z = (trajectory.stack(f"quaternion_{axis}") for axis in "wxyz")
-    # The arguments are the heights of the tips of the left and the upper axis.
+    # The arguments of arctan2 are the heights of the tips of the left and upper axes.
     roll = np.unwrap(np.arctan2(2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)), axis=0)
     metrics["roll_turns"] = float(abs(roll[-1] - roll[0]).mean() / (2 * math.pi))
     return metrics
@@ -370,12 +356,8 @@ def spatial_differences(
 ) -> dict[str, float | None]:
     """Compare two runs of a spatial snake (`SPATIAL_DIFFERENCE_MEANINGS`).
 
-    The agreement of contacts covers whole gait periods if there are any.
-
-    Args:
-        reference: analytical run.
-        candidate: twin's run.
-        time: compared times, s.
+    If the runs have whole gait periods, contacts are compared over whole periods. The
+    runs are compared at the times `time` (s).
     """
     if not (reference.has("z") and candidate.has("z")):
         return {}

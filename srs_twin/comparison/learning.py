@@ -1,8 +1,8 @@
-"""Metrics of iterative learning: amplitudes, duties, convergence, change of the path.
+"""Metrics of iterative learning: amplitudes, duty cycles, convergence, and the path.
 
 Amplitudes are computed from the sensor readings in the periods of each chamber
-(`control.duties`). The path of the centre of mass is measured over the last periods,
-together with the extent of the body to its left and right (Fig. 58, Table 8).
+(`control.duties`). The path of the centre of mass is measured over the last periods of
+a run. The lateral extent of the body is measured from the path (Fig. 58, Table 8).
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ _PERIOD_ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class PeriodAmplitudes:
-    """Amplitude, target and duty of each chamber in each of its K whole periods.
+    """Amplitude, target and duty cycle of each chamber in each of K whole periods.
 
     All arrays have shape (K, segments, 2).
 
     Attributes:
-        amplitude: maximum sensed bend to the side of the chamber, rad; NaN without a
-            valid reading.
+        amplitude: maximum measured bend towards the side of the chamber, rad, or NaN if
+            the sensor has no valid reading.
         target: target amplitude at the end of the period, rad, or NaN.
-        duty: duty in the middle of the period.
+        duty: duty cycle in the middle of the period.
     """
 
     amplitude: Array
@@ -59,7 +59,7 @@ class PeriodAmplitudes:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory) -> PeriodAmplitudes:
-        """Divide a run into the periods of its chambers.
+        """Divide a run into the periods of each chamber.
 
         Raises:
             InputError: the metadata lack the start times of filling or the gait
@@ -87,15 +87,15 @@ class PeriodAmplitudes:
                 ):
                     valid = bend[first:end][np.isfinite(bend[first:end])]
                     result.amplitude[n, j, side] = valid.max() if len(valid) else np.nan
-                    # A sample is taken at the end of its tick, so the sample before
-                    # `end` still belongs to the period.
+                    # A sample is recorded at the end of a tick, so the sample before
+                    # `end` belongs to the same period.
                     result.target[n, j, side] = target[end - 1, j]
                     result.duty[n, j, side] = duty[(first + end) // 2, j]
         return result
 
 
 def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Array]:
-    """Return the gait period and the start of the first filling of each chamber, s."""
+    """Return the gait period and the time at which each chamber is first filled, s."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
     fill_starts = np.array(listed if isinstance(listed, list) else [], dtype=float)
@@ -112,9 +112,9 @@ def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Arra
 
 
 _STRAIGHT_PATH_TURN = 1e-4
-"""Turn along the whole path below which a line is fitted, rad.
+"""Turn along the whole path below which a line is fitted instead of a circle, rad.
 
-A circle would have an arbitrary radius below this turn.
+A circle fitted to such a path would have an arbitrary radius.
 """
 
 
@@ -124,10 +124,10 @@ class PathFit:
 
     Attributes:
         centre: centre of the circle, or any point on the line, shape (2,), m.
-        radius: radius, m, positive if the centre lies to the left of the heading. None
-            means a line.
-        direction: unit vector of the heading in the middle of the path, or along the
-            line, shape (2,).
+        radius: radius, m, or None for a line. The radius is positive if the centre lies
+            to the left of the heading.
+        direction: unit vector along the line, or along the heading in the middle of the
+            circular path, shape (2,).
     """
 
     centre: Array
@@ -146,7 +146,7 @@ class PathFit:
         length = speed * (window.periods - 1) * window.period
         if length < 1e-9:
             return None
-        # Left and right refer to the heading, also if the snake moves backward.
+        # Left and right refer to the heading even if the snake moves backward.
         middle_heading = heading[len(heading) // 2]
         direction = np.array([np.cos(middle_heading), np.sin(middle_heading)])
         turn = float(turn_rate.mean()) * window.period
@@ -167,7 +167,7 @@ class PathFit:
         return cls(centroid + length * centre, radius, direction)
 
     def right_offset(self, points: Array) -> Array:
-        """Return the distance of points, shape (…, 2), to the right of the path, m."""
+        """Return the distances (m) of points (…, 2) to the right of the path."""
         x, y = np.moveaxis(points - self.centre, -1, 0)
         if self.radius is None:
             side: Array = self.direction[1] * x - self.direction[0] * y
@@ -181,8 +181,8 @@ def box_edges(
 ) -> tuple[float, float]:
     """Return the left (negative) and right edge of the area that the body covers, m.
 
-    If the metadata contain a body width (``body_width_m``), half the width is added on
-    both sides of each connector, across the heading of the connector.
+    If the metadata contain the body width (``body_width_m``), half the width is added
+    on both sides of each connector.
     """
     inside = (trajectory.time >= window.start - 1e-9) & (
         trajectory.time <= window.end + 1e-9
@@ -219,15 +219,14 @@ extent_right_m: extent of the body to the right of its path
 LEARNING_LIST_UNITS = units_of(
     ["amplitude_error_rad", "duty", "heading_drift_by_period_rad"]
 )
-"""Units of histories per period.
+"""Units of metrics that have one entry per period.
 
-A history contains nested lists over segments and chambers for each period, or one
-number per period for the heading.
+Each entry is a nested list over segments and chambers, or one number for the heading.
 """
 LEARNING_UNITS = units_of(
     name for name in LEARNING_MEANINGS if name not in LEARNING_LIST_UNITS
 )
-"""Units of the metrics of iterative learning. Each metric is one number or None."""
+"""Units of the metrics of iterative learning, each of which is a number or None."""
 
 CONVERGENCE_TOLERANCE = 0.05
 """Maximum relative amplitude error of a converged chamber."""
@@ -235,7 +234,7 @@ LAST_PERIODS = 5
 """Number of periods at the end of a run over which the path is measured."""
 
 _MIN_CURVATURE = 1e-3
-"""Minimum curvature of a path that is not straight before learning, 1/m."""
+"""Minimum curvature before learning for a relative change of curvature, 1/m."""
 
 
 def is_learning(trajectory: Trajectory) -> bool:
@@ -248,22 +247,19 @@ def is_learning(trajectory: Trajectory) -> bool:
 def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     """Compute the metrics of a run with iterative learning (`LEARNING_MEANINGS`).
 
-    A metric that does not apply is None. Amplitudes refer to the periods of each
-    chamber. A period that began before time 0 is counted. Chambers of modules with a
-    fault have no target and are excluded. Amplitude errors are target minus amplitude.
+    A metric that is not applicable is None. Amplitudes refer to the periods of each
+    chamber. The first period may begin before time 0. Modules with a fault have no
+    target and are excluded. Amplitude errors are target minus amplitude. The metric
     ``amplitude_growth_rel`` is 1 if the chambers have their final pressures from the
     start.
 
-    For each period, the path has a chord along which the centre of mass moves, and a
-    turn of the body. Chord and turn are averaged over the gait phase, so that five
-    periods give four values. The curvature is 2 sin(turn/2)/chord. The curvature before
-    learning is a mean over the two periods before the first update of a duty. It is
-    None if these periods would begin less than half a period after the start.
-    ``extent_left_m`` and ``extent_right_m`` are measured from the circle or line that is
-    fitted to the path of the last five periods.
-
-    Args:
-        trajectory: run with ``measured_bend``, ``duty_…`` and ``target_…``.
+    In each period, the centre of mass moves along a chord, and the body turns. Chord
+    and turn are averaged over the gait phase, so that five periods give four values.
+    The curvature is 2 sin(turn/2)/chord. The curvature before learning is the mean over
+    the two periods before the first update of a duty cycle. This curvature is None if
+    the two periods begin less than half a period after the start. The metrics
+    ``extent_left_m`` and ``extent_right_m`` are measured from the circle or line that
+    is fitted to the path of the last five periods.
 
     Raises:
         InputError: columns or metadata are missing or unusable.
@@ -293,8 +289,8 @@ def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
     target = by_period.target[:, working]
     converged = np.all(error <= CONVERGENCE_TOLERANCE * target, axis=1)
     outside = np.flatnonzero(~converged)
-    # Convergence begins one period after the last period outside the tolerance. The
-    # other 1 is added because periods are numbered from 1.
+    # The last period outside the tolerance has the index `outside[-1]`. Periods are
+    # numbered from 1, so the first converged period has the number `outside[-1] + 2`.
     first = int(outside[-1]) + 2 if len(outside) else 1
     duty = by_period.duty[-1, working]
     metrics: dict[str, float | None] = {

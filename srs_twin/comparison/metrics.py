@@ -1,4 +1,4 @@
-"""Metrics of single runs, with their meanings and the texts that present them."""
+"""Metrics of single runs, with their descriptions and the texts of summaries."""
 
 from __future__ import annotations
 
@@ -99,22 +99,22 @@ RELATIVE = {
     "reading_backstep_rad",
     "reading_range_t",
 }
-"""Metrics whose difference is also shown in per cent of the analytical value.
+"""Metrics whose difference is also printed in per cent of the analytical value.
 
-The groups of metrics list further ones.
+Each group of metrics has an additional set of such metrics.
 """
 
 _TENTH = 0.05
-"""Minimum relative difference that is shown with one decimal, per cent."""
+"""Relative difference below which one significant digit is printed, per cent."""
 
 _NOT_COMPARED = ("wall_s", "realtime_factor")
 """Metrics whose difference is not shown, because they do not depend on the plant."""
 
 
 def _per_cent(metric: str, reference: float, value: float) -> str:
-    """Return value − reference in per cent of the reference as text.
+    """Return (value − reference)/reference in per cent as text.
 
-    The text is empty if the signs differ or the reference is near zero.
+    The text is empty if the signs differ or the reference is close to zero.
     """
     if reference * value <= 0 or is_near_zero(reference, value, split_unit(metric)[1]):
         return ""
@@ -191,15 +191,16 @@ MEANINGS = (
     _COMPARISON_MEANINGS,
     SPATIAL_DIFFERENCE_MEANINGS,
 )
-"""Meanings of the metrics of each topic, in the order of `srs-twin list metrics`."""
+"""Descriptions of the metrics of each topic, in the order of `srs-twin list
+metrics`."""
 
 LIST_METRIC_UNITS = (
     units_of(("bend_amplitude_rad", "bend_bias_rad", "valve_switches"))
     | LEARNING_LIST_UNITS
 )
-"""Units of the metrics of a plant that are lists, ordered from the head.
+"""Units of metrics that are lists over the segments, ordered from the head.
 
-Metrics of iterative learning have one list per period.
+Metrics of iterative learning have one list for each period.
 """
 
 MEASURED_UNITS = units_of(_MEASURED_MEANINGS) | {"measured_yaw_rate_abs": "rad/s"}
@@ -225,9 +226,9 @@ METRIC_UNITS = {
 COMPARISON_UNITS = (
     units_of(_COMPARISON_MEANINGS) | {"yaw_rate_abs": "rad/s"} | SPATIAL_DIFFERENCES
 )
-"""Units of the metrics of `compare`. Each metric is one number.
+"""Units of the metrics of `compare`, each of which is one number.
 
-They are defined here, so that listing them does not import `compare`.
+The units are defined here, so that commands can list them without importing `compare`.
 """
 
 
@@ -239,7 +240,7 @@ def metric_units() -> dict[str, str]:
 
 
 def all_units() -> dict[str, str]:
-    """Return all metric units."""
+    """Return the units of all metrics."""
     return metric_units() | LIST_METRIC_UNITS | COMPARISON_UNITS
 
 
@@ -249,12 +250,10 @@ def is_yes_no(metric: str) -> bool:
 
 
 def metric_name(name: str) -> str:
-    """Return the name of a metric in results, and import its module.
+    """Return the name under which results store a metric, and import its module.
 
-    An unknown name imports the registered metrics of all distributions.
-
-    Args:
-        name: metric, or ``module:metric`` for a metric of a plug-in or distribution.
+    For an unknown name, the registered metrics of all distributions are imported. A
+    metric of a plug-in or distribution is written as ``module:metric``.
 
     Raises:
         ValueError: the module is not allowed.
@@ -274,7 +273,7 @@ def metric_name(name: str) -> str:
 
 
 def written_name(metric: str) -> str:
-    """Return a metric's name for files, with the module of a plug-in."""
+    """Return the name of a metric as written in files, with the module of a plug-in."""
     for module, group in plugin_parts(MetricGroup):
         if metric in group.meanings:
             return f"{module}:{metric}"
@@ -282,7 +281,7 @@ def written_name(metric: str) -> str:
 
 
 def meanings() -> dict[str, str]:
-    """Return the one-line meanings of all metrics."""
+    """Return the one-line descriptions of all metrics."""
     tables = (*MEANINGS, *(group.meanings for group in metric_groups()))
     return {name: text for table in tables for name, text in table.items()}
 
@@ -292,10 +291,10 @@ VALIDATION = (
     " that the dissertation publishes and by replayed recordings; all other differences"
     " are between the two plants."
 )
-"""Statement on validation for every report."""
+"""Statement on validation that every report contains."""
 
 _SAME_RATIO = 0.01
-"""Relative difference below which plants agree."""
+"""Relative difference below which the plants are said to agree."""
 _PRESET = (
     "The twin ran with preset {}, for searching: cite a run without it"
     " (docs/verification.md#presets)."
@@ -307,26 +306,23 @@ _OVERLAP = (
 _COMPLIANCE = (
     "Compliance: the segments of the twin yield to loads, those of the model do not."
 )
-"""Explanation of the cause that headlines name most often."""
+"""Explanation of compliance, which is the most frequent cause in headlines."""
 _MIN_CAUSE_RATIO = 0.25
-"""Fraction of a difference that a cause must exceed to be mentioned."""
+"""Minimum fraction of a difference that a cause must explain to be mentioned."""
 
 _LEARNT = (
     "Learning brought the amplitudes to their targets. It does not control the path,"
     " whose curvature changed from {:.2g} to {:.2g} 1/m (docs/module.md)."
 )
-"""Sentence about a learning run whose amplitudes have converged."""
+"""Sentence about a run with iterative learning whose amplitudes have converged."""
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
     """Return a summary of the results in a few sentences.
 
-    A contact with obstacles is named first, followed by the difference over the whole
-    run and the difference before the contact with its cause. Explanations of terms and
-    limitations follow.
-
-    Args:
-        metrics: contents of metrics.json.
+    The summary begins with a contact with obstacles, if there is one. The summary then
+    states the difference over the whole run, the difference before the contact, and the
+    cause of the difference. The last sentences explain terms and limitations.
     """
     text = _summary(metrics)
     sentences = [*_contacts(metrics), text]
@@ -494,7 +490,8 @@ def _compared(
 ) -> str:
     """Compare a metric of the twin with the model, and name the main cause.
 
-    `part` contains the compared values: all results, or the results before a contact.
+    The argument `part` contains the values to compare, either from the whole run or
+    from the time before a contact.
     """
     reference, value = (
         part["plants"][plant][metric] for plant in ("analytical", "twin")
@@ -517,10 +514,10 @@ def _compared(
 def _main_cause(
     causes: Sequence[tuple[str, float]], reference: float, share: float, *, alone: bool
 ) -> str:
-    """Return the main cause of a relative difference as text, in whole per cents.
+    """Return a text with the main cause of a relative difference, in per cent.
 
-    The effect of a cause that was switched alone is stated with "would". The text is
-    empty if no cause acts in the direction of the difference.
+    The text contains "would" if the effect was computed by switching only this cause.
+    The text is empty if no cause acts in the direction of the difference.
     """
     whole = round(100 * share)
     for name, change in causes:
@@ -572,7 +569,7 @@ _GAIT = f"""
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
 """.split()
-# Short table of a run with a reference for its bends, or of a run on a bench.
+# Short table for a run on a bench, or for a run with a bend reference.
 _BENCH = f"""
     final_bend_rad {_MEASURED} rise_time_s overshoot_rel settling_5_s settling_2_s steady_error_rad
     steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
@@ -583,7 +580,7 @@ _COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad", *SPATIAL_DIFFERENCES
 
 
 def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
-    """Return the metrics of the short table for the kind of run."""
+    """Return the names of the metrics in the short table, which depend on the run."""
 
     def measured(*names: str) -> bool:
         return any(
@@ -606,7 +603,7 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
 def tidy(metric: str, value: Any) -> Any:
     """Convert a metric for display.
 
-    Truth values become yes or no, and negligible rates become 0.
+    Booleans become "yes" or "no", and negligible rates become 0.
     """
     if is_yes_no(metric) and value is not None:
         return "yes" if value else "no"
@@ -617,15 +614,7 @@ def tidy(metric: str, value: Any) -> Any:
 
 
 class ResultRow(NamedTuple):
-    """Row of a table of results, as text.
-
-    Attributes:
-        metric: metric name.
-        unit: unit, if any.
-        values: values per plant.
-        difference: twin − analytical, or the value of a comparison metric.
-        per_cent: difference in per cent.
-    """
+    """Row of a table of results, in which every value is text."""
 
     metric: str
     unit: str
@@ -637,13 +626,7 @@ class ResultRow(NamedTuple):
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[ResultRow]:
-    """Yield the rows of a table of results. Metrics without values are omitted.
-
-    Args:
-        metrics: contents of metrics.json.
-        names: metrics.
-        text: value formatter.
-    """
+    """Yield the rows of a table of results. Metrics without values are omitted."""
     units = all_units()
     plants = metrics["plants"]
     for name in names:
@@ -665,7 +648,7 @@ def _differences(
 ) -> tuple[str, str]:
     """Return twin − analytical as text, in the unit of the metric and in per cent.
 
-    The difference is 0 if both values have equal texts.
+    The difference is 0 if the two values are printed as the same text.
     """
     model, twin = (
         tidy(metric, metrics["plants"].get(p, {}).get(metric))
@@ -698,7 +681,7 @@ _GAIT_METRICS = (
     "mean_bend_amplitude_rad",
     *ENERGY_MEANINGS,
 )
-"""Metrics of a run with whole gait periods."""
+"""Metrics of a run that has whole gait periods."""
 
 
 def plant_metrics(
@@ -707,23 +690,26 @@ def plant_metrics(
     """Compute the metrics of one run.
 
     The gait metrics are means over whole gait periods after a warm-up of two periods
-    (`GaitWindow`). They are None if the run is not periodic or has fewer than three
-    whole periods:
+    (`GaitWindow`). All gait metrics are None if the run is not periodic or has fewer
+    than three whole periods:
 
-    - ``com_speed_m_s``: arc length of the period-averaged path of the centre of mass
-      divided by its duration, negative if the path is opposite to the mean heading.
+    - ``com_speed_m_s``: length of the period-averaged path of the centre of mass
+      divided by its duration. The speed is negative if the path is opposite to the mean
+      heading.
     - ``yaw_rate_rad_s``: derivative of the period-mean heading, positive to the left.
-    - ``turning_radius_m``: radius of the circle on which each period moves the centre
-      of mass, positive to the left; None for a straight path (`gait.turning_radius`).
-    - ``bend_amplitude_rad``: half the peak-to-peak range of each period, averaged over
-      the periods.
+    - ``turning_radius_m``: radius of the circle on which the centre of mass moves from
+      period to period, positive to the left. The radius is None for a straight path
+      (`gait.turning_radius`).
+    - ``bend_amplitude_rad``: half the peak-to-peak range in a period, averaged over all
+      periods.
 
-    `gait.energy_metrics`, `tracking.tracking_metrics`, `learning.learning_metrics` and
-    `reading.reading_metrics` describe further metrics. A run on a bench without a
-    reference has ``final_bend_rad``, the final bend of the first segment. Extensions
-    add their groups of metrics (`extensions.METRICS`). Differences from a recording
-    (``measured_…``) are None here; see `compare.MeasuredDifference`. Openings of valves
-    are None if they were not counted.
+    The functions `gait.energy_metrics`, `tracking.tracking_metrics`,
+    `learning.learning_metrics` and `reading.reading_metrics` describe further metrics.
+    A run on a bench without a reference has ``final_bend_rad``, the final bend of the
+    first segment. Extensions add groups of metrics (`extensions.METRICS`). Differences
+    from a recording (``measured_…``) are set to None and computed by
+    `compare.MeasuredDifference`. The number of valve openings is None if the plant does
+    not count openings.
 
     Args:
         trajectory: run with ``body_length_m`` and ``gait_frequency_hz`` in its
@@ -731,7 +717,7 @@ def plant_metrics(
         wall_s: computing time, s.
 
     Returns:
-        JSON values by metric.
+        JSON values, keyed by metric.
 
     Raises:
         InputError: columns or metadata are missing or unusable.

@@ -18,55 +18,55 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 
-# Metric names have more unit suffixes than file keys. Longer suffixes come first,
-# because the first match counts.
+# Names of metrics have more unit suffixes than keys of files. Longer suffixes come
+# first, because the first matching suffix is used.
 _UNITS = {"_rad_s": "rad/s", "_per_m": "1/m", "_w": "W", "_t": "T", **UNITS}
 
 
 def split_unit(metric: str) -> tuple[str, str]:
-    """Split a metric into its name and its unit, which is "1" without a unit suffix."""
+    """Split a metric into its name and unit. The default unit is "1"."""
     suffix = next((suffix for suffix in _UNITS if metric.endswith(suffix)), "")
     return metric.removesuffix(suffix), _UNITS.get(suffix, "1")
 
 
 def units_of(names: Iterable[str]) -> dict[str, str]:
-    """Return the unit of each metric, taken from its name."""
+    """Return the unit of each metric, which is a suffix of its name."""
     return {name: split_unit(name)[1] for name in names}
 
 
 def meanings_of(lines: str) -> dict[str, str]:
-    """Parse lines ``metric: meaning``."""
+    """Parse lines of the form ``metric: meaning``."""
     return dict(line.split(": ", 1) for line in lines.strip().splitlines())
 
 
 STRAIGHT_RAD_S = 0.05
 """Yaw rate below which a run counts as straight, rad/s.
 
-Contact creep and the start of a run also turn the body.
+Contact creep and the start of a run cause smaller yaw rates.
 """
 ZERO = 5e-5
 """Magnitude below which a length (m), speed (m/s) or angle (rad) counts as zero."""
 _RESOLUTION = {"m": ZERO, "m/s": ZERO, "rad": ZERO, "rad/s": STRAIGHT_RAD_S}
 _MAX_CHANGE = 10.0
-"""Maximum change that is stated in per cent, as a multiple of the reference.
+"""Maximum change that is printed in per cent, as a multiple of the reference.
 
-A larger percentage would mainly measure how near to zero the reference is.
+A larger change usually means that the reference is close to zero.
 """
 
 
 def is_near_zero(reference: float, value: float, unit: str) -> bool:
-    """Return whether a reference is too near to zero for a change in per cent."""
+    """Return whether a reference is too close to zero for a change in per cent."""
     least = max(_RESOLUTION.get(unit, 0.0), abs(value - reference) / _MAX_CHANGE)
     return abs(reference) <= least
 
 
 def rms(values: np.ndarray) -> float:
-    """Return the root mean square."""
+    """Return the root mean square of all values."""
     return float(np.sqrt(np.square(values).mean()))
 
 
 def label(trajectory: Trajectory) -> str:
-    """Return the plant of a trajectory for messages, or 'trajectory'."""
+    """Return the name of a trajectory's plant for messages, or "trajectory"."""
     return str(trajectory.metadata.get("plant", "trajectory"))
 
 
@@ -74,8 +74,8 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
     """Check that metrics can be computed from a trajectory.
 
     Args:
-        trajectory: one run.
-        names: required columns; ``"x"`` means ``x_1…``.
+        trajectory: trajectory to check.
+        names: names of the required columns. The name ``"x"`` stands for ``x_1…``.
 
     Raises:
         InputError: a column is missing or not finite, there is no sample, or the time
@@ -107,7 +107,7 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
 
 
 def positive_number(trajectory: Trajectory, name: str) -> float | None:
-    """Return a positive number from the metadata, or None if it is null or missing.
+    """Return a positive number from the metadata, or None if it is missing.
 
     Raises:
         InputError: the value is neither a positive number nor null.
@@ -125,7 +125,7 @@ def positive_number(trajectory: Trajectory, name: str) -> float | None:
 
 
 def segment_lengths(trajectory: Trajectory) -> tuple[float, float]:
-    """Return arc length and rigid gap of a segment from the metadata, m.
+    """Return the arc length and the rigid gap of a segment from the metadata, m.
 
     Raises:
         InputError: a length is missing.
@@ -156,8 +156,8 @@ def body_length(trajectory: Trajectory) -> float:
 
 
 def interpolant(trajectory: Trajectory, values: np.ndarray) -> CubicSpline:
-    """Return the cubic spline through samples, whose error is of fourth order."""
-    # The import takes half a second, so commands that only list metrics avoid it.
+    """Return the cubic spline through all samples."""
+    # Importing scipy takes half a second, which commands that list metrics avoid.
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(trajectory.time, values)
@@ -171,17 +171,19 @@ def _no_reason(metric: str, trajectory: Trajectory) -> str:
 class MetricGroup:
     """Metrics of one topic.
 
-    Each metric is one number per run, and its name ends in its unit.
+    Each metric is one number per run, and its name ends with its unit.
 
     Attributes:
-        meanings: one-line meanings.
-        measure: function that returns the metrics of a run, None where undefined.
-        why_undefined: function that returns the reason why a metric has no value, or an
-            empty string if the missing value is the outcome of the run.
-        relative: metrics whose difference between the plants is also shown in per cent.
-        main: metric that only runs of this topic have. `short_table` is then the whole
-            short table of such a run. If empty, `short_table` is appended to the short
-            table of every run.
+        meanings: one-line description of each metric.
+        measure: function that computes the metrics of a run. An undefined metric is
+            None.
+        why_undefined: function that returns the reason why a metric is undefined. The
+            reason is an empty string if the missing value is a result of the run.
+        relative: metrics whose difference between the plants is also printed in per
+            cent.
+        main: metric that only runs of this topic have. The short table of such a run is
+            `short_table`. If `main` is an empty string, `short_table` is appended to
+            the short table of every run.
         short_table: metrics of the short table.
         yes_no: boolean metrics.
     """
@@ -196,16 +198,16 @@ class MetricGroup:
 
     @property
     def units(self) -> dict[str, str]:
-        """Units, keyed by metric."""
+        """Unit of each metric."""
         return units_of(self.meanings)
 
 
 @cache
 def extension_groups() -> tuple[MetricGroup, ...]:
-    """Return the metric groups of installed extensions."""
+    """Return the groups of metrics of installed extensions."""
     return tuple(group for _, group in objects(METRICS))
 
 
 def metric_groups() -> tuple[MetricGroup, ...]:
-    """Return the metric groups of installed extensions and plug-ins."""
+    """Return the groups of metrics of installed extensions and plug-ins."""
     return (*extension_groups(), *(group for _, group in plugin_parts(MetricGroup)))

@@ -1,13 +1,14 @@
-r"""Metrics of a module on a bench: tracking of a reference, and the sensor.
+r"""Metrics of a module on a bench, for the tracking of a reference and for the sensor.
 
-Tracking follows Chapter 4 of the dissertation, and sensor metrics Fig. 13 and 14. Sines
-are fitted to recorded signals by least squares, at the frequency of the reference:
+The tracking metrics are defined in Chapter 4 of the dissertation, and the sensor
+metrics in Fig. 13 and 14. Sines are fitted to recorded signals by least squares, at the
+frequency of the reference:
 
 $$ x(t) \approx \bar x + A \sin(2\pi f t + \varphi). $$
 
-The bends of a run are not distributed evenly, and single readings are noisy. Readings
-and bends are therefore averaged over bins of 1° of bend. Each bin with samples has
-equal weight, as in a calibration at evenly spaced angles.
+The bends of a run are not distributed evenly, and single readings contain noise.
+Readings and bends are therefore averaged over bins of 1° of bend. Each bin with samples
+has equal weight, as in a calibration at evenly spaced angles.
 """
 
 from __future__ import annotations
@@ -23,10 +24,8 @@ from srs_twin.comparison.sampling import check_columns, meanings_of, rms, units_
 from srs_twin.trajectory import Trajectory
 
 _MAX_SINE_RESIDUAL = 1e-4
-"""Maximum RMS residual of a fitted sine at which a signal counts as a sine.
-
-The residual is relative to the amplitude.
-"""
+"""Maximum RMS residual of a fitted sine at which a signal counts as a sine, divided by
+the amplitude."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +33,9 @@ class SineFit:
     """Sine fitted to samples.
 
     Attributes:
-        amplitude: amplitude A ≥ 0.
+        amplitude: amplitude A ≥ 0, in the unit of the samples.
         phase: phase φ, rad.
-        offset: mean.
+        offset: mean of the sine.
         residual: RMS residual.
     """
 
@@ -47,13 +46,7 @@ class SineFit:
 
 
 def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
-    """Return the least-squares sine of a given frequency.
-
-    Args:
-        time: times, s.
-        values: samples.
-        frequency: frequency, Hz.
-    """
+    """Return the least-squares fit of a sine with a given frequency (Hz)."""
     angle = 2 * np.pi * frequency * time
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1)
     (sine, cosine, offset), *_ = np.linalg.lstsq(basis, values, rcond=None)
@@ -67,16 +60,12 @@ def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
 
 
 def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
-    """Return the frequency of a sine without noise, Hz; None for any other signal.
+    """Return the frequency (Hz) of a sine without noise, or None for any other signal.
 
     Samples of a sine satisfy x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Adjacent
     samples give a first estimate of f. Samples about a quarter period apart give the
-    final estimate, because the cosine is most sensitive there. The samples must be
-    equally spaced except for the last one.
-
-    Args:
-        time: times, s.
-        values: samples.
+    final estimate, because the cosine then has the steepest slope. The samples must be
+    equally spaced, with the exception of the last sample.
     """
     values = values[:-1]
     time = time[:-1]
@@ -114,14 +103,14 @@ def step_response(
 ) -> dict[str, float | None]:
     """Return the metrics of a step response.
 
-    Bends are interpolated linearly. A metric is None if its level is not reached before
-    the end of the run.
+    Bends are interpolated linearly. A metric is None if the bend does not reach the
+    required level before the end of the run.
 
     Args:
         time: time since the step, s.
         bend: bend, rad.
-        before: initial reference, rad.
-        after: final reference, rad.
+        before: reference before the step, rad.
+        after: reference after the step, rad.
     """
     response = (bend - before) / (after - before)
     low = _first_crossing(time, response, 0.1)
@@ -149,7 +138,7 @@ def _first_crossing(
 
 
 def _settling_time(time: np.ndarray, response: np.ndarray, band: float) -> float | None:
-    """Return the time after which the response stays within a band about 1."""
+    """Return the time after which the response stays within a band around 1."""
     outside = np.flatnonzero(np.abs(response - 1.0) > band)
     if not len(outside):
         return 0.0
@@ -191,7 +180,7 @@ inlet_openings: openings per inlet valve
 outlet_openings: openings per outlet valve
 """)
 TRACKING_UNITS = units_of(TRACKING_MEANINGS)
-"""Units of the metrics of a run with a reference. Each metric is one number or None."""
+"""Units of the metrics of a run with a reference, each of which is a number or None."""
 
 _MIN_STEP = 1e-3
 """Minimum change of the reference that counts as a step, rad."""
@@ -200,17 +189,14 @@ _MIN_STEP = 1e-3
 def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Compute the tracking metrics of the first segment (`TRACKING_MEANINGS`).
 
-    A metric that does not apply is None. Metrics of a step require a reference that
-    changes once, or a constant reference that differs from the initial bend. Metrics of
-    the steady state cover the second half of the time since the last change of such a
-    reference. Metrics of a sine cover whole periods after a warm-up of two periods, or
-    of one period if the run has two or three periods. Standard deviations are taken
-    between fits to single periods, and the phase lag lies between −π and π. Outlet
-    openings are counted for separate outlet valves in a run that is recorded in every
-    tick.
-
-    Args:
-        trajectory: run with ``reference_1`` and ``bend_1``.
+    A metric that is not applicable is None. Step metrics require a reference that
+    changes once, or a constant reference that differs from the initial bend.
+    Steady-state metrics cover the second half of the time after the last change of the
+    reference. Sine metrics cover whole periods after a warm-up of two periods, or of
+    one period if the run has two or three periods. A sine is fitted to each period, and
+    standard deviations are computed across the periods. The phase lag lies between −π
+    and π. Outlet openings are counted for separate outlet valves if the run is recorded
+    in every tick.
 
     Returns:
         Metrics in `TRACKING_UNITS`.
@@ -233,7 +219,7 @@ def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
 
 def _step_metrics(trajectory: Trajectory, begin: int) -> dict[str, float | None]:
-    """Return the metrics of a step at sample `begin`, and of the steady state."""
+    """Return the metrics of the step at sample `begin`, and steady-state metrics."""
     reference = trajectory["reference_1"]
     bend = trajectory["bend_1"]
     target = float(reference[-1])
@@ -261,7 +247,7 @@ def _sine_metrics(
 ) -> dict[str, float | None]:
     """Return the metrics of a sine reference, or {} for less than two whole periods."""
     start = time[0]
-    # Rounding must not remove the last period of a run that ends with a whole period.
+    # The tolerance keeps the last period of a run that ends with a whole period.
     whole = int(np.floor((time[-1] - start) * frequency + 1e-6))
     if whole < 2:
         return {}
@@ -297,7 +283,11 @@ def _lag(reference: SineFit, bend: SineFit) -> float:
 
 
 def _openings(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return openings per valve: inlets counted by the plant, outlets from samples."""
+    """Return the openings per inlet valve and per outlet valve.
+
+    The plant counts the openings of inlets. Openings of outlets are counted in the
+    samples.
+    """
     metrics: dict[str, float | None] = {}
     if counted := trajectory.metadata.get("valve_switches"):
         metrics["inlet_openings"] = float(np.mean(counted[0]))
@@ -323,22 +313,22 @@ reading_backstep_at_rad: bend in the middle of that decrease
 reading_range_t: range of the magnetic field at the sensor
 """)
 READING_UNITS = units_of(READING_MEANINGS)
-"""Units of the metrics of a non-ideal sensor. Each metric is one number or None."""
+"""Units of the metrics of a non-ideal sensor, each of which is a number or None."""
 
 BIN_RAD = math.radians(1.0)
-"""Width of a bin of bends, rad. It is the step of a usual calibration."""
+"""Width of a bin of bends, rad, which is a common step of calibrations."""
 
 _MIN_BINS = 3
-"""Minimum number of bins, because a line fits two points exactly."""
+"""Minimum number of bins, because a line passes through any two points."""
 
 
 @dataclass(frozen=True)
 class ReadingCurve:
-    """Mean reading and mean bend in each bin that has samples.
+    """Mean reading and mean bend in each bin that contains samples.
 
     Attributes:
-        bend: ascending bends, rad.
-        reading: readings, rad.
+        bend: mean bends in ascending order, rad.
+        reading: mean readings, rad.
     """
 
     bend: np.ndarray
@@ -346,7 +336,7 @@ class ReadingCurve:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory) -> ReadingCurve | None:
-        """Return the curve of the first segment, or None without a non-ideal sensor.
+        """Return the curve of the first segment, or None if the sensor is ideal.
 
         Raises:
             InputError: columns are missing or unusable.
@@ -358,7 +348,7 @@ class ReadingCurve:
         read = np.isfinite(trajectory["measured_bend_1"])
         bend = trajectory["bend_1"][read]
         measured_bend = trajectory["measured_bend_1"][read]
-        # Rounding centres a bin at 0, so that bends to both sides are treated equally.
+        # One bin is centred at 0, so that bends to both sides are treated equally.
         _, bins, samples = np.unique(
             np.round(bend / BIN_RAD), return_inverse=True, return_counts=True
         )
@@ -369,16 +359,16 @@ class ReadingCurve:
 
     @property
     def r_squared(self) -> float | None:
-        """Coefficient of determination of a linear relation of reading and bend."""
+        """Coefficient of determination of a linear fit of the reading to the bend."""
         if len(self.bend) < _MIN_BINS or np.ptp(self.reading) == 0:
             return None
         return float(np.corrcoef(self.bend, self.reading)[0, 1] ** 2)
 
     @property
     def backstep(self) -> tuple[float, float | None]:
-        """Maximum decrease of the reading with increasing bend, and its bend, rad.
+        """Maximum decrease of the reading with increasing bend, and this bend, rad.
 
-        A monotonic reading gives (0, None).
+        For a monotonic reading, the decrease is 0 and the bend is None.
         """
         decrease = np.maximum.accumulate(self.reading) - self.reading
         low = int(decrease.argmax())
@@ -391,13 +381,9 @@ class ReadingCurve:
 def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the metrics of the first segment's sensor (`READING_MEANINGS`).
 
-    All metrics are None without a non-ideal sensor. Averaging removes noise from
-    ``reading_error_rad``. Apart from noise, ``reading_backstep_rad`` is 0 if each
-    reading belongs to a single bend. The metrics depend on the bends that occur in the
-    run, but not on their cause.
-
-    Args:
-        trajectory: run with ``bend_1``, ``measured_bend_1`` and the sensor in its metadata.
+    All metrics are None if the sensor is ideal. Averaging removes noise from
+    ``reading_error_rad``. Without noise, ``reading_backstep_rad`` is 0 if each reading
+    corresponds to a single bend. The metrics depend on the bends that occur in the run.
 
     Raises:
         InputError: columns are missing or unusable.
@@ -421,7 +407,7 @@ def _sensor(trajectory: Trajectory) -> Mapping[str, object]:
 
 
 def _field_per_rad(sensor: Mapping[str, object]) -> float | None:
-    """Return the field change at the Hall element per sensed bend, T/rad, if known."""
+    """Return the field change at the Hall element per measured bend, T/rad, or None."""
     hall = _mapping(sensor.get("hall"))
     line = _mapping(sensor.get("calibration"))
     values = (

@@ -1,9 +1,9 @@
-"""Reasons for undefined metrics of a run.
+"""Reasons why a metric of a run is undefined.
 
-A metric without a value has one of two causes. Either the run lacks data, such as whole
-gait periods, a reference or a recording, so that the metric cannot be judged. Or the
-missing value is the result: a path without a turning radius is straight, and a plan
-without a length was not found.
+A metric may be undefined because the run lacks data, such as whole gait periods, a
+reference or a recording. An expectation about such a metric cannot be judged. In other
+cases, the fact that a metric is undefined is itself a result. For example, a straight
+path has no turning radius, and a plan that was not found has no length.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ _ABSENT = {
     **dict.fromkeys(CONTACT_UNITS, "the world has no obstacles"),
     "final_bend_rad": "the run is not on a bench without a reference",
 }
-"""Reasons why runs without the subject of a metric have no value, keyed by metric."""
+"""Reasons why some robots and worlds have no value of a metric, keyed by metric."""
 
 
 @dataclass(frozen=True)
 class Undefined:
-    """Metric of a run without a value.
+    """Reason why a metric of a run is undefined.
 
     Attributes:
         reason: explanation.
@@ -81,16 +81,10 @@ def why_undefined(
     metrics: Mapping[str, Any],
     runs: Mapping[str, Trajectory],
 ) -> Undefined | None:
-    """Return the reason why a metric of a run has no value.
+    """Return the reason why a metric of a run is undefined.
 
-    The result is None if the metric has a value, or if the missing value is the result
-    of the run.
-
-    Args:
-        metric: metric name.
-        subject: "analytical", "twin" or "comparison".
-        metrics: contents of metrics.json.
-        runs: trajectories, keyed by plant; "measured" is the replayed recording.
+    The function returns None if the metric has a value, or if the undefined metric is
+    itself a result of the run.
     """
     owners = metrics["plants"] | {"comparison": metrics["comparison"]}
     values = owners.get(subject) or {}

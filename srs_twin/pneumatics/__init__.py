@@ -32,8 +32,8 @@ def make_pneumatics(
     """Return the pneumatic model of a robot.
 
     Args:
-        kind: name in `KINDS`, part of an extension (`extensions.part`), or an existing
-            model, which is returned unchanged.
+        kind: name in `KINDS`, name of a plug-in class (`extensions.part`), or an
+            existing model, which is returned unchanged.
         spec: robot.
         supply_pa: gauge supply pressure, Pa.
         layout: valve layout, a key of `LAYOUTS`.
@@ -41,7 +41,7 @@ def make_pneumatics(
 
     Raises:
         UnknownNameError: the kind is unknown.
-        InputError: the constructor refuses an argument.
+        InputError: the constructor rejects an argument.
     """
     if isinstance(kind, Pneumatics):
         return kind

@@ -20,14 +20,14 @@ OptionalArray = np.ndarray | None
 
 
 class Trace(NamedTuple):
-    """State of the chambers at several times. Kernels receive it as a tuple.
+    """State of the chambers at several times, which kernels receive as a tuple.
 
     Attributes:
         pressure: gauge pressure, shape (times, segments, 2), Pa.
         bend, bend_rate, bend_acceleration: free bend (rad) and its first two
             derivatives (rad/s, rad/s²), shape (times, segments) each.
-        valves: valve states up to each time, shape (times, segments, 2).
-        pneumatic_energy: pneumatic energy drawn from the supply since `reset`, shape (times,), J.
+        valves: valve states before each time, shape (times, segments, 2).
+        pneumatic_energy: pneumatic energy consumed since `reset`, shape (times,), J.
     """
 
     pressure: np.ndarray
@@ -41,7 +41,7 @@ class Trace(NamedTuple):
     def empty(
         cls, times: int, segments: int, chambers: int = 2, axes: tuple[int, ...] = ()
     ) -> Trace:
-        """Return an uninitialised trace whose bends have additional axes."""
+        """Return an uninitialised trace. The bends may have additional axes."""
         sides = times, segments, chambers
         q, dq, ddq = (np.empty((times, segments, *axes)) for _ in range(3))
         return cls(
@@ -49,7 +49,7 @@ class Trace(NamedTuple):
         )
 
     def at(self, rows: np.ndarray) -> Trace:
-        """Return the rows with the given indices."""
+        """Return the trace at the rows with the given indices."""
         return Trace(*(column.take(rows, axis=0) for column in self))
 
 
@@ -57,26 +57,27 @@ class Pneumatics(Stateful, ABC):
     """Valves and chambers of a robot, and the free bends of its segments.
 
     A subclass implements the physics in `_simulate`, which receives the valve states
-    after the valve delay.
+    with the valve delay applied.
 
     Attributes:
         kind: short name of the pneumatic model.
-        depends_on_bend: whether pressures depend on the actual bends. A plant with
-            compliant bends must then pass its bends to `advance`.
-        coupling_step_s: maximum interval between two exchanges of bends and pressures
-            with the plant, s.
+        depends_on_bend: whether the pressures depend on the actual bends. A plant with
+            compliant bends must then pass the actual bends to `advance`.
+        coupling_step_s: maximum interval after which the plant and the chambers
+            exchange bends and pressures, s.
         stiffness: maximum stiffness that closed chambers add to a segment, N·m/rad.
         max_pressure_ratio: ratio of the maximum chamber pressure to the supply
             pressure.
         pressure: current gauge pressures, shape (segments, 2), Pa.
         bend: current free bends, shape (segments,), rad.
-        pneumatic_energy: pneumatic energy drawn from the supply since `reset`, J. It is the gauge
-            supply pressure times the volume of drawn air, measured at the supply
-            pressure. Venting returns no energy.
-        measures_air: whether `air` and `openings` are counted. Otherwise they remain 0.
+        pneumatic_energy: pneumatic energy consumed since `reset`, J. The pneumatic
+            energy is the gauge supply pressure times the volume of consumed air at the
+            supply pressure. Venting returns no energy.
+        measures_air: whether `air` and `openings` are computed. Otherwise they remain
+            0.
         openings: number of openings of each inlet since `reset`, shape (segments, 2).
         valves: latest valve states, shape (segments, 2).
-        stuck: valves with a fault, initially none.
+        stuck: stuck valves, by default none.
         rest_bend: rest bends, shape (segments,), rad.
     """
 
@@ -111,7 +112,7 @@ class Pneumatics(Stateful, ABC):
         self.reset()
 
     def reset(self) -> None:
-        """Empty all chambers and close all inlets."""
+        """Vent all chambers to ambient pressure and close all inlets."""
         shape = (self._segments, self._chambers)
         self.pressure = np.zeros(shape)
         self.bend = self.rest_bend.copy()
@@ -122,7 +123,7 @@ class Pneumatics(Stateful, ABC):
         self._pending = Schedule(self._delay, np.zeros(1), self.valves[None])
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures and free bends, without changing valves and metered quantities.
+        """Set pressures and free bends without changing valves, energy and counters.
 
         Args:
             pressure: gauge pressure, shape (segments, 2), Pa.
@@ -135,7 +136,7 @@ class Pneumatics(Stateful, ABC):
         raise InputError(f"pneumatics '{self.kind}' cannot start with given pressures")
 
     def rest_trace(self) -> Trace:
-        """Return a trace of the current time without motion of the bends."""
+        """Return a trace of the current state with zero bend rates."""
         trace = self._empty_trace(1)
         trace.pressure[0] = self.pressure
         trace.bend[0] = self.bend
@@ -148,13 +149,13 @@ class Pneumatics(Stateful, ABC):
         return Trace.empty(times, *self.pressure.shape, self.bend.shape[1:])
 
     def current_trace(self) -> Trace:
-        """Return a trace of the current time with the current derivatives."""
+        """Return a trace of the current state with the current bend rates."""
         return self._simulate(
             Schedule(0.0, np.zeros(1), self.valves[None]), np.zeros(1), None, None
         )
 
     def schedule(self, valves: np.ndarray, span: float) -> Schedule:
-        """Check valve commands, and return them as a schedule.
+        """Check valve commands and convert them to a schedule.
 
         Args:
             valves: valve states, shape (segments, 2), or (slots, segments, 2) for slots
@@ -162,7 +163,8 @@ class Pneumatics(Stateful, ABC):
             span: duration of the schedule, s.
 
         Raises:
-            InputError: the shape is wrong, or the valve layout does not have a state.
+            InputError: the shape is wrong, or the valve layout does not support a
+                state.
         """
         commands = np.asarray(valves)
         if commands.ndim == 2:
@@ -177,11 +179,7 @@ class Pneumatics(Stateful, ABC):
         return Schedule.from_slots(commands.astype(np.int8), span)
 
     def check(self, states: np.ndarray) -> None:
-        """Check that the valve layout has all given states.
-
-        Raises:
-            InputError: the layout lacks a state.
-        """
+        """Raise an `InputError` if the valve layout does not support a valve state."""
         allowed = LAYOUTS[self.layout]
         possible = states == allowed[0]
         for state in allowed[1:]:
@@ -193,7 +191,7 @@ class Pneumatics(Stateful, ABC):
             )
 
     def effective_schedule(self, schedule: Schedule) -> Schedule:
-        """Return the valve states that result from commands, delay and faults."""
+        """Return the actual valve states after valve delay and faults are applied."""
         effective = schedule
         if self._delay:
             effective = self._pending.followed_by(schedule).slice(0.0, schedule.span)
@@ -211,19 +209,19 @@ class Pneumatics(Stateful, ABC):
         bend: OptionalArray = None,
         bend_rate: OptionalArray = None,
     ) -> Trace:
-        """Advance over a schedule, and return the state of the chambers at given times.
+        """Simulate a schedule and return the state of the chambers at given times.
 
         Args:
             schedule: checked valve commands.
             times: times from the start of the schedule, ascending within [0, span], s.
-            bend: actual bends at the start, shape (segments,), rad. None means that the
-                bends follow the free bends.
+            bend: actual bends at the start, shape (segments,), rad. If None, the actual
+                bends are assumed to equal the free bends.
             bend_rate: rates of the actual bends, assumed to be constant over the
                 schedule, shape (segments,), rad/s.
 
         Raises:
-            DivergedError: pressures, free bends or the drawn energy are not finite and
-                plausible.
+            DivergedError: a pressure, a free bend or the consumed energy is not finite
+                or not plausible.
         """
         self._check_state()
         if schedule.states.dtype != np.int8:
@@ -262,13 +260,14 @@ class Pneumatics(Stateful, ABC):
         bend: OptionalArray,
         bend_rate: OptionalArray,
     ) -> Trace:
-        """Advance with effective valve states, and update pressure, bend and air."""
+        """Simulate with actual valve states and update pressures, bends and energy."""
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """Set the supply pressure, which `reset` keeps.
+        """Set the supply pressure, which `reset` does not change.
 
         Args:
-            supply_pa: gauge pressure, at most the supply pressure at construction, Pa.
+            supply_pa: gauge supply pressure, Pa. The maximum is the supply pressure
+                that was given to the constructor.
 
         Raises:
             InputError: the pressure is out of range, or the chambers have no regulator.
@@ -288,11 +287,7 @@ class Pneumatics(Stateful, ABC):
 
 
 def check_supply(supply_pa: float, max_pa: float) -> None:
-    """Check a supply pressure (Pa) against the supply pressure at construction.
-
-    Raises:
-        InputError: the pressure is out of range.
-    """
+    """Raise an `InputError` if a supply pressure (Pa) is not within [0, `max_pa`]."""
     if not 0 <= supply_pa <= max_pa:
         raise InputError(
             f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to"
@@ -301,11 +296,7 @@ def check_supply(supply_pa: float, max_pa: float) -> None:
 
 
 def check_not_negative(**values: float) -> None:
-    """Check that numbers are finite and not negative.
-
-    Raises:
-        InputError: a number is invalid.
-    """
+    """Raise an `InputError` if a number is negative or not finite."""
     for name, value in values.items():
         if not (math.isfinite(value) and value >= 0):
             raise InputError(

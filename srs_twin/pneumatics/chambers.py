@@ -1,34 +1,33 @@
-r"""Volume of a chamber, and the bend law φ that maps pressures to free bends.
+r"""Chamber volume, and the bend law φ that maps pressures to free bends.
 
-**Volume.** A chamber grows when its segment bends to the side of the chamber. It is
-never smaller than its dead volume V₀:
+**Volume.** A chamber expands when the segment bends towards the side of the chamber.
+The volume is never smaller than the dead volume V₀:
 
 $$ V^\pm(q) = V_0 + A\,\max(0, \pm q). $$
 
-A is the air volume that the dissertation gives for 90° (Sections 2.1.1–2.1.3: 15, 45,
-70 ml), divided by π/2. Air is an ideal gas at constant temperature. The amount of air
-is measured as n = P V in J, with the absolute pressure P.
+The displacement A is the air volume at 90° in the dissertation (Sections 2.1.1–2.1.3:
+15, 45, 70 ml), divided by π/2. Air is an ideal gas at constant temperature. The amount
+of air is expressed as n = P V in J, where P is the absolute pressure.
 
-**Bend law.** With the nominal gain G, the gains g of the two chambers relative to G,
-and the rest bend b,
-
+**Bend law.** The nominal gain is G, the gains of the two chambers relative to G are g,
+and the rest bend is b. The free bend q is
 $$ x = G\,(g^+ p^+ - g^- p^-), \qquad q = b + \varphi(x), \qquad
 \varphi(x) = \frac{y}{\bigl(1 + (y/q_m)^4\bigr)^{1/4}}, \qquad
 y = x - \frac{s w}{2} \ln \frac{\cosh((x + d)/w)}{\cosh((x - d)/w)}. $$
 
 The variable x is called the linear bend. The function φ is odd, smooth, and monotone
-for all s ≤ 1, d, w and q_m. It is linear, as in the dissertation (Eq. 14), if s = 0 and
-q_m is infinite. The free bend follows x immediately, and x follows the pressures with
-the mode time constant τ₂.
+for all s ≤ 1, d, w and q_m. The function φ is linear, as in the dissertation (Eq. 14),
+if s = 0 and q_m is infinite. The free bend changes with x immediately, whereas x lags
+the pressures with the mode time constant τ₂.
 
 - *Saturation.* Inextensible strips and chambers that touch each other limit the bend to
   q_m. The deviation of φ from the linear law is at most 1.5 % up to q_m/2, and the
   derivative of φ is one third at 0.87 q_m.
 - *Dead zone.* The walls of some modules must swell before the module bends. For |x| < d
   such a module loses the fraction s of the derivative, and for larger |x| it loses the
-  bend s d. The width of the transition is w, and the derivative at rest is
+  bend s d. The width of the transition is w, and the derivative at x = 0 is
   1 − s tanh(d/w). For w ≪ d the transition is sharp. For w ≈ d the curve is convex from
-  the start, like a power of the pressure.
+  the origin, like a power of the pressure.
 """
 
 from __future__ import annotations
@@ -80,7 +79,8 @@ class BendLaw(NamedTuple):
 
     Attributes:
         bend_limit: bend limit q_m, rad.
-        onset_fraction: lost fraction s of the derivative in the dead zone, dimensionless.
+        onset_fraction: lost fraction s of the derivative in the dead zone,
+            dimensionless.
         dead_zone: end d of the dead zone, rad.
         dead_zone_transition: width w of the transition, rad.
     """
@@ -92,7 +92,7 @@ class BendLaw(NamedTuple):
 
 
 def bend_law(spec: RobotSpec) -> BendLaw:
-    """Return a robot's bend-law parameters."""
+    """Return the bend-law parameters of a robot."""
     return BendLaw(*(getattr(spec.actuator, name) for name in BendLaw._fields))
 
 
@@ -108,7 +108,7 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
 
     Args:
         x: linear bend, rad.
-        law: `BendLaw`, or another record with its fields.
+        law: `BendLaw`, or a record with the same fields.
     """
     limit = law.bend_limit
     fraction = law.onset_fraction
@@ -165,7 +165,7 @@ def _bend_error(x: float, bend: float, law: BendLaw) -> float:
 
 
 def check_pressure(pressure: Array, largest: float) -> Array:
-    """Check that chambers can have the given gauge pressures (Pa), and return them.
+    """Return gauge pressures (Pa) after checking that each is within [0, `largest`].
 
     Raises:
         InputError: a pressure is negative or above the maximum.
@@ -186,23 +186,18 @@ def chamber_gains(spec: RobotSpec) -> Array:
 
 
 def air_bend(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the free bends φ(x) without the rest bends, rad.
+    """Return the free bends φ(x) (rad) without the rest bends.
 
-    Args:
-        spec: robot.
-        pressure: gauge pressure (…, segments, 2), Pa.
+    The gauge pressures have the shape (…, segments, 2), in Pa.
     """
     return free_bends(spec, _linear_bend(spec, pressure))
 
 
 def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the free bends φ(|x|) x/|x| of a spatial robot without rest bends, rad.
+    """Return the free bends φ(|x|) x/|x| (rad) of a spatial robot without rest bends.
 
-    The last axis of the result contains the components to the left and upwards.
-
-    Args:
-        spec: robot.
-        pressure: gauge pressure (…, segments, chambers), Pa.
+    The last axis of the result contains the components to the left and upwards. The
+    gauge pressures have the shape (…, segments, chambers), in Pa.
     """
     linear = (chamber_gains(spec) * pressure) @ spec.chamber.axes
     size = np.linalg.norm(linear, axis=-1, keepdims=True)
@@ -214,31 +209,24 @@ def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
     r"""Return the free extensions of spatial segments, shape (…, segments), m.
 
     Chambers with equal cross-sections exert forces proportional to their pressures.
-    With C chambers and the extension e per mean pressure,
+    For C chambers and an extension e per mean gauge pressure, the extension is
 
     $$ \Delta l = \frac{e}{C} \sum_c p_c . $$
-
-    Args:
-        spec: robot.
-        pressure: gauge pressure (…, segments, chambers), Pa.
     """
     return np.asarray(spec.actuator.extension * pressure.mean(axis=-1))
 
 
 def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the pressures for which a linear law gives equal bends.
+    """Return the pressures for which a linear bend law gives equal bends.
 
-    MuJoCo's linear actuators use these pressures.
-
-    Args:
-        spec: robot.
-        pressure: gauge pressure (…, segments, 2), Pa.
+    MuJoCo's linear actuators use the equivalent pressures. The gauge pressures have the
+    shape (…, segments, 2), in Pa.
     """
     linear = _linear_bend(spec, pressure)
     bends = free_bends(spec, linear)
     if bends is linear:
         return pressure
-    # For x → 0, φ(x)/x tends to the derivative at rest.
+    # For x → 0, φ(x)/x tends to the derivative of φ at 0.
     derivative = apply_bend_law(0.0, bend_law(spec))[1]
     ratio = np.where(
         np.abs(linear) > _MIN_LINEAR_RAD,
@@ -260,7 +248,7 @@ def _linear_bend(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def free_bends(spec: RobotSpec, linear: Array) -> Array:
-    """Return φ(x) for linear bends x, rad. A linear law returns x itself."""
+    """Return φ(x) for linear bends x, rad. For a linear law, φ(x) = x."""
     limit, fraction, d, w = bend_law(spec)
     y = linear
     if fraction != 0.0:

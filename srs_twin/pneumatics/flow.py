@@ -1,15 +1,15 @@
 r"""Flow through a valve according to ISO 6358.
 
-The valve has the sonic conductance C and the critical pressure ratio b. The flow of an
-amount of air n = P V from the absolute pressure P₁ to P₂, with r = P₂/P₁ and at
-constant temperature, is
+A valve has the sonic conductance C and the critical pressure ratio b. At constant
+temperature, the flow of an amount of air n = P V from the absolute pressure P₁ to P₂ is
+the following function of r = P₂/P₁:
 
 $$ \dot n = P_0\,C\,P_1\,\psi(r),\qquad
 \psi = \begin{cases} 1 & r \le b \\ \sqrt{1 - \bigl(\tfrac{r-b}{1-b}\bigr)^2} & b < r \le r_l \end{cases} $$
 
-P₀ = 100 kPa is the reference pressure of the standard. At equal pressures ψ has an
+The reference pressure P₀ of the standard is 100 kPa. At equal pressures, ψ has an
 infinite derivative. Above r_l = 0.999 the flow is therefore linear in P₁ − P₂ (laminar
-flow), as usual in simulation.
+flow), as is usual in simulation.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ REMAINING = math.exp(-2)
 def flow(first, second, critical):  # type: ignore[no-untyped-def]
     """Return P₁ ψ (Pa) and its derivatives with respect to both pressures.
 
-    The value is negative if air flows from the second side to the first side.
+    The flow is negative if air flows from the second side to the first side.
 
     Args:
         first: absolute pressure, Pa.
@@ -80,15 +80,15 @@ class Conductances(NamedTuple):
 
 
 def conductances(spec: RobotSpec, critical: float) -> Conductances:
-    """Return the conductances that give small pressure changes the time constant τ₁.
+    """Return the conductances for which small pressure changes have time constant τ₁.
 
-    One chamber fills or vents, the opposite chamber is vented, and the bend follows as
-    q ≈ G (p − τ₂ ṗ). A change dp of the gauge pressure needs the amount of air K dp, so
-    that ṗ = ṅ/K. The capacity is K(p) = V + (p + P_a) A G. Terms of first order in τ₂
-    are corrected. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures.
-    Here C is chosen so that this equation holds at one working point. At the working
-    point, the pressure between ambient and the nominal supply has completed 1 − e⁻² of
-    its change.
+    One chamber fills or vents while the opposite chamber is vented, and the bend is q ≈
+    G (p − τ₂ ṗ). A change dp of the gauge pressure requires the amount of air K dp, so
+    that ṗ = ṅ/K with the capacity K(p) = V + (p + P_a) A G. The effect of τ₂ is
+    included to first order. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all
+    pressures. For a valve, C is chosen so that dṗ/dp = −1/τ₁ at one working point. At
+    the working point, a pressure change between ambient and nominal supply has reached
+    the fraction 1 − e⁻².
 
     Args:
         spec: robot.
@@ -118,7 +118,8 @@ def _conductance(
 ) -> float:
     """Return the conductance C for which dṗ/dp = −1/τ at the gauge pressure p.
 
-    `passed` returns P₁ ψ (Pa) of the valve into the chamber at a gauge pressure.
+    The function `passed` returns P₁ ψ (Pa) of the valve for a gauge pressure of the
+    chamber.
     """
     dead = spec.chamber.dead_volume
     growth = spec.chamber.displacement * spec.actuator.gain
@@ -132,16 +133,16 @@ def _conductance(
         return REFERENCE_PA * c * passed(at) / (dead + growth * (2 * at + AMBIENT_PA))
 
     def rate(at: float) -> float:
-        # The volume follows the bend G (p − τ₂ ṗ), and the expansion is
-        # (p + P_a) dV/dp.
+        # The volume V is evaluated at the bend G (p − τ₂ ṗ). The expansion of the chamber
+        # contributes (p + P_a) dV/dp to the capacity.
         chamber_volume = dead + growth * (at - lag * rate_without_lag(at))
         expansion = (
             growth * (at + AMBIENT_PA) * (1 - lag * derivative(rate_without_lag, at))
         )
         return REFERENCE_PA * c * passed(at) / (chamber_volume + expansion)
 
-    # The rate is linear in C without the lag τ₂ and nearly linear with it, so a few
-    # fixed-point iterations suffice.
+    # The rate is linear in C without the lag τ₂, and nearly linear with this lag, so a
+    # few fixed-point iterations suffice.
     c = 1.0
     c = -1 / (tau * derivative(rate_without_lag, p))
     for _ in range(8):

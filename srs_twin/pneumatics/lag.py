@@ -1,27 +1,29 @@
 r"""Chambers that fill and vent with a first-order lag, solved in closed form.
 
-A valve state of +1 fills the chamber from the supply, −1 vents it, and 0 holds it.
-Between valve events the gauge pressure of each chamber relaxes exponentially,
+A valve state of +1 fills the chamber from the supply, −1 vents the chamber, and 0 holds
+the air in the chamber. Between valve events the gauge pressure of each chamber decays
+exponentially
 
 $$ p(t) = P + (p_0 - P)\,e^{-a t}, $$
 
 to the asymptote P with the rate a, which is 1/τ₁ plus the leak rate λ. The linear bend
-x of a segment without load follows the pressures with the mode time constant τ₂,
+x of a segment without load lags the pressures with the mode time constant τ₂,
 
 $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
 
-with φ, b and the gains of `chambers`. Nominal modules with τ_fill = τ_vent = τ₁ satisfy
-Eq. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀ u/(τ₁τ₂). The
-switching time of a valve, 3 ms, is part of τ₂. An additional valve delay is 0 by
-default.
+where `chambers` defines φ, b and the gains. Nominal modules with τ_fill = τ_vent = τ₁
+satisfy Eq. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀
+u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of τ₂. An additional valve delay
+is 0 by default.
 
-A valve may fill for the fraction o of the time and vent for the rest. The chamber then
-relaxes at the rate a = o/τ_fill + (1 − o)/τ_vent + λ towards P = (o S/τ_fill + r)/a,
-with the supply pressure S and an additional rate of change r (`relaxation_of`).
+A valve may fill the chamber for a fraction o of the time and vent it for the remaining
+time. The chamber pressure then decays at the rate a = o/τ_fill + (1 − o)/τ_vent + λ to
+P = (o S/τ_fill + r)/a, where S is the supply pressure and r an additional rate of
+change (`relaxation_of`).
 
-**Pneumatic energy.** The content n = P V(q) of a filling chamber increases by the
-inflow minus the leak. Filling therefore draws the amount Δn + λ ∫ p V dt from the
-supply. Δn is exact, with V at the free bend. The integral is evaluated by Simpson's
+**Pneumatic energy.** The amount of air n = P V(q) in a filling chamber increases by the
+inflow minus the leak. A filling chamber therefore consumes the amount Δn + λ ∫ p V dt.
+The term Δn is exact, with V at the free bend. The integral is computed by Simpson's
 rule between the requested times.
 """
 
@@ -77,7 +79,7 @@ def relaxation_of(
 def relax(
     pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float
 ) -> np.ndarray:
-    """Return the pressures after a time (s), Pa."""
+    """Return the pressures (Pa) after a time (s)."""
     return np.asarray(end + (pressure - end) * np.exp(-rate * time))
 
 
@@ -88,7 +90,7 @@ def lag_response(
     tau: float,
     time: float | np.ndarray,
 ) -> np.ndarray:
-    """Return the output of a first-order lag τ₂ that follows relaxing pressures, Pa.
+    """Return the output (Pa) of a first-order lag τ₂ with relaxing pressures as input.
 
     Args:
         lagged: initial output, Pa.
@@ -106,32 +108,33 @@ def lag_response(
     response = (
         (pressure - end) * (np.exp(-rate * time) - mode) / np.where(same, 1.0, gap)
     )
-    # This is the limit for equal time constants, as in `_exponential_response`.
+    # This expression is the limit for equal time constants.
     limit = (pressure - end) * time / tau * mode
     return np.asarray(end + np.where(same, limit, response) + (lagged - end) * mode)
 
 
 class Relaxation(NamedTuple):
-    """Laws of the chambers, and their propagation over a time without valve events.
+    """Parameters of the chambers, and decay factors for a time without valve events.
 
-    Chambers with equal time constants belong to one kind. Arrays per kind and valve
-    state have the shape (kinds, 3), where the columns are the valve states −1, 0, +1.
-    The device engine copies this record.
+    Chambers with equal time constants belong to one kind. Arrays of shape (kinds, 3)
+    have one column for each of the valve states −1, 0, +1. The device engine copies
+    this record.
 
     Attributes:
         kinds: kind of each chamber, shape (segments, 2).
-        rates, asymptotes: relaxation rate a (1/s) and asymptote P (Pa) per kind and
-            valve state.
-        decay, lag, mode: work arrays for a time t. They contain the factor e^{−at} of
-            the deviation p − P, the response of x to this deviation per gain, and the
-            factor e^{−t/τ₂} of x.
+        rates, asymptotes: relaxation rate a (1/s) and asymptote P (Pa), shape
+            (kinds, 3).
+        decay, lag, mode: work arrays for a time t. The array `decay` contains the
+            factor e^{−at} of the deviation p − P, `lag` the response of x/gain to this
+            deviation, and `mode` the factor e^{−t/τ₂} of x.
         tau, leak: mode time constant τ₂ (s) and leak rate λ (1/s).
         damping_time: damping time c/k of a segment, s.
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends, shape (segments,), rad.
-        bend_limit, onset_fraction, dead_zone, dead_zone_transition: see `BendLaw`.
+        bend_limit, onset_fraction, dead_zone, dead_zone_transition: parameters of the
+            `BendLaw`.
         dead_volume, displacement: V₀ (m³) and A (m³/rad) of a chamber.
-        worth: pneumatic energy per amount of drawn air, dimensionless.
+        worth: pneumatic energy divided by the amount of consumed air, dimensionless.
     """
 
     kinds: np.ndarray
@@ -167,7 +170,7 @@ _SAME = 1e-6
 
 
 class LagChambers(Pneumatics):
-    """Common settings of planar and spatial chambers with a first-order lag."""
+    """Planar or spatial chambers with a first-order lag."""
 
     kind = "lag"
 
@@ -188,7 +191,7 @@ class LagChambers(Pneumatics):
             layout: valve layout, a key of `LAYOUTS`.
             leak_per_s: leak rate λ, the relative rate at which a held pressure falls,
                 1/s.
-            valve_delay_s: time from a command until the valve switches, s.
+            valve_delay_s: time between a command and the switching of the valve, s.
 
         Raises:
             InputError: the layout is unknown, or leak or delay are negative.
@@ -209,23 +212,23 @@ class LagChambers(Pneumatics):
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        """Prepare the laws for time constants of shape (segments, chambers), s."""
+        """Prepare arrays for time constants of shape (segments, chambers), s."""
 
     def describe(self) -> dict[str, object]:
-        """See `Pneumatics.describe`."""
+        """Return the settings as JSON values for the provenance of a run."""
         return super().describe() | {"leak_per_s": self._leak}
 
 
 class LagPneumatics(LagChambers):
-    """Planar chambers with a first-order lag. See the module docstring."""
+    """Planar chambers with a first-order lag, as described in the module `lag`."""
 
     state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        # Chambers of one kind have equal time constants, so that each exponential is
-        # evaluated only once per kind.
+        # Chambers with equal time constants belong to one kind, so that each exponential
+        # is evaluated only once per kind.
         kinds, kind = np.unique(
             np.stack([tau_fill.ravel(), tau_vent.ravel()]), axis=1, return_inverse=True
         )
@@ -261,18 +264,18 @@ class LagPneumatics(LagChambers):
         self._law.asymptotes[:] = asymptotes
 
     def reset(self) -> None:
-        """See `Pneumatics.reset`."""
+        """Vent all chambers to ambient pressure and close all inlets."""
         super().reset()
         self._linear = np.zeros(self._segments)
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """See `Pneumatics.place`."""
+        """Set pressures (Pa) and free bends (rad) without changing the valves."""
         self._linear = invert_bend_law(bend - self.rest_bend, self._bend_law)
         self.pressure = check_pressure(pressure, self._max_supply)
         self.bend = np.array(bend, dtype=float)
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """See `Pneumatics.set_supply_pressure`. The pressure changes immediately."""
+        """Set the gauge supply pressure (Pa), which takes effect immediately."""
         check_supply(supply_pa, self._max_supply)
         # A leak lowers the equilibrium pressure below the supply pressure.
         filling = supply_pa / self._tau_fill / self._law.rates[:, 2]
@@ -280,7 +283,7 @@ class LagPneumatics(LagChambers):
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def relaxation(self, time: float) -> Relaxation:
-        """Return the propagation over a time (s), with a separate kind per chamber."""
+        """Return the propagation over a time (s) with one kind for each chamber."""
         kinds = self._law.kinds
         rates = self._law.rates[kinds.ravel()]
         relaxation = self._law._replace(
@@ -319,9 +322,9 @@ class LagPneumatics(LagChambers):
 
 @compiled
 def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-def]
-    """Advance the chambers over a schedule, and return the drawn amount of air, J.
+    """Simulate a schedule, fill in the trace, and return the consumed air, J.
 
-    The trace contains the amount drawn since the start of the schedule.
+    The trace contains the amount consumed since the start of the schedule.
     """
     starts = schedule.starts
     row = 0
@@ -331,13 +334,14 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
         begin = starts[run]
         is_last = run + 1 == starts.shape[0]
         stop = schedule.span if is_last else starts[run + 1]
-        # A filling chamber draws the increase of its content plus its leak from the
-        # supply. Other chambers draw nothing.
+        # A filling chamber consumes the increase of its amount of air plus the leaked air.
+        # Other chambers consume nothing.
         content_before = _filling_content(state, now, law)
         leaked = last = 0.0
         while True:
-            # Rows of the trace within the run come first. The end of the run comes
-            # last, because the next run starts from it.
+            # The rows of the trace before the next valve event are computed first. The
+            # state at the valve event is computed last, because it is the initial state
+            # of the next interval.
             requested = row < times.shape[0] and (times[row] <= stop or is_last)
             t = (times[row] if requested else stop) - begin
             if law.leak > 0.0:
@@ -404,7 +408,8 @@ def _drive_rate(state, j, plus, minus, law):  # type: ignore[no-untyped-def]
 def _leaked(last, t, state, now, law):  # type: ignore[no-untyped-def]
     """Return λ ∫ p V dt of the filling chambers by Simpson's rule, J.
 
-    The integral extends from the time `last` to `t` (s) after the start of the run.
+    The integral extends from the time `last` to the time `t` (s), both measured from
+    the latest valve event.
     """
     leaked = 0.0
     for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
@@ -446,7 +451,7 @@ def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped
     """
     first = law.kinds[j, 0]
     second = law.kinds[j, 1]
-    # The valve states −1, 0 and +1 are the columns 0, 1 and 2 of the law.
+    # The valve states −1, 0 and +1 correspond to columns 0, 1 and 2 of the arrays.
     up = state[0] + 1
     down = state[1] + 1
     mode = law.mode[0]
@@ -454,7 +459,7 @@ def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped
     target_minus = law.asymptotes[second, down]
     deviation_plus = pressure[0] - target_plus
     deviation_minus = pressure[1] - target_minus
-    # This part of x is the response to both pressures from x = 0.
+    # This term is the response of x to both pressures if x is initially 0.
     lagged = law.gain[j, 0] * (
         target_plus * (1.0 - mode) + deviation_plus * law.lag[first, up]
     )
@@ -478,7 +483,7 @@ def filling_content(state, plus, minus, bend, law, ambient):  # type: ignore[no-
         minus: gauge pressure of the − chamber, Pa.
         bend: bend q, rad.
         law: `Relaxation`.
-        ambient: ambient pressure, Pa; 0 gives the content at gauge pressure.
+        ambient: ambient pressure, Pa.
     """
     total = float(0.0)
     pressure = float(plus)

@@ -7,19 +7,19 @@ the inlets:
 $$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),\qquad
 \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q_f = b + \varphi(x). $$
 
-`chambers` defines φ, b, V(q) and the gains g, and `flow` defines the flows.
-Conductances follow from the robot's τ₁ (`flow.conductances`). The leak conductance Λ is
-chosen so that a held chamber of a nominal module loses its pressure at the rate
-`leak_per_s` at the working point.
+The module `chambers` defines φ, b, V(q) and the gains g, and `flow` defines the flows.
+The conductances are computed from the robot's τ₁ (`flow.conductances`). The leak
+conductance Λ is chosen so that a held chamber of a nominal module loses pressure at the
+rate `leak_per_s` at the working point.
 
 Without a flow limit, the line has the supply pressure. With a flow limit, a compressor
 with a regulator feeds the line. The flow of the compressor is at most the limit,
 measured at ambient pressure, and decreases to 0 over the last hundredth of the supply
 pressure. All inlets share the line, so a limited flow slows down all segments.
 
-**Integration.** SDIRK2 (two stages, second order, L-stable) advances all chambers
-together. Its equations are solved by Newton's method. Substeps end on valve events.
-Within a substep, states are cubic Hermite polynomials.
+**Integration.** SDIRK2 (two stages, second order, L-stable) integrates all chambers
+together. The stage equations are solved by Newton's method. Every valve event is the
+end of a step. Within a step, states are interpolated by cubic Hermite polynomials.
 """
 
 from __future__ import annotations
@@ -62,27 +62,25 @@ from srs_twin.robot.spec import RobotSpec
 CRITICAL_RATIO = 0.3
 """Critical pressure ratio b of a small solenoid valve, dimensionless.
 
-The value is an estimate. Small solenoid valves have values from 0.2 to 0.5.
+The value is an estimate. Small solenoid valves have ratios from 0.2 to 0.5.
 """
 
 MAX_CRITICAL_RATIO = 0.8
 """Maximum critical pressure ratio, dimensionless.
 
-With a larger ratio, the flow at a working point would be choked and would not determine
-C.
+With a larger ratio, the flow at a working point would be choked and the conductance C
+could not be computed from the time constant.
 """
 
 LINE_VOLUME = 50e-6
 """Estimated volume of compressor outlet, tubes and manifold, m³."""
 
 _SUBSTEP_S = 5e-4
-"""Maximum step of the integrator, s.
-
-The value applies to robots with a time unit of 1 (`robot.scale`).
-"""
+"""Maximum step of the integrator for a robot with time unit 1 (`robot.scale`), s."""
 
 REGULATOR_BAND = 0.01
-"""Fraction of the gauge supply pressure over which the regulator closes."""
+"""Pressure range over which the regulator closes, as a fraction of the gauge supply
+pressure."""
 
 
 class OrificeKeywords(TypedDict, total=False):
@@ -103,14 +101,14 @@ class OrificeOptions:
     Attributes:
         critical_ratio: critical pressure ratio b of all valves, dimensionless.
         flow_limit: maximum flow of the supply, measured at ambient pressure, m³/s, or
-            None for no limit.
+            None for an unlimited flow.
         line_volume: volume of the line between supply and inlets, m³. The volume
             matters only with a flow limit.
-        initial_line_pressure: initial gauge pressure in the line, Pa; the default is the supply
-            pressure.
-        leak_per_s: relative rate at which a held pressure falls, 1/s.
-        substep: maximum step of the integrator, s; the default is 0.5 ms times the time
-            unit of the robot (`robot.scale`).
+        initial_line_pressure: initial gauge pressure in the line, by default the supply
+            pressure, Pa.
+        leak_per_s: relative rate at which the pressure of a held chamber falls, 1/s.
+        substep: maximum step of the integrator, s. The default step is 0.5 ms times the
+            time unit of the robot (`robot.scale`).
     """
 
     critical_ratio: float = CRITICAL_RATIO
@@ -167,22 +165,22 @@ class OrificeOptions:
 
 
 class OrificePneumatics(Pneumatics):
-    """Chambers behind orifices. See the module docstring.
+    """Chambers behind orifices, as described in the module `orifice`.
 
     Attributes:
         conductances: inlet and outlet conductances, shape (segments, 2) each, m³/(s
             Pa).
         line_pressure: current gauge pressure between supply and inlets, Pa.
-        drawn: amount of air P V drawn from the supply since `reset`, J.
-        lost: amount of air P V vented and leaked since `reset`, J.
-        plumbing: parameters.
+        drawn: amount of air P V that the supply has delivered since `reset`, J.
+        lost: amount of air P V that was vented or leaked since `reset`, J.
+        plumbing: valves and supply line.
     """
 
     kind = "orifice"
     state_attributes = ("_state", "_amounts", "plumbing", "_energy_per_amount")
     depends_on_bend = True
-    # A segment that bends away from a closed chamber compresses the air in it. Gen 3
-    # reaches a ratio of 1.6.
+    # A segment that bends away from a closed chamber compresses the air in the chamber.
+    # In gen3 the pressure ratio reaches 1.6.
     max_pressure_ratio = 4.0
 
     def __init__(
@@ -200,7 +198,7 @@ class OrificePneumatics(Pneumatics):
             spec: robot.
             supply_pa: gauge supply pressure, Pa.
             layout: valve layout, a key of `LAYOUTS`.
-            valve_delay_s: time from a command until the valve switches, s.
+            valve_delay_s: time between a command and the switching of the valve, s.
             **options: fields of `OrificeOptions`, such as flow_limit=2e-4.
 
         Raises:
@@ -213,9 +211,9 @@ class OrificePneumatics(Pneumatics):
         begins = valves.line_pressure(supply_pa)
         self._substep = valves.substep or _SUBSTEP_S * spec.scale.time
         # A closed chamber is a stiff spring, which limits the coupling step. Without a
-        # flow limit, the speed of gen 2 differs by 0.5 % between steps of 1 ms and
+        # flow limit, the speed of gen2 differs by 0.5 % between steps of 1 ms and
         # 0.25 ms, and the simulation diverges with 2 ms. A flow limit couples all
-        # chambers, and the solution oscillates with 1 ms.
+        # chambers, and the solution oscillates with a step of 1 ms.
         self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
         self.stiffness = _closed_stiffness(spec, supply_pa)
         nominal = conductances(spec, critical)
@@ -248,11 +246,12 @@ class OrificePneumatics(Pneumatics):
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
     def reset(self) -> None:
-        """Empty all chambers, close all inlets, and fill the line."""
+        """Vent all chambers, close all inlets, and fill the line."""
         super().reset()
         self._state = np.zeros((self._segments, 3))
         self._fill(self.pressure, self.plumbing.bias)
-        # Amounts of air: in the line, drawn from the supply, and lost.
+        # The three amounts of air are contained in the line, delivered by the supply,
+        # and lost.
         self._amounts = np.array(
             [self._line_begins * self.plumbing.line_volume, 0.0, 0.0]
         )
@@ -264,7 +263,7 @@ class OrificePneumatics(Pneumatics):
             self._state[j, side] = (AMBIENT_PA + pressure[j, side]) * size
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """See `Pneumatics.place`. The actual bends are set to the free bends."""
+        """Set pressures (Pa), and equal free and actual bends (rad)."""
         plumbing = self.plumbing
         linear = invert_bend_law(bend - self.rest_bend, plumbing.law)
         self.pressure = check_pressure(
@@ -275,14 +274,14 @@ class OrificePneumatics(Pneumatics):
         self._state[:, 2] = linear
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """See `Pneumatics.set_supply_pressure`."""
+        """Set the gauge supply pressure, Pa."""
         check_supply(supply_pa, self._max_supply)
         band = REGULATOR_BAND * max(supply_pa, 1.0)
         self.plumbing = self.plumbing._replace(supply=supply_pa + AMBIENT_PA, band=band)
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def leak(self, segment: int, side: int, per_s: float) -> None:
-        """Add a leak to one chamber from now on.
+        """Add a permanent leak to one chamber.
 
         Args:
             segment: segment number, counted from 1 at the head.
@@ -300,16 +299,16 @@ class OrificePneumatics(Pneumatics):
 
     @property
     def drawn(self) -> float:
-        """Amount of air P V drawn from the supply since `reset`, J."""
+        """Amount of air P V that the supply has delivered since `reset`, J."""
         return float(self._amounts[DRAWN])
 
     @property
     def lost(self) -> float:
-        """Amount of air P V vented and leaked since `reset`, J."""
+        """Amount of air P V that was vented or leaked since `reset`, J."""
         return float(self._amounts[LOST])
 
     def describe(self) -> dict[str, object]:
-        """See `Pneumatics.describe`."""
+        """Return the settings as JSON values for the provenance of a run."""
         return super().describe() | self._settings
 
     def _simulate(
@@ -356,7 +355,7 @@ def _chamber_conductances(
 ) -> tuple[np.ndarray, np.ndarray]:
     modules = spec.modules
     actuator = spec.actuator
-    # Chambers with equal parameters share one solution.
+    # Conductances are computed only once for chambers with equal parameters.
     rows = np.stack(
         [modules.array(name).ravel() for name in ("gain", "tau_fill", "tau_vent")],
         axis=1,

@@ -1,8 +1,8 @@
 """Compiled equations of the orifice chambers and their integration (`orifice`).
 
 The state y of a segment is (n⁺, n⁻, x): two amounts of air (J) and the linear bend
-(rad). The volumes follow either the free bends or the actual bends of a plant. Actual
-bends are extrapolated from the start of a schedule (`ActualBends`).
+(rad). The volumes depend either on the free bends or on the actual bends of a plant.
+Actual bends are extrapolated from the start of a schedule (`ActualBends`).
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, vo
 from srs_twin.pneumatics.flow import flow
 
 GAMMA = 1 - math.sqrt(0.5)
-"""Diagonal γ of SDIRK2, whose stages are at γ h and h, dimensionless."""
+"""Diagonal γ of SDIRK2, dimensionless. The stages are evaluated at γ h and h."""
 
 _MAX_NEWTON = 40  # Maximum number of Newton iterations per stage.
 _NEWTON_TOLERANCE = 1e-12
-"""Maximum correction at which Newton's method stops, J and rad."""
+"""Maximum absolute update at which Newton's method stops, J and rad."""
 
-_X = 2  # Column of the linear bend in y.
+_X = 2  # Column of y that contains the linear bend.
 
-# Indices of the amounts of air of the whole robot (J), followed by two flows (J/s).
-LINE = 0  # in the line
-DRAWN = 1  # drawn from the supply
-LOST = 2  # vented and leaked
+# Indices of amounts of air (J) and flows (J/s) of the whole robot.
+LINE = 0  # Air in the line.
+DRAWN = 1  # Air delivered by the supply.
+LOST = 2  # Air vented and leaked.
 AMOUNTS = 3
 _SUPPLY_FLOW = 3
 _INFLOW = 4
 
-# Indices of the last axis of the corrections in a Newton step.
+# Indices of the last axis of the corrections in a Newton iteration.
 _ALONE = 0  # Correction at a fixed pressure of the line.
 _BY_LINE = 1  # Derivative with respect to the pressure of the line.
 
-# Indices of the quantities of a chamber that the back substitution needs.
+# Indices of the chamber terms that the back substitution uses.
 _COUPLING = 0
 _FLOW = 1
 _FLOW_BY_LINE = 2
@@ -47,7 +47,7 @@ _TERMS = 5
 
 
 class OrificeParameters(NamedTuple):
-    """Parameters of the equations.
+    """Parameters of the orifice chambers.
 
     Attributes:
         dead, displacement: dead volume V₀ (m³) and displacement A (m³/rad).
@@ -61,7 +61,7 @@ class OrificeParameters(NamedTuple):
         supply, max_flow: absolute pressure (Pa) and maximum flow (J/s) of the supply.
         band: pressure range over which the regulator closes, Pa.
         line_volume: volume of the line, m³.
-        limited: whether the flow is limited. Otherwise the line has the supply
+        limited: whether the flow is limited. Without a limit, the line has the supply
             pressure.
     """
 
@@ -86,7 +86,8 @@ class ActualBends(NamedTuple):
     """Actual bends of a plant.
 
     Attributes:
-        coupled: whether the volumes follow the actual bends instead of the free bends.
+        coupled: whether the volumes depend on the actual bends instead of the free
+            bends.
         bend: actual bends at the start of the schedule, shape (segments,), rad.
         rate: rates of the actual bends, shape (segments,), rad/s.
     """
@@ -116,10 +117,13 @@ class _Workspace(NamedTuple):
     """Work arrays of a step.
 
     Attributes:
-        base, rates: known terms of y in a stage, and ẏ, shape (segments, 3).
-        bend: actual bends at a stage, rad.
-        linear: corrections of y (`_ALONE`, `_BY_LINE`), shape (segments, 3, 2).
-        terms: quantities of the chambers, shape (segments, 2, _TERMS).
+        base, rates: terms of the stage equation that do not depend on the unknowns, and
+            ẏ, shape (segments, 3).
+        bend: actual bends at the time of a stage, rad.
+        linear: corrections of y as linear functions of the change of the line pressure,
+            shape (segments, 3, 2). The last axis has the indices `_ALONE` and
+            `_BY_LINE`.
+        terms: terms of the chambers, shape (segments, 2, _TERMS).
     """
 
     base: np.ndarray
@@ -173,7 +177,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     outflow = air.leak[j, side] * (pressure - AMBIENT_PA)
     outflow_by_p = air.leak[j, side]
     if state != 0:
-        # Flow into the chamber is positive, so a venting chamber has a negative flow.
+        # A flow into the chamber is positive, and a flow out of the chamber negative.
         source = line if state == 1 else AMBIENT_PA
         value, by_source, by_here = flow(source, pressure, air.critical)
         if state == 1:
@@ -198,7 +202,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def supply_flow(line, air):  # type: ignore[no-untyped-def]
-    """Return the supply's flow into the line (J/s) and its pressure derivative."""
+    """Return the supply flow into the line (J/s) and its pressure derivative."""
     opening = (air.supply - line) / air.band
     if opening <= 0.0:
         return 0.0, 0.0
@@ -211,11 +215,11 @@ def supply_flow(line, air):  # type: ignore[no-untyped-def]
 def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # type: ignore[no-untyped-def]
     """Perform one Newton iteration for the stage equation y = base + weight · ẏ.
 
-    The result is the maximum norm of the update. Chambers depend on each other only
-    through the bend of their segment and through the line. Each segment is therefore
-    eliminated separately, as a linear function of the change of the line pressure. The
-    weight is γ h (s), and `line_base` contains the known terms of the amount of air in
-    the line.
+    The function returns the maximum norm of the update. Chambers depend on each other
+    only through the bend of their segment and through the line. The unknowns of each
+    segment are therefore eliminated separately, as linear functions of the change of
+    the line pressure. The weight is γ h (s), and `line_base` contains the terms of the
+    amount of air in the line that do not depend on the unknowns.
     """
     base = workspace.base
     linear = workspace.linear
@@ -238,7 +242,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # t
         bend_residual = y[j, _X] * bend_derivative - base[j, _X]
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
-            # The chamber's amount of air n is eliminated by its linearised equation
+            # The amount of air n of the chamber is eliminated by the linearised equation
             # Δn = alone − coupling · Δx + by_line · Δ(line pressure).
             squeeze = c.squeeze * bend_rate
             rate_by_p = weight * (c.inflow_by_p - c.outflow_by_p)
@@ -258,7 +262,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # t
             terms[j, side, _FLOW_BY_LINE] = c.inflow_by_line
             terms[j, side, _FLOW_BY_AMOUNT] = c.inflow_by_p * c.per_volume
             terms[j, side, _FLOW_BY_BEND] = c.inflow_by_p * squeeze
-        # After both eliminations, the equation for x depends on the line only.
+        # After n is eliminated, the equation for x depends only on the line pressure.
         linear[j, _X, _ALONE] = -bend_residual / bend_derivative
         linear[j, _X, _BY_LINE] = bend_by_line / bend_derivative
         line_residual, line_derivative = _add_segment_to_line(
@@ -270,7 +274,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # t
 
 @inlined
 def _add_segment_to_line(j, residual, derivative, weight, linear, terms):  # type: ignore[no-untyped-def]
-    """Correct a segment's chambers for its bend, and add their inflow to the line."""
+    """Correct the amounts of air of a segment, and add its inflow to the line."""
     for side in range(2):
         coupling = terms[j, side, _COUPLING]
         inflow = terms[j, side, _FLOW]
@@ -294,13 +298,13 @@ def _add_segment_to_line(j, residual, derivative, weight, linear, terms):  # typ
 
 @kernel_only
 def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyped-def]
-    """Add the corrections for a change of the line pressure (Pa) in place."""
+    """Apply the corrections for a change of the line pressure (Pa) in place."""
     amounts[LINE] += change * air.line_volume
     largest = abs(change * air.line_volume)
     for j in range(y.shape[0]):
         for k in range(3):
             step = linear[j, k, _ALONE] + linear[j, k, _BY_LINE] * change
-            # A decrease is limited, so that amounts of air remain positive.
+            # The decrease of an amount of air is limited so that it remains positive.
             if k == _X:
                 y[j, k] = y[j, k] + step
             else:
@@ -332,8 +336,8 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             dy[j, side] = c.inflow - c.outflow
-            # Gauge pressures are needed, because the two gains differ and the ambient
-            # pressure would not cancel.
+            # Gauge pressures are needed because the two chambers have different gains, so
+            # that the ambient pressure would not cancel.
             gauge = c.pressure - AMBIENT_PA
             deviation += (1.0 - 2.0 * side) * air.gain[j, side] * gauge
             total_inflow = total_inflow + c.inflow
@@ -353,9 +357,9 @@ def _extrapolate_bends(bend, actual, time):  # type: ignore[no-untyped-def]
 def _step(now, h, begun, state, actual, air, workspace):  # type: ignore[no-untyped-def]
     """Advance y and amounts in place by one step of SDIRK2 from the time `begun` (s).
 
-    On entry `workspace.rates` contains ẏ at the beginning of the step, and on return ẏ at
-    the end. The result is the flow from the supply and the total inflow at the end,
-    J/s.
+    The array `workspace.rates` contains ẏ at the start of the step, and is overwritten
+    with ẏ at the end of the step. The function returns the flow from the supply and the
+    total inflow at the end of the step, J/s.
     """
     y = now.y
     amounts = now.amounts
@@ -373,7 +377,7 @@ def _step(now, h, begun, state, actual, air, workspace):  # type: ignore[no-unty
             for j in range(y.shape[0]):
                 for k in range(3):
                     base[j, k] += (1 - GAMMA) * h * dy[j, k]
-            # The line gains the supply's flow and loses the inflow of the chambers.
+            # The line receives the flow of the supply and loses the inflow of the chambers.
             line_base += (1 - GAMMA) * h * (drawn - inflow) if air.limited else 0.0
         at = GAMMA if stage == 0 else 1.0
         _extrapolate_bends(workspace.bend, actual, begun + at * h)
@@ -400,7 +404,7 @@ class _End(NamedTuple):
 
 
 class _StepRows(NamedTuple):
-    """Rows `first` to `until` − 1 of a trace that lie within one step (times in s)."""
+    """Rows `first` to `until` − 1 of a trace, which lie within one step (s)."""
 
     first: int
     until: int
@@ -435,16 +439,16 @@ def _rows_until(times, row, finish, is_last):  # type: ignore[no-untyped-def]
 
 @allocating
 def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore[no-untyped-def]
-    """Advance a state in place over a schedule, and fill a trace at the given times.
+    """Simulate a schedule in place and write a trace at the given times.
 
     Args:
         now: `OrificeState`, updated in place.
-        schedule: effective valve states.
+        schedule: valve states with delay and faults.
         times: ascending times, s.
         substep: maximum step, s.
         actual: actual bends.
         air: `OrificeParameters`.
-        trace: output, whose field `air` is the amount drawn, J.
+        trace: output. The field `pneumatic_energy` receives the consumed air, J.
     """
     y = now.y
     starts = schedule.starts

@@ -1,9 +1,9 @@
 r"""Chambers of a spatial robot, which bend a segment in several directions.
 
-Each chamber fills and vents with the first-order lag of `lag`. A further lag with the
-time constant τ₂ follows the pressure. The symbols are the chamber directions d_c
-(`Chamber.directions`), the lagged pressures p̂_c, and the bend law φ of `chambers`. The
-free bend of a segment is a vector with components to the left and upwards,
+Each chamber fills and vents with the first-order lag of `lag`. A second first-order lag
+has the time constant τ₂ and the lagged pressures p̂_c as output. The chamber directions
+are d_c (`Chamber.directions`), and φ is the bend law of `chambers`. The free bend of a
+segment is a vector with components to the left and upwards,
 
 $$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| , $$
 
@@ -25,8 +25,9 @@ from srs_twin.robot.spec import RobotSpec
 class SpatialLagPneumatics(LagChambers):
     """Chambers with a first-order lag that bend a segment in several directions.
 
-    The module docstring gives the equations. `bend`, `rest_bend` and the bends of a
-    `Trace` have the shape (…, segments, 2), with components to the left and upwards.
+    The docstring of the module contains the equations. The arrays `bend` and
+    `rest_bend` and the bends of a `Trace` have the shape (…, segments, 2), with
+    components to the left and upwards.
     """
 
     state_attributes = ("_lagged", "_supply")
@@ -39,7 +40,7 @@ class SpatialLagPneumatics(LagChambers):
         self._vent = 1 / tau_vent
 
     def reset(self) -> None:
-        """See `Pneumatics.reset`."""
+        """Vent all chambers to ambient pressure and close all inlets."""
         if self.rest_bend.ndim == 1:  # Modules have a rest bend to the left only.
             self.rest_bend = np.stack(
                 [self.rest_bend, np.zeros_like(self.rest_bend)], axis=-1
@@ -48,7 +49,7 @@ class SpatialLagPneumatics(LagChambers):
         self._lagged = np.zeros_like(self.pressure)
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """See `Pneumatics.set_supply_pressure`. The pressure changes immediately."""
+        """Set the gauge supply pressure (Pa), which takes effect immediately."""
         check_supply(supply_pa, self._max_supply)
         self._supply = supply_pa
 
@@ -113,7 +114,7 @@ class SpatialLagPneumatics(LagChambers):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return rates (rad/s) and accelerations (rad/s²) of the free bends.
 
-        The bend law is linearised by its secant.
+        The bend law is linearised by the secant slope.
         """
         rate, end = self._relaxation(state)
         tau = self._spec.actuator.tau_mode
@@ -121,7 +122,7 @@ class SpatialLagPneumatics(LagChambers):
         speed = (pressure - lagged) / tau
         rise = (rate * (end - pressure) - speed) / tau
         linear = (gains * lagged) @ self._spec.chamber.axes
-        # The secant of the bend law is the free bend divided by the linear bend.
+        # The secant slope of the bend law is the free bend divided by the linear bend.
         size = np.maximum(np.linalg.norm(linear, axis=-1, keepdims=True), 1e-9)
         derivative = np.where(
             size > 1e-9,

@@ -1,7 +1,7 @@
-"""Valve schedules (piecewise constant valve states over time) and valve faults.
+"""Schedules of piecewise constant valve states, and valve faults.
 
-A valve state is +1 (filling), 0 (holding) or −1 (venting). Arrays of valve states have
-the columns + chamber and − chamber.
+A valve state is +1 (filling), 0 (holding) or −1 (venting). The last axis of arrays of
+valve states is (+ chamber, − chamber).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class StuckValve:
         segment: segment number, counted from 1 at the head.
         side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
         state: valve state.
-        since: time of the fault after `Pneumatics.reset`, s.
+        since: time of the fault, measured from `Pneumatics.reset`, s.
     """
 
     segment: int
@@ -33,30 +33,31 @@ class StuckValve:
 
 
 LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
-"""Possible valve states of a 3/2 valve, and of separate inlet and outlet valves."""
+"""Valve states of a 3/2 valve, and of separate inlet and outlet valves."""
 
 SLOT_S = 1e-4
-"""Time grid of valve events for a robot with a time unit of 1 (`robot.scale`), s."""
+"""Time grid of valve events for a robot with time unit 1 (`robot.scale`), s."""
 
-# Minimum time (s) between two valve events. Closer events differ only by rounding and
-# are merged.
+# Minimum time (s) between two valve events. Events with a smaller distance differ only
+# by rounding errors and are merged.
 _EVENT_TOLERANCE = 1e-9
 
 
 def valve_slot(tick: float, scale: Scale) -> float:
     """Return the duration of a valve slot, s.
 
-    Valve events lie on a grid that divides a control tick into a whole number of slots.
+    A control tick is divided into a whole number of slots, and valves switch only at
+    the start of a slot.
 
     Args:
         tick: control tick, s.
-        scale: robot units.
+        scale: units of the robot.
     """
     return divide(tick, SLOT_S * scale.time)
 
 
 def count_slots(tick: float, scale: Scale) -> int:
-    """Return the number of valve slots per control tick.
+    """Return the number of valve slots per control tick (s).
 
     Raises:
         InputError: the tick is not finite or not positive.
@@ -65,13 +66,13 @@ def count_slots(tick: float, scale: Scale) -> int:
 
 
 class Schedule(NamedTuple):
-    """Piecewise constant valve states over a time span. Kernels receive it as a tuple.
+    """Piecewise constant valve states over a time span, passed to kernels as a tuple.
 
     Attributes:
         span: duration of the schedule, s.
-        starts: start time of each run of constant states, ascending from 0, shape
-            (runs,), s.
-        states: valve states of each run, shape (runs, segments, 2).
+        starts: start time of each interval with constant states, ascending from 0,
+            shape (runs,), s.
+        states: valve states of each interval, shape (runs, segments, 2).
     """
 
     span: float
@@ -80,11 +81,9 @@ class Schedule(NamedTuple):
 
     @classmethod
     def from_slots(cls, commands: np.ndarray, span: float) -> Schedule:
-        """Return the schedule of commands that divide a time span equally.
+        """Return the schedule of commands that divide a time span (s) equally.
 
-        Args:
-            commands: valve states, shape (slots, segments, 2).
-            span: duration, s.
+        The commands are valve states of shape (slots, segments, 2).
         """
         if len(commands) == 1:
             return cls(span, np.zeros(1), np.ascontiguousarray(commands))
@@ -96,11 +95,11 @@ class Schedule(NamedTuple):
 
     @property
     def events(self) -> np.ndarray:
-        """Times at which a valve changes its state, shape (runs − 1,), s."""
+        """Times at which the valve states change, shape (runs − 1,), s."""
         return self.starts[1:]
 
     def slice(self, begin: float, end: float) -> Schedule:
-        """Return the part of the schedule from `begin` to `end` (s), starting at 0."""
+        """Return the schedule between two times (s) as a schedule that starts at 0."""
         if (
             begin == 0.0
             and end == self.span
@@ -118,11 +117,11 @@ class Schedule(NamedTuple):
     def with_stuck_valve(
         self, begin: float, segment: int, side: int, state: int
     ) -> Schedule:
-        """Return the schedule with one valve stuck in one state from a time on.
+        """Return the schedule with one valve stuck in one state after a given time.
 
         Args:
-            begin: time of the fault, s, possibly before the schedule. A time after the
-                end of the schedule changes nothing.
+            begin: time of the fault, s. The time may be negative. After the end of the
+                schedule, the fault has no effect.
             segment: segment index, counted from 0.
             side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
             state: valve state.
@@ -141,7 +140,8 @@ class Schedule(NamedTuple):
 
     def followed_by(self, other: Schedule) -> Schedule:
         """Return this schedule followed by another schedule."""
-        # The two runs at the joint are merged if their states are equal.
+        # The last interval of the first schedule and the first interval of the second
+        # schedule are merged if their states are equal.
         merged = int((self.states[-1] == other.states[0]).all())
         starts = np.concatenate([self.starts, self.span + other.starts[merged:]])
         return Schedule(

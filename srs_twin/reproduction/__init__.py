@@ -1,1 +1,1 @@
-"""Reproduction of the dissertation's claims with both plants."""
+"""Comparison of the dissertation's claims with the results of both plants."""

@@ -1,6 +1,6 @@
-"""Claims of the dissertation, the runs that check them, and the rules for a match.
+"""Claims of the dissertation, and the runs and rules with which they are checked.
 
-Each number in the table of a claim becomes one row.
+Each number in a table of the dissertation is checked separately.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
 
 
 COMPUTATIONS = _functions(computations)
-"""Functions for the key `law`.
+"""Functions that compute the numbers of a claim without a run (key `law`).
 
-Each function takes the fields `set` and returns numbers, keyed by
-``<column>.<metric>``.
+The argument of a function is the dictionary `set`. The function returns numbers, keyed
+by ``<column>.<metric>``.
 """
 
 TRACES = _functions(traces)
-"""Functions for the metrics `trace.…`.
+"""Functions that compute the metrics `trace.…` from a trajectory.
 
-Each function takes a trajectory and returns a number or None.
+A function returns a number or None.
 """
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
@@ -71,17 +71,17 @@ def _check_answer(text: str) -> str:
 
 
 Falsifiability = Annotated[str, Field(max_length=500), AfterValidator(_check_answer)]
-"""Statement in one sentence of whether a row could have been missed."""
+"""Sentence that states whether the check of a claim could have failed."""
 
 _BOUND = 1e9
 """Maximum magnitude of a published value."""
 
 CLAIMS_BYTES = 128 * 1024
-"""Maximum size of a claims file. 166 rows with their reasons take 72 kB."""
+"""Maximum size of a claims file. A file with 166 claims has 72 kB."""
 
 
 class RunRequest(Section):
-    """Request for runs of a scenario or sweep, or for a computation."""
+    """Runs of a scenario or sweep, or a computation, that a claim requires."""
 
     scenario: Name | None = None
     """Shipped scenario."""
@@ -94,7 +94,7 @@ class RunRequest(Section):
     periods: float | None = quantity(3.0, 1000.0, None)
     """Simulated time in periods."""
     where: Fields = {}
-    """Selected points of the sweep: varied field and its value."""
+    """Selected points of the sweep, as values of the varied fields."""
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
@@ -119,7 +119,7 @@ class RunRequest(Section):
         return str(getattr(self, self.kind))
 
     def check_names(self, document: Document, loc: Loc) -> None:
-        """Report an unknown name."""
+        """Report an unknown scenario, sweep or computation to the document."""
         names = COMPUTATIONS if self.kind == "law" else shipped_names(self.kind)
         if self.name not in names:
             document.report(
@@ -135,12 +135,12 @@ class Measure(RunRequest):
     take: Take | None = None
     """Aggregation over the points of a sweep."""
     plant: Literal["analytical", "twin"] | None = None
-    """Plant that is used in all columns."""
+    """Plant whose value is used in all columns."""
     size: bool = False
-    """Whether the magnitude is compared."""
+    """Whether the absolute value is compared."""
 
     def check_names(self, document: Document, loc: Loc) -> None:
-        """Report an unknown name."""
+        """Report an unknown scenario, sweep, computation or metric to the document."""
         super().check_names(document, loc)
         prefix, _, trace = self.metric.partition(".")
         if prefix == "trace" and trace not in TRACES:
@@ -150,27 +150,25 @@ class Measure(RunRequest):
 
 
 class Cause(Section):
-    """Why a claim was missed.
+    """Reason why the results of a plant contradict a claim.
 
-    The cause is demonstrated by a run with a switched assumption or by the
-    documentation, or it is only presumed.
+    The reason is demonstrated by a run with a changed assumption or by the
+    documentation, or the reason is only presumed.
     """
 
     says: Name
-    """Description."""
+    """Description of the reason."""
     columns: list[Column] = ["analytical", "twin"]
-    """Columns that the cause explains."""
+    """Columns of results that the reason explains."""
     docs: Name | None = None
-    """Section of the documentation that demonstrates the cause.
-
-    An example is docs/verification.md#why-they-differ.
-    """
+    """Section of the documentation that demonstrates the reason, for example
+    docs/verification.md#why-they-differ."""
     switch: Name | None = None
-    """Name of the assumption that is switched."""
+    """Name of the assumption that is changed."""
     set: Changes = {}
-    """Fields of the scenario that switch the assumption.
+    """Fields of the scenario that change the assumption.
 
-    With these fields, the row must be met.
+    With these fields, the results must agree with the claim.
     """
 
     @model_validator(mode="after")
@@ -183,7 +181,7 @@ class Cause(Section):
 
 
 class TableRows(Section):
-    """Rule that makes rows from the numbers of a table."""
+    """Rule that derives claims from the numbers of a table."""
 
     at: Name
     """Key of the setting in each row of the table."""
@@ -196,18 +194,19 @@ class TableRows(Section):
     signed: list[Name] = []
     """Columns that are printed without a sign.
 
-    Their numbers have the sign of `at`. Where `at` is 0, magnitudes are compared.
+    The numbers of these columns have the sign of `at`. If `at` is 0, absolute values
+    are compared.
     """
     fit: list[Name] = []
-    """Columns that may be used to calibrate."""
+    """Columns whose numbers may be used for calibration."""
     fit_at: list[float] = []
-    """Settings at which these columns may be used to calibrate."""
+    """Settings at which the numbers of these columns may be used for calibration."""
     could_fail: dict[Name, Falsifiability]
-    """Statement for each column of whether its rows could have been missed."""
+    """For each column, a sentence that states whether its claims could have failed."""
     could_fail_fit: Falsifiability
-    """Statement of whether rows for calibration could have been missed."""
+    """Sentence that states whether claims used for calibration could have failed."""
     cause: dict[Name, list[Cause]] = {}
-    """Known causes of missed rows, for each column."""
+    """Known reasons for failed claims, for each column."""
 
     @model_validator(mode="after")
     def _check_columns(self) -> Self:
@@ -222,9 +221,10 @@ class TableRows(Section):
     def is_fitted(
         self, column: str, at: float, rows: Sequence[Mapping[str, float]]
     ) -> bool:
-        """Return whether a number may be used to calibrate.
+        """Return whether a number may be used for calibration.
 
-        A number that equals a calibration number in its column counts as such a number.
+        If a number in the same column is used for calibration, an equal number counts
+        as used as well.
         """
         if column not in self.fit:
             return False
@@ -238,25 +238,26 @@ class Claim(Section):
     """Statement of the dissertation and the rule that checks it."""
 
     id: Annotated[str, Field(pattern=r"^[a-z0-9]+([.-][a-z0-9]+)*$", max_length=80)]
-    """Row name."""
+    """Name of the claim."""
     source: Name
-    """Section, figure, table, errata."""
+    """Section, figure or table of the dissertation, or erratum."""
     robot: Literal["gen1", "gen2", "gen3", "gen4"] | None = None
     """Generation of the robot."""
     says: Annotated[str, Field(min_length=1, max_length=600)]
-    """Statement."""
+    """Text of the claim."""
     use: Use
-    """fit, holdout, law or shape."""
+    """Use of the claim: fit, holdout, law or shape."""
     could_fail: Falsifiability | None = None
-    """Whether the row could have been missed.
+    """Whether the check of the claim could have failed.
 
-    "Yes: …" describes the outcome that would be a miss and the origin of the tolerance.
-    "No: …" gives the reason why a miss is impossible.
+    "Yes: …" describes the results that would contradict the claim and the origin of the
+    tolerance. "No: …" states why the results cannot contradict the claim.
     """
     tolerance: Tolerance | None = None
-    """Origin of a prediction's tolerance.
+    """Origin of the tolerance of a prediction.
 
-    The origin is the dissertation's statement, its measurement error, or our choice.
+    The tolerance comes from the dissertation's statement, from its measurement error,
+    or from our choice.
     """
     limitation: Limitation | None = None
     """Reason why a prediction is not a headline, regardless of its tolerance."""
@@ -269,21 +270,21 @@ class Claim(Section):
     abs: float | None = quantity(0.0, _BOUND, None, unit="the unit")
     """Absolute tolerance."""
     rule: Rule | None = None
-    """Rule: near, below, above, or ordering (each measure exceeds the next)."""
+    """Rule: near, below, above, or ordering (each measure exceeds the next measure)."""
     measure: Measure | None = None
     """Measure that is compared with the value."""
     measures: list[Measure] = []
-    """Measures that are combined or ordered."""
+    """Measures that are combined into one number or compared with each other."""
     combine: Combine = "value"
     """Combination of the measures into one number."""
     columns: list[Column] = ["analytical", "twin"]
-    """Columns that are judged."""
+    """Columns of results that are compared with the claim."""
     quick: bool = False
-    """Whether --quick includes the row."""
+    """Whether the option --quick includes the claim."""
     cause: list[Cause] = []
-    """Known causes of a missed row."""
+    """Known reasons why the results contradict the claim."""
     table: TableRows | None = None
-    """Rule that makes rows from the numbers in `rows`."""
+    """Rule that derives claims from the numbers in `rows`."""
     rows: list[dict[Name, float]] = []
     """Numbers of a table."""
     note: Annotated[str, Field(max_length=1000)] | None = None
@@ -339,22 +340,22 @@ class Claim(Section):
         return self
 
     def is_named(self, name: str) -> bool:
-        """Return whether a name is the claim's name or a part of it up to a dot."""
+        """Return whether `name` is the claim's name, or its part before a dot."""
         return f"{self.id}.".startswith(f"{name}.")
 
     @property
     def fitted(self) -> bool:
-        """Whether the claim may be used to calibrate and is therefore no prediction."""
+        """Whether the claim may be used for calibration and is not a prediction."""
         return self.use == "fit"
 
     @property
     def falsifiable(self) -> bool:
-        """Whether the claim could have been missed."""
+        """Whether the check of the claim could have failed."""
         return self.could_fail is None or self.could_fail.startswith("Yes")
 
     @property
     def group(self) -> Group | None:
-        """Group of a prediction, or None."""
+        """Group of a prediction, or None if the claim is not a prediction."""
         if self.use != "holdout":
             return None
         if self.limitation is not None:
@@ -363,7 +364,7 @@ class Claim(Section):
 
     @property
     def category(self) -> Category:
-        """Heading of the row: the group of a prediction, or otherwise the use."""
+        """Group of a prediction, or use of any other claim."""
         if self.group is not None:
             return self.group
         if self.use == "shape" and not self.falsifiable:
@@ -372,11 +373,11 @@ class Claim(Section):
 
     @property
     def all_measures(self) -> list[Measure]:
-        """All measures."""
+        """List with the single measure, or with the combined measures."""
         return [self.measure] if self.measure else self.measures
 
     def with_switch(self, cause: Cause) -> Claim:
-        """Return the claim with the scenario fields that a cause switches."""
+        """Return the claim with the scenario fields that a reason changes."""
         measures = [
             measure.model_copy(update={"set": {**measure.set, **cause.set}})
             for measure in self.all_measures
@@ -385,7 +386,7 @@ class Claim(Section):
 
     @property
     def allowed(self) -> AllowedRange:
-        """Allowed values. A tolerance widens a bound outward."""
+        """Range of allowed values. The tolerance extends the range beyond a bound."""
         if self.value is None:
             return AllowedRange()
         near = AllowedRange.near(self.value, self.tol, self.abs)
@@ -404,7 +405,7 @@ class Claim(Section):
 
 
 COLUMNS = get_args(Column)
-"""Columns of verdicts: the plants, and "alone" for computations without a plant."""
+"""Columns of results: the plants, and "alone" for computations without a plant."""
 
 
 def claims_file() -> Path:
@@ -413,7 +414,7 @@ def claims_file() -> Path:
 
 
 def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
-    """Load rows of a claims file.
+    """Load the claims of a claims file.
 
     Raises:
         InputError: the file cannot be read.
@@ -439,11 +440,6 @@ def load_list(
 ) -> tuple[Document, list[tuple[int, Model]]]:
     """Read a list of sections from a YAML file.
 
-    Args:
-        path: file.
-        model: section model.
-        label: plural name for messages.
-
     Returns:
         Document with its problems, and index and section of each valid entry.
 
@@ -464,15 +460,16 @@ def load_list(
 def select_claims(
     claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool
 ) -> tuple[Claim, ...]:
-    """Select rows by names or leading parts of names up to a dot, laws first.
+    """Select claims by their names or by the beginning of their names, laws first.
 
     Args:
-        claims: all rows.
-        only: names; an empty tuple selects all rows.
-        quick: whether to select only quick rows.
+        claims: all claims.
+        only: names, or beginnings of names that end before a dot. An empty tuple
+            selects all claims.
+        quick: whether to select only quick claims.
 
     Raises:
-        UnknownNameError: no row has this name.
+        UnknownNameError: no claim has such a name.
     """
     selected = [claim for claim in claims if claim.quick or not quick]
     if only:
@@ -521,6 +518,6 @@ def _rows(claim: Claim) -> Iterator[Claim]:
 
 
 def _setting_name(at: float) -> str:
-    """Return a setting as part of a row's name, e.g. p03 for 0.3 or m03 for −0.3."""
+    """Return a setting as part of a claim name, e.g. p03 for 0.3 or m03 for −0.3."""
     sign = "m" if at < 0 else "p"
     return f"{sign}{abs(at):g}".replace(".", "") if at else "0"

@@ -1,4 +1,4 @@
-"""`srs-twin reproduce`: compare the dissertation's claims with both plants."""
+"""Command `srs-twin reproduce`, which checks the claims of the dissertation."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ def reproduce(
         return
     from srs_twin.compute.workers import start_server
 
-    # The server starts first, so that it imports the modules of the workers while this
-    # process imports its own.
+    # The server imports the modules of the workers while this process imports its own
+    # modules.
     start_server("srs_twin.studies.sweep.warm")
     from srs_twin.reproduction.printing import print_rows
     from srs_twin.reproduction.reproduce import reproduce as judge_claims

@@ -1,4 +1,4 @@
-"""Computations for claims that no scenario covers."""
+"""Computations for claims that cannot be checked by running a scenario."""
 
 from __future__ import annotations
 
@@ -19,30 +19,27 @@ if TYPE_CHECKING:
 Numbers = dict[str, float | None]
 
 _PULL_S = 1.0
-"""Duration of a pull, s."""
+"""Duration for which the robot is pulled, s."""
 
 _MIN_GAIN_M_S = 1e-3
-"""Increase of speed in the second half of a pull above which the robot slides, m/s.
+"""Minimum increase of speed in the second half of a pull for a robot that slides, m/s.
 
-Below the friction limit, axles creep at a constant speed proportional to the pull (at
-most 13 mm/s in generation 1).
+Below the friction limit, axles creep at a constant speed proportional to the force. In
+generation 1 the maximum creep speed is 13 mm/s.
 """
 
 _BISECTIONS = 12
-"""Number of bisections of the pull."""
+"""Number of bisection steps for the pulling force."""
 
 
 def spring_car(robot: str) -> Numbers:
     """Return friction coefficients μ = F/(m g) from pulling a straight snake.
 
     The experiment is described in Section 3.4 (Eq. 17). The twin is pulled by a
-    horizontal component of gravity, a force on every body proportional to its mass. The
-    coefficient at which the twin starts to slide is found by bisection. In the
-    analytical model friction is a law, so the coefficient is the maximum ratio of force
-    to load of any connector during a gait.
-
-    Args:
-        robot: shipped robot.
+    horizontal component of gravity, which is a force on every body proportional to its
+    mass. The coefficient at which the twin starts to slide is found by bisection. The
+    analytical model prescribes a friction law, so its coefficient is the maximum ratio
+    of force to load of any connector during a gait.
 
     Returns:
         ``mu_t`` and ``mu_n`` of both plants.
@@ -102,9 +99,10 @@ def _analytical_coefficients(robot: str) -> tuple[float, float]:
 
 
 def tail_load(scenario: str, frequency_hz: float) -> Numbers:
-    """Return the minimum tail load of the twin relative to rest (Section 3.4.3).
+    """Return the minimum tail load of the twin, divided by the load at rest.
 
-    A negative ratio means that a wheel lifts off.
+    Section 3.4.3 of the dissertation describes the experiment. A negative ratio means
+    that a wheel lifts off.
     """
     from srs_twin.plants.twin.snake import TwinSnake
     from srs_twin.rollout import rollout
@@ -132,14 +130,14 @@ def change_of_offset(
     """Return the path curvature after a change of offset with learning (Section 5.3).
 
     Args:
-        scenario: learning scenario.
+        scenario: scenario with iterative learning.
         before: initial offset.
         after: final offset.
-        at_period: time, gait periods.
+        at_period: time of the change, in gait periods.
 
     Returns:
-        ``first`` of both plants: curvature over the first period after the change,
-        relative to the final curvature.
+        Number ``first`` for both plants, which is the curvature over the first period
+        after the change divided by the final curvature.
     """
     from srs_twin.control.commands import ScheduledOffset
     from srs_twin.control.gait import Gait
@@ -163,7 +161,7 @@ def change_of_offset(
 
 
 def _curvature(run: Trajectory, begin: float, period: float) -> float:
-    """Return the turn over one period divided by the travelled distance, 1/m."""
+    """Return the turn over one period divided by the distance travelled, 1/m."""
     times = np.array([begin, begin + period])
     heading = np.interp(times, run.time, run["heading"])
     x, y = (np.interp(times, run.time, run[name]) for name in ("com_x", "com_y"))
@@ -184,13 +182,15 @@ def contact_force(
     The force acts to the left for 0.5 s after 12 s of free crawling.
 
     Args:
-        robot: robot name.
-        frequency_hz: gait frequency, Hz. A period must be a whole number of ticks.
+        robot: name of a robot.
+        frequency_hz: gait frequency, Hz. The gait period must be a multiple of the
+            tick.
         force_n: force, N.
-        connector: number of the connector, counted from the head.
+        connector: number of the connector, counted from 1 at the head.
 
     Returns:
-        ``score`` of the detection, and ``ratio`` of the estimated to the applied force.
+        Number ``score`` of the detection, and ``ratio`` of the estimated force to the
+        applied force.
     """
     from srs_twin.control.gait import Gait
     from srs_twin.live.contact_observer import ContactObserver
@@ -234,7 +234,7 @@ def turn_limit(speed_m_s: float, radius_m: float) -> Numbers:
 def footprint_edges(footprint: str) -> Numbers:
     """Return the straight width of a footprint and its shift at maximum curvature, m.
 
-    Table 9 of the dissertation lists both.
+    Width and shift are listed in Table 9 of the dissertation.
     """
     from srs_twin.planning.footprint_file import load_footprint
 
@@ -249,7 +249,7 @@ def footprint_edges(footprint: str) -> Numbers:
 
 
 def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
-    """Return the maximum distance of the planner's arcs from Eq. 33, m.
+    """Return the maximum deviation of the planner's arcs from Eq. 33, m.
 
     Eq. 33 is evaluated with the signs of the erratum E7.
     """

@@ -1,7 +1,7 @@
 """Figures of the dissertation, drawn from finished runs.
 
-A figure without its runs is omitted. Only `figure_jobs` requests runs for figures
-alone.
+A figure is omitted if its runs are missing. Runs that only a figure needs are requested
+by `figure_jobs`.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from srs_twin.viewing.plots.style import finish, own_settings, panels
 
 
 class FigureEntry(Section):
-    """Figure of the dissertation and the runs that it shows."""
+    """Figure of the dissertation, with the runs from which it is drawn."""
 
     figure: Name
     """Number in the dissertation, for example 31a."""
@@ -52,9 +52,9 @@ class FigureEntry(Section):
     of: Annotated[list[RunRequest], Field(min_length=1, max_length=10)]
     """Runs of the figure."""
     metric: Name | None = None
-    """Metric of a sweep, drawn by the plot of the sweep."""
+    """Metric of a sweep. The figure is then the plot of the sweep."""
     names: list[Name] = []
-    """Labels of the runs if several runs are drawn together."""
+    """Labels of the runs if one figure shows several runs."""
 
 
 def load_figures(path: Path | None = None) -> tuple[FigureEntry, ...]:
@@ -80,7 +80,7 @@ def load_figures(path: Path | None = None) -> tuple[FigureEntry, ...]:
 def figure_jobs(
     entries: tuple[FigureEntry, ...], store: RunStore
 ) -> list[ReproductionJob]:
-    """Return the jobs of figures."""
+    """Return the jobs whose results the figures show."""
     return [job for entry in entries for runs in entry.of for job in store.jobs(runs)]
 
 
@@ -189,9 +189,9 @@ def _readings(runs: Trajectories) -> Figure:
 
 
 def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
-    """Draw the step to 8 psi and Eq. 14 (Fig. 20).
+    """Draw the response to a step of 8 psi, and Eq. 14 (Fig. 20).
 
-    The robot's time constants in Eq. 14 are the published ones.
+    Eq. 14 is evaluated with the published time constants of the robot.
     """
     figure = _over_time(runs, lambda run: run["bend_1"], "bend (rad)")
     axes = figure.axes[0]

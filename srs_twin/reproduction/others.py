@@ -1,8 +1,8 @@
-"""Predicted and published motion of robots that others built.
+"""Predicted and published motion of robots from other laboratories.
 
-A prediction is a file in calibration/predictions. The file of the same name in
-calibration/published/others contains the published values. In a checkout, the commits
-of both files show that the prediction came first. The folder
+Each prediction is a file in calibration/predictions. The published values are in a file
+of the same name in calibration/published/others. In a git checkout, the commits of the
+two files prove that the prediction is older than the published values. The folder
 calibration/predictions/recomputed contains numbers that are not predictions, because
 they were computed after the published values were known.
 """
@@ -33,29 +33,30 @@ class PublishedValue(StrictModel):
     value: Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
     """Value in the unit of the quantity."""
     of: Literal["robot", "simulation"]
-    """robot: measured on the robot; simulation: simulated by its builders."""
+    """Origin of the value: "robot" is a measurement on the robot. "simulation" is a
+    simulation by the builders of the robot."""
     known: bool
-    """Whether the value was known at the time of the prediction."""
+    """Whether we knew the value at the time of the prediction."""
     source: Annotated[str, Field(min_length=1, max_length=300)]
-    """Publication and place."""
+    """Publication, and section or page."""
 
 
 class PublishedFile(StrictModel):
     """Published values of a robot."""
 
     values: Annotated[dict[str, PublishedValue], Field(min_length=1)]
-    """Published value for each predicted quantity."""
+    """Published value of each predicted quantity."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantiles:
-    """Quantiles of a quantity over sampled robots.
+    """Quantiles of a quantity over randomly sampled robots.
 
     Attributes:
-        median: median.
-        interval_95: 95 % interval.
-        interval_95_error: standard errors of both ends, or None.
-        robots: number of robots, or 0 if unknown.
+        median: median of the quantity.
+        interval_95: ends of the 95 % interval.
+        interval_95_error: standard errors of the two ends, or None.
+        robots: number of sampled robots, or 0 if the number is unknown.
     """
 
     median: float
@@ -64,14 +65,15 @@ class Quantiles:
     robots: int
 
     def contains(self, published: PublishedValue) -> bool:
-        """Return whether the interval contains a published value."""
+        """Return whether the 95 % interval contains a published value."""
         low, high = self.interval_95
         return low <= published.value <= high
 
     def verdict(self, published: PublishedValue) -> IntervalVerdict:
         """Return the verdict on a published value.
 
-        The verdict is undecided if too few robots bound the interval.
+        The verdict is undecided if the number of robots is too small for an accurate
+        interval.
         """
         if self.robots < MIN_BOUNDING_SAMPLES:
             return IntervalVerdict.UNDECIDED
@@ -80,7 +82,7 @@ class Quantiles:
         )
 
     def cells(self, published: PublishedValue) -> tuple[str, ...]:
-        """Return interval, published value and result."""
+        """Return interval, published value and verdict as table cells."""
         low, high = self.interval_95
         result = "inside" if self.contains(published) else "outside"
         if self.verdict(published) is IntervalVerdict.UNDECIDED:
@@ -90,17 +92,18 @@ class Quantiles:
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedQuantity:
-    """Prediction of a quantity, and its published value.
+    """Prediction of a quantity, and the published value.
 
     Attributes:
-        robot: robot file name.
-        quantity: quantity.
-        predicted: prediction.
-        recomputed: numbers computed after the published value was known, or None.
-        published: published value.
+        robot: name of the robot file.
+        quantity: name of the quantity.
+        predicted: predicted quantiles.
+        recomputed: quantiles computed after the published value was known, or None.
+        published: published value, or None.
         prediction_commit: last commit that changed a number of the prediction, or None
-            outside a checkout.
-        comparison_commit: first commit with published values of the robot, or None.
+            outside a git checkout.
+        comparison_commit: first commit that contains published values of the robot, or
+            None.
     """
 
     robot: str
@@ -112,7 +115,7 @@ class PredictedQuantity:
     comparison_commit: str | None
 
     def document(self) -> dict[str, object]:
-        """Return JSON values."""
+        """Return the prediction as JSON values."""
         document: dict[str, object] = {
             "robot": self.robot,
             "quantity": self.quantity,
@@ -150,7 +153,7 @@ class PredictedQuantity:
 
 
 def load_predicted_quantities() -> list[PredictedQuantity]:
-    """Return predicted quantities by robot.
+    """Return all predicted quantities, ordered by robot.
 
     Raises:
         UnknownNameError: a published quantity was not predicted.
@@ -185,10 +188,10 @@ def load_predicted_quantities() -> list[PredictedQuantity]:
 
 
 def _predictions(path: Path) -> dict[str, Quantiles]:
-    """Return the quantiles of each quantity in a file, or {} without a file.
+    """Return the quantiles of each quantity in a file, or {} for a missing file.
 
-    The first prediction, of a spatial snake, uses other keys, because its text must
-    remain as it was committed.
+    The first prediction, of a spatial snake, has different keys, because the committed
+    text must not be changed.
     """
     if not path.exists():
         return {}

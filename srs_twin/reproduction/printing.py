@@ -53,7 +53,7 @@ def print_scorecard(*, as_json: bool) -> None:
 
 
 def print_others(*, as_json: bool) -> None:
-    """Print predicted and published motion of robots that others built."""
+    """Print predicted and published motion of robots from other laboratories."""
     rows = load_predicted_quantities()
     if as_json:
         print_json({"robots": [row.document() for row in rows]})
@@ -93,7 +93,7 @@ def print_others(*, as_json: bool) -> None:
 
 
 def print_rows(rows: Sequence[JudgedClaim]) -> None:
-    """Print one line per row, grouped by category, and a summary."""
+    """Print one line per claim, grouped by category, and a summary."""
     print(_FORMAT.format("row", "published", "analytical", "twin", "error", "verdict"))
     for name, category_rows in by_category(rows).items():
         if category_rows:
@@ -118,7 +118,7 @@ def print_rows(rows: Sequence[JudgedClaim]) -> None:
 
 
 def _short_text(outcome: ClaimOutcome | None) -> str:
-    """Return an outcome in at most 11 characters, shortening an ordering."""
+    """Return an outcome in at most 11 characters. An ordering is shortened."""
     if outcome is None:
         return ""
     text = outcome_text(outcome)

@@ -1,21 +1,22 @@
-"""Output of a reproduction: reproduce.json, reproduce.html, text, and a scorecard.
+"""Reports of a reproduction: reproduce.json, reproduce.html, text, and a scorecard.
 
-The scorecard lists credibility grades of each capability after NASA-STD-7009 with their
-reasons. Grades range from 0 (nothing is known) to 4. They are derived from stored
-results: verdicts of the baseline, intervals of `srs-twin uncertainty`, and sources of
-the robots' parameters.
+The scorecard lists credibility grades of each capability according to NASA-STD-7009,
+with the reasons for the grades. Grades range from 0 (nothing is known) to 4. They are
+computed from stored results: verdicts of the baseline, intervals of `srs-twin
+uncertainty`, and sources of the robots' parameters.
 
-- Verification is 2 if all laws of the dissertation are met. It is 3 if in addition a
-  refined time step changes a prediction by less than a fifth of its input uncertainty.
-- Validation is 2 if three quarters of the headline predictions are met, 1 if fewer, and
-  0 if none. Predictions of other groups (own tolerance, fitted robot, …) are listed but
-  not counted. A higher grade needs own measurements; nothing here was validated against
-  hardware.
-- Input pedigree is the fraction of measured robot parameters: 3 for three quarters, 2
-  for two fifths, 1 for fewer.
-- Uncertainty is 2 if intervals were propagated from the inputs, otherwise 0.
-- Robustness is 2 if sensitivities are known, 1 if only trends that could have failed
-  were checked, otherwise 0.
+- Verification has grade 2 if all laws of the dissertation are met. Verification has
+  grade 3 if, in addition, a smaller time step changes a prediction by less than a fifth
+  of the prediction's input uncertainty.
+- Validation has grade 2 if three quarters of the headline predictions are met, grade 1
+  if fewer are met, and grade 0 if none is met. Predictions of other groups (own
+  tolerance, fitted robot, …) are listed but not counted. A higher grade would require
+  our own measurements, because nothing has been validated against hardware.
+- Input pedigree has grade 3 if at least three quarters of the robot parameters are
+  measured, grade 2 for at least two fifths, and grade 1 for a smaller fraction.
+- Uncertainty has grade 2 if intervals were propagated from the inputs, otherwise 0.
+- Robustness has grade 2 if sensitivities are known, grade 1 if only trends were
+  checked, and otherwise grade 0. Only checks that could have failed are counted.
 """
 
 from __future__ import annotations
@@ -71,21 +72,21 @@ _OTHER_GROUPS: dict[Category, str] = {
     "chosen_obstacles": "own obstacles",
     "between_models": "models",
 }
-"""Labels of the categories of predictions that are not headlines."""
+"""Labels of categories of predictions that are not headlines."""
 
 _MOST = 0.75
-"""Minimum fraction that counts as "most"."""
+"""Minimum fraction for the higher grade of validation and of input pedigree."""
 
 _MANY = 0.4
-"""Minimum fraction that counts as "many"."""
+"""Minimum fraction for the middle grade of input pedigree."""
 
 _SMALL_NUMERICAL_ERROR = 0.2
-"""Maximum ratio of a small numerical error to the input uncertainty."""
+"""Maximum ratio of numerical error to input uncertainty for verification grade 3."""
 
 
 @dataclass(frozen=True)
 class Grade:
-    """Grade (0 to 4) and its reason."""
+    """Credibility grade (0 to 4) and the reason for the grade."""
 
     grade: int
     why: str
@@ -94,7 +95,7 @@ class Grade:
 def scorecard(
     claims: Sequence[Claim], baseline: Baseline
 ) -> dict[str, dict[str, Grade]]:
-    """Return grades, keyed by capability and factor."""
+    """Return the credibility grades, keyed by capability and factor."""
     folder = data_root() / INTERVALS
     documents = [
         json.loads(path.read_text("utf-8")) for path in sorted(folder.glob("*.json"))
@@ -132,12 +133,7 @@ def _count_met(
 def verification_grade(
     law: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
 ) -> Grade:
-    """Return the verification grade.
-
-    Args:
-        law: met and all laws.
-        intervals: stored intervals.
-    """
+    """Return the verification grade."""
     met, rows = law
     text = "its laws are tests of the program"
     if rows:
@@ -220,7 +216,7 @@ def _target(document: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 USES = ("law", "holdout", "shape", "fit")
-"""Uses in the order of the summary in reproduce.json."""
+"""Uses of claims, in the order of the summary in reproduce.json."""
 
 TITLES: dict[Category, str] = {
     "headline": "Headline predictions",
@@ -235,7 +231,7 @@ TITLES: dict[Category, str] = {
     "law": "Laws",
     "fit": "Calibration data, not predictions",
 }
-"""Headings of the categories in the order of the page."""
+"""Headings of the categories, in the order of the HTML page."""
 
 MEANINGS: dict[Category, str] = {
     "headline": (
@@ -272,7 +268,7 @@ MEANINGS: dict[Category, str] = {
     "law": "Laws are true by construction or theory; they test the program.",
     "fit": "Robots were calibrated with these values, or may be.",
 }
-"""Properties that the rows of each category have in common."""
+"""Descriptions of the claims in each category."""
 
 _NOTHING = "–"
 
@@ -280,7 +276,7 @@ _NOTHING = "–"
 def count_verdicts(
     rows: Sequence[JudgedClaim], column: str, uses: Sequence[str] = USES
 ) -> dict[str, int]:
-    """Return the numbers of "met", "explained", "missed" and "all" rows of a column."""
+    """Return the number of claims that are "met", "explained", "missed", and "all"."""
     verdicts = [
         row.outcomes[column].verdict
         for row in rows
@@ -291,14 +287,14 @@ def count_verdicts(
 
 
 def by_category(rows: Sequence[JudgedClaim]) -> dict[Category, list[JudgedClaim]]:
-    """Group rows by category."""
+    """Group claims by category."""
     return {
         name: [row for row in rows if row.claim.category == name] for name in TITLES
     }
 
 
 def summary_line(rows: Sequence[JudgedClaim]) -> str:
-    """Return a sentence with the number of rows that each plant meets."""
+    """Return a sentence with the number of claims that each plant meets."""
     columns = {
         "twin": "the twin meets",
         "analytical": "the analytical model",
@@ -331,7 +327,7 @@ def summary_line(rows: Sequence[JudgedClaim]) -> str:
 
 
 def published_text(claim: Claim) -> str:
-    """Return the published value, or the rule of a row without a value."""
+    """Return the published value of a claim, or the rule if there is no value."""
     if claim.value is None:
         return "order"
     sign = {"below": "≤ ", "above": "≥ "}.get(str(claim.rule), "")
@@ -339,7 +335,7 @@ def published_text(claim: Claim) -> str:
 
 
 def outcome_text(outcome: ClaimOutcome | None) -> str:
-    """Return the value of an outcome, or the values of an ordering, as text."""
+    """Return the value of an outcome as text, or all values of an ordering."""
     if outcome is None:
         return _NOTHING
     if math.isfinite(outcome.value):
@@ -351,7 +347,7 @@ def outcome_text(outcome: ClaimOutcome | None) -> str:
 
 
 def number_text(value: float) -> str:
-    """Return a number with three significant digits; integers keep all digits."""
+    """Return a number with three significant digits. Integers keep all digits."""
     if value == 0:
         return "0"
     if float(value).is_integer() and abs(value) < 1e6:
@@ -360,7 +356,7 @@ def number_text(value: float) -> str:
 
 
 def error_text(claim: Claim, outcome: ClaimOutcome | None) -> str:
-    """Return the relative error in per cent, or "" if it is undefined."""
+    """Return the relative error in per cent, or an empty string if it is undefined."""
     if outcome is None or claim.rule != "near" or not math.isfinite(outcome.error):
         return ""
     rounded = round(100 * outcome.error)
@@ -368,7 +364,7 @@ def error_text(claim: Claim, outcome: ClaimOutcome | None) -> str:
 
 
 def verdict_text(row: JudgedClaim) -> str:
-    """Return the verdict of a row, or one verdict per plant if they differ."""
+    """Return the verdict on a claim, or one verdict per plant if they differ."""
     verdicts = [row.outcomes[name].verdict for name in COLUMNS if name in row.outcomes]
     if len(set(verdicts)) == 1:
         return verdicts[0]
@@ -390,15 +386,10 @@ _HEADINGS = (
 
 
 def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) -> None:
-    """Write claims and outcomes as JSON atomically.
-
-    Args:
-        path: output file.
-        rows: judged claims.
-        changes: changed verdicts.
+    """Write claims and outcomes to a JSON file atomically.
 
     Raises:
-        InputError: the path cannot be written.
+        InputError: the file cannot be written.
     """
     outcomes = outcomes_document(rows)
     document = {
@@ -450,14 +441,8 @@ def write_html(
 ) -> None:
     """Write the self-contained HTML page atomically.
 
-    Args:
-        path: output file.
-        rows: judged claims.
-        figures: dissertation figures.
-        changes: changed verdicts.
-
     Raises:
-        InputError: the path cannot be written.
+        InputError: the file cannot be written.
     """
     sections = {
         TITLES[name]: Table(

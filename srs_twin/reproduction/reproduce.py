@@ -1,4 +1,4 @@
-"""Judge the dissertation's claims on both plants, and write the report."""
+"""Function that checks the dissertation's claims on both plants and writes reports."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ from srs_twin.studies.sweep.execution import Progress, quiet
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Claims with their verdicts.
+    """Claims of the dissertation with their verdicts.
 
     Attributes:
-        rows: judged claims.
-        changes: verdicts that differ from the baseline, as text.
+        rows: claims with their outcomes.
+        changes: descriptions of verdicts that differ from the baseline.
     """
 
     rows: tuple[JudgedClaim, ...]
@@ -56,20 +56,20 @@ def reproduce(
     write_baseline: bool = False,
     progress: Progress = quiet,
 ) -> Reproduction:
-    """Judge the dissertation's claims on both plants, like `srs-twin reproduce`.
+    """Check the dissertation's claims on both plants, like `srs-twin reproduce`.
 
     Args:
-        only: names of rows, or prefixes of several names; an empty sequence selects all
-            rows.
-        quick: whether to judge only the rows with short runs.
-        out: output folder, which also stores finished runs, or None to keep nothing.
-        workers: number of parallel runs. None selects one run per processor.
+        only: names of claims, or beginnings of names that end before a dot. An empty
+            sequence selects all claims.
+        quick: whether to check only the claims with short runs.
+        out: output folder, which also stores finished runs, or None to keep no files.
+        workers: number of parallel runs, by default one per processor.
         figures: whether to draw figures.
-        write_baseline: whether the verdicts become the new baseline.
+        write_baseline: whether to store the verdicts as the new baseline.
         progress: progress callback.
 
     Raises:
-        InputError: there is no such row, or the folder cannot be used.
+        InputError: a claim does not exist, or the folder is not usable.
     """
     if write_baseline and (only or quick):
         raise InputError("--write-baseline needs all rows; remove --only and --quick")

@@ -1,7 +1,7 @@
-"""Runs for claims, stored under a hash of all their inputs.
+"""Runs for claims, stored under a hash of all inputs.
 
-Claims share runs. Worker processes compute missing runs, and each result is stored as
-soon as it is finished.
+Several claims may use the same run. Worker processes simulate missing runs, and each
+result is stored as soon as the run is finished.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ from srs_twin.trajectory import Trajectory
 Document = dict[str, Any]
 
 DocumentChange = Callable[[Document], Document]
-"""Function that changes a scenario document. Tests inject faults with it."""
+"""Function that modifies a scenario document. Tests use it to introduce faults."""
 
 
 @dataclass(frozen=True)
 class ReproductionJob:
-    """Scenario or computation that a worker runs.
+    """Scenario or computation that a worker process runs.
 
     Attributes:
         key: SHA-256 of all inputs.
-        experiment: complete scenario.
-        law: computation.
-        arguments: computation arguments.
+        experiment: complete scenario, or None for a computation.
+        law: name of the computation, or None for a scenario.
+        arguments: arguments of the computation.
     """
 
     key: str
@@ -54,14 +54,14 @@ class ReproductionJob:
 
     @property
     def stores_trajectories(self) -> bool:
-        """Whether trajectories are stored."""
+        """Whether the trajectories of the run are stored."""
         return self.experiment is not None and self.experiment.trajectories
 
     @property
     def steps(self) -> float:
         """Number of time steps.
 
-        Long jobs start first, so that the last job does not delay the end.
+        Long jobs are started first, so that no processor is idle at the end.
         """
         if self.experiment is None:
             return math.inf
@@ -72,7 +72,7 @@ class ReproductionJob:
 
 @cache
 def sweep_of(name: str) -> Sweep:
-    """Return a shipped sweep."""
+    """Return a shipped sweep by name."""
     return load_sweep(name)
 
 
@@ -83,7 +83,7 @@ def _experiment(name: str, periods: float | None) -> Experiment:
 
 
 def points_of(request: RunRequest) -> tuple[Point, ...]:
-    """Return the requested sweep points."""
+    """Return the requested points of a sweep."""
     points = sweep_of(request.name).points
     return tuple(point for point in points if _matches(point.changes, request.where))
 
@@ -116,12 +116,8 @@ def open_store(
 ) -> Iterator[RunStore]:
     """Open and lock a folder of stored runs.
 
-    Args:
-        folder: folder.
-        change: function that changes every scenario document, for tests.
-
     Raises:
-        InputError: the folder cannot be written, is locked, or contains other results.
+        InputError: the folder is not writable, is locked, or contains other results.
     """
     check_output_folder(folder, (HTML, JSON, JUNIT))
     with RowStore(folder) as store:
@@ -129,7 +125,7 @@ def open_store(
 
 
 class RunStore:
-    """Jobs and their stored results."""
+    """Requested jobs and stored results."""
 
     def __init__(self, store: RowStore, change: DocumentChange | None) -> None:
         self._store = store
@@ -140,7 +136,9 @@ class RunStore:
         self._keys: dict[str, tuple[str, ...]] = {}
 
     def jobs(self, request: RunRequest) -> tuple[ReproductionJob, ...]:
-        """Return one job, or one job per point of a sweep. Equal requests share jobs.
+        """Return the job of a request, or the jobs of all points of a sweep.
+
+        Equal requests share jobs.
 
         Raises:
             InputError: the scenario or sweep is invalid.
@@ -151,7 +149,7 @@ class RunStore:
         if text not in self._keys:
             jobs = list(self._make_jobs(request))
             for job in jobs:
-                # A job with trajectories replaces an equal job without trajectories.
+                # A job that stores trajectories replaces an equal job that stores none.
                 if job.key not in self._jobs or job.stores_trajectories:
                     self._jobs[job.key] = job
             self._keys[text] = tuple(job.key for job in jobs)
@@ -191,20 +189,14 @@ class RunStore:
         workers: int | None = None,
         progress: Progress = quiet,
     ) -> None:
-        """Run missing jobs, and store each result as soon as it is finished.
+        """Run missing jobs, and store each result as soon as the job is finished.
 
-        An error gives a failed row.
-
-        Args:
-            jobs: jobs.
-            part: label for `progress`.
-            workers: number of processes.
-            progress: progress callback.
+        If a job raises an error, a row with the error is stored.
 
         Raises:
-            InputError: a row cannot be stored.
+            InputError: a result cannot be stored.
         """
-        # A job may have been replaced by an equal job that also stores trajectories.
+        # A job may have been replaced by an equal job that stores trajectories.
         current = [self._jobs[key] for key in dict.fromkeys(job.key for job in jobs)]
         missing = [job for job in current if not self._is_finished(job)]
         missing.sort(key=lambda job: job.steps, reverse=True)
@@ -224,15 +216,15 @@ class RunStore:
         self._store.collect(finished, [job.key for job in missing], keep)
 
     def row(self, key: str) -> Row | None:
-        """Return a job's result, if any."""
+        """Return the result of a job, or None if there is no result."""
         return self._rows.get(key)
 
     def failure(self, key: str) -> str:
-        """Return why a job failed, or ""."""
+        """Return why a job failed, or an empty string."""
         return self._failures.get(key, "")
 
     def trajectory(self, key: str, plant: str) -> Trajectory | None:
-        """Return a stored trajectory, if any."""
+        """Return a stored trajectory, or None if it does not exist."""
         path = self._store.trajectory_file(key, plant)
         if path.is_file():
             return Trajectory.from_parquet(path)
@@ -249,7 +241,7 @@ class RunStore:
 
 
 def run_job(job: ReproductionJob) -> Row:
-    """Run a job in this process. An error gives a failed row."""
+    """Run a job in this process. The row contains the error of a failed job."""
     if job.experiment is not None:
         return run_point(job.experiment, Point(job.key, {}))
     assert job.law is not None, "a job is a scenario or a computation"

@@ -1,4 +1,4 @@
-"""Quantities of a trajectory that claims need and no metric covers."""
+"""Quantities of a trajectory that claims require and no metric contains."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from srs_twin.robot.geometry import arc_between, measured_bend, pair_heading
 from srs_twin.trajectory import Trajectory
 
 _MARKER_M = 0.01
-"""Distance of each of the two markers of a connector from its centre, m."""
+"""Distance of the two markers of a connector from the centre of the connector, m."""
 
 _ARC_POINTS = 101
-"""Number of points of an arc."""
+"""Number of points on an arc."""
 
 
 def tail_drift(run: Trajectory) -> float | None:
@@ -44,7 +44,7 @@ def speed_regularity(run: Trajectory) -> float | None:
 
 
 def third_harmonic(run: Trajectory) -> float | None:
-    """Return the maximum ratio of a bend's third harmonic to its first harmonic.
+    """Return the maximum over all bends of the ratio of third to first harmonic.
 
     The ratio is 1/3 for a square wave.
     """
@@ -64,7 +64,7 @@ def third_harmonic(run: Trajectory) -> float | None:
 
 
 def sensor_error(run: Trajectory) -> float | None:
-    """Return the RMS of the sensor error relative to the RMS of the bends."""
+    """Return the RMS sensor error divided by the RMS bend."""
     if not run.has("measured_bend_1"):
         return None
     bend = run.stack("bend")
@@ -74,20 +74,17 @@ def sensor_error(run: Trajectory) -> float | None:
 
 
 def algorithm_1_error(run: Trajectory) -> float | None:
-    """Return the maximum error of the bends of Algorithm 1 (Table 3), rad.
-
-    Each connector has two markers.
-    """
+    """Return the maximum error of the bends computed by Algorithm 1 (Table 3), rad."""
     heading = _marker_headings(run)
     bend = measured_bend(heading[:, :-1], heading[:, 1:])
     return float(np.abs(bend - run.stack("bend")).max())
 
 
 def algorithm_2_error(run: Trajectory) -> float | None:
-    """Return the maximum relative error of the arc lengths of Algorithm 2 (Table 4).
+    """Return the maximum relative error of arc lengths from Algorithm 2 (Table 4).
 
-    The arcs go through the connectors and have the curvature computed by Algorithm 1.
-    The robot must have no rigid gaps, so that its segments are complete arcs.
+    The arcs pass through the connectors and have the curvature computed by Algorithm 1.
+    The robot must have no rigid gaps, so that each segment is a single arc.
     """
     length = body_length(run) / (run.position.shape[1] - 1)
     position = run.position
@@ -99,35 +96,35 @@ def algorithm_2_error(run: Trajectory) -> float | None:
 
 
 def _marker_headings(run: Trajectory) -> np.ndarray:
-    """Return headings from two markers per connector."""
+    """Return headings computed from two markers on each connector, rad."""
     theta = run.stack("connector_heading")
     offset = _MARKER_M * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     return pair_heading(run.position - offset, run.position + offset)
 
 
 def step_tau_1(run: Trajectory) -> float | None:
-    """Return the longer time constant."""
+    """Return the longer time constant of a step response, s."""
     return _time_constants(run)[0]
 
 
 def step_tau_2(run: Trajectory) -> float | None:
-    """Return the shorter time constant."""
+    """Return the shorter time constant of a step response, s."""
     return _time_constants(run)[1]
 
 
 def step_c0(run: Trajectory) -> float:
-    """Return the final bend, rad."""
+    """Return the final bend C₀ of a step response, rad."""
     return float(run["bend_1"][-1])
 
 
 def step_c1(run: Trajectory) -> float:
-    """Return C₁ of Eq. 14, which makes the bend and its rate zero at the start (E2)."""
+    """Return C₁ of Eq. 14, for which bend and bend rate are initially zero (E2)."""
     slow, fast = _time_constants(run)
     return -step_c0(run) * slow / (slow - fast)
 
 
 def step_c2(run: Trajectory) -> float:
-    """Return C₂ of Eq. 14."""
+    """Return C₂ of Eq. 14, rad."""
     return -step_c0(run) - step_c1(run)
 
 
@@ -151,8 +148,8 @@ def step_c(run: Trajectory) -> float:
 def _time_constants(run: Trajectory) -> tuple[float, float]:
     """Return τ₁ and τ₂ of an overdamped step response y from the moments of 1 − y.
 
-    Since ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂², neither a fit nor
-    initial values are needed.
+    The moments are ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂². The two
+    moments require neither a fit nor initial values.
     """
     remainder = 1 - run["bend_1"] / run["bend_1"][-1]
     total = float(np.trapezoid(remainder, run.time))
@@ -163,10 +160,10 @@ def _time_constants(run: Trajectory) -> tuple[float, float]:
 
 
 def learning_law_error(run: Trajectory) -> float:
-    """Return the maximum difference between the duties and Eq. 32 with k = 0.3.
+    """Return the maximum difference between the duty cycles and Eq. 32 with k = 0.3.
 
-    The equation computes the duty of each chamber from the error and duty of the
-    previous period, limited to 0 to 1.
+    The equation computes the duty cycle of a chamber from the error and duty cycle of
+    the previous period. The result is limited to values between 0 and 1.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     expected = np.clip(periods.duty[:-1] + 0.3 * periods.error[:-1], 0, 1)
@@ -175,26 +172,26 @@ def learning_law_error(run: Trajectory) -> float:
 
 
 def free_periods(run: Trajectory) -> float:
-    """Return the number of periods at full duty before the first target is set."""
+    """Return the number of periods at full duty cycle before the first target."""
     periods = PeriodAmplitudes.from_trajectory(run)
     full = (periods.duty == 1).all(axis=(1, 2))
     return float(np.argmin(full) if not full.all() else len(full))
 
 
 def target_left(run: Trajectory) -> float:
-    """Return the final + target, rad."""
+    """Return the final target of the + chambers, rad."""
     return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 0]))
 
 
 def target_right(run: Trajectory) -> float:
-    """Return the final − target, rad."""
+    """Return the final target of the − chambers, rad."""
     return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 1]))
 
 
 def smallest_amplitude(run: Trajectory) -> float:
     """Return the ratio of target to minimum amplitude in the third period.
 
-    The third period is the one recorded in Section 5.1.
+    Section 5.1 of the dissertation records the amplitudes in the third period.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     return float(np.nanmean(periods.target[-1]) / periods.amplitude[2].min())
@@ -203,7 +200,7 @@ def smallest_amplitude(run: Trajectory) -> float:
 def saturated_after(run: Trajectory) -> float:
     """Return the number of periods in which a chamber exceeds its target by 5 %.
 
-    Periods are counted from the first update.
+    Periods are counted from the first update of the duty cycles.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     begin = int(free_periods(run))

@@ -1,4 +1,4 @@
-"""Verdicts on claims: outcomes, causes of misses, and comparison with the baseline."""
+"""Verdicts on claims, reasons for failed claims, and comparison with the baseline."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXPLAINED: Final = "explained"
 MISSED: Final = "missed"
 
 _NOTHING = 1e-12
-"""Magnitude below which a number is not a valid divisor."""
+"""Magnitude below which a number is treated as zero in a division."""
 
 
 def _json(value: float, info: SerializationInfo) -> float | None:
@@ -42,20 +42,23 @@ Number = Annotated[
     BeforeValidator(lambda value: math.nan if value is None else value),
     PlainSerializer(_json),
 ]
-"""Number that is null in JSON if it is not finite."""
+"""Number that is written as null in JSON if it is not finite."""
 
 
 @dataclass(frozen=True)
 class ClaimOutcome:
-    """Outcome of a claim in one column.
+    """Outcome of a claim in one column of results.
 
     Attributes:
-        verdict: "met", "missed", or "explained" if the cause of a miss is demonstrated.
-        values: values of the measures in the claim's unit; NaN if missing.
-        value: number that is compared with the published number; NaN for an ordering or
-            if missing.
+        verdict: "met", "missed", or "explained" if the reason for a miss is
+            demonstrated.
+        values: values of the measures, in the unit of the claim. A missing value is
+            NaN.
+        value: number that is compared with the published number, or NaN for an ordering
+            or a missing measure.
         error: (value − published)/|published|, or NaN.
-        why: cause of a miss, or reason why there is no value; empty if unknown.
+        why: reason for a miss or for a missing value, or an empty string if the reason
+            is unknown.
     """
 
     verdict: Literal["met", "explained", "missed"]
@@ -67,25 +70,14 @@ class ClaimOutcome:
 
 @dataclass(frozen=True)
 class JudgedClaim:
-    """Claim with its outcomes.
-
-    Attributes:
-        claim: claim.
-        outcomes: outcomes, keyed by column.
-    """
+    """Claim with its outcomes."""
 
     claim: Claim
     outcomes: Mapping[str, ClaimOutcome] = field(default_factory=dict)
 
 
 def judge_column(store: RunStore, claim: Claim, column: str) -> ClaimOutcome:
-    """Return the outcome of a claim in a column, computed from finished runs.
-
-    Args:
-        store: run store.
-        claim: claim.
-        column: "analytical", "twin" or "alone".
-    """
+    """Return the outcome of a claim in one column, computed from finished runs."""
     values = tuple(_number(store, measure, column) for measure in claim.all_measures)
     if any(math.isnan(value) for value in values):
         return ClaimOutcome(
@@ -140,7 +132,7 @@ def _missing_reason(store: RunStore, claim: Claim) -> str:
 
 
 def combine(combination: str, values: tuple[float, ...]) -> float:
-    """Combine one or two measures. A division by zero gives NaN.
+    """Combine one or two measured values. A division by zero gives NaN.
 
     Args:
         combination: "value", "ratio" a/b, "excess" a/b − 1, "difference" a − b, or
@@ -168,7 +160,7 @@ def _ratio(numerator: float, denominator: float) -> float:
 
 
 def aggregate(name: str | None, values: np.ndarray) -> float:
-    """Aggregate the values of several runs by "most", "least", "spread" or mean."""
+    """Return the maximum, the minimum, the relative range ("spread") or the mean."""
     if name == "most":
         return float(values.max())
     if name == "least":
@@ -179,26 +171,21 @@ def aggregate(name: str | None, values: np.ndarray) -> float:
 
 
 _OUTCOMES = TypeAdapter(Mapping[str, Mapping[str, ClaimOutcome]])
-"""Outcomes, keyed by row and column."""
+"""Outcomes, keyed by claim and column."""
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """Stored outcomes that later reproductions are compared with.
-
-    Attributes:
-        outcomes: outcomes, keyed by claim and column.
-        versions: package versions.
-    """
+    """Stored outcomes with which later reproductions are compared."""
 
     outcomes: Mapping[str, Mapping[str, ClaimOutcome]]
     versions: Mapping[str, str]
 
     def changes(self, rows: Sequence[JudgedClaim]) -> list[str]:
-        """Return one line for each changed verdict, even if it has improved.
+        """Return one line for each changed verdict, even if the verdict has improved.
 
-        An improved verdict may result from a tolerance that was widened. A new claim is
-        not a change.
+        An improved verdict may be due to a larger tolerance. Claims that the baseline
+        does not contain are ignored.
         """
         lines = []
         for row in rows:
@@ -235,10 +222,10 @@ def load_baseline(path: Path | None = None) -> Baseline:
 
 
 def write_baseline(rows: Sequence[JudgedClaim], path: Path | None = None) -> Path:
-    """Write outcomes as the baseline atomically, and return its path.
+    """Write outcomes as the new baseline atomically, and return the path.
 
     Raises:
-        InputError: the path cannot be written.
+        InputError: the file cannot be written.
     """
     file = path or baseline_file()
     document = {"versions": versions(), "rows": outcomes_document(rows, digits=4)}
@@ -264,15 +251,9 @@ def judge(
     workers: int | None = None,
     progress: Progress = quiet,
 ) -> tuple[JudgedClaim, ...]:
-    """Run and judge claims, and find the causes of missed claims.
+    """Run and judge claims, and find the reasons for missed claims.
 
-    Variants of missed claims are run with switched assumptions.
-
-    Args:
-        claims: claims.
-        store: run store.
-        workers: number of processes.
-        progress: progress callback.
+    A missed claim with a known reason is run again with the assumption changed.
 
     Raises:
         InputError: a scenario or sweep is invalid, or a result cannot be stored.

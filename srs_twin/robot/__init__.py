@@ -1,1 +1,1 @@
-"""Robots: files with sourced numbers, and the frozen `RobotSpec` built from them."""
+"""Parameters of robots, and robot files in which every number has a source."""

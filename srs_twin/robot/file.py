@@ -1,7 +1,8 @@
-"""Robot files: the parameters of one snake with unit, status and source.
+"""Robot files, which contain the parameters of a snake with units, status and sources.
 
-A robot is given by name, by path, or as an override of another robot. The published
-robots are in calibration/robots, and `sections` describes the sections of a file.
+A robot is given by its name, by the path of its file, or by overriding another robot.
+The published robots are stored in calibration/robots. The module `sections` defines the
+sections of a robot file.
 """
 
 from __future__ import annotations
@@ -58,36 +59,36 @@ from srs_twin.robot.spec import (
 )
 
 _SUSPICIOUS_RATIO = 300.0
-"""Ratio of an override to the overridden number above which a wrong unit (mm, Pa) is
-likely."""
+"""Ratio of an override to the overridden number above which the user probably wrote the
+number in a wrong unit, such as mm or Pa."""
 
 PA_PER_KPA = 1000.0
 M3_PER_ML = 1e-6
 
 
 SERVO_PRESSURE_KPA = 100.0
-"""Pressure that represents the full command of a servo, kPa. It is needed because the
-commands of all robots are valve states."""
+"""Pressure that represents the full command of a servo, kPa. A servo needs a pressure
+because the commands of all robots are valve states."""
 
 _SERVO_VOLUME_M3 = 1e-12
-"""Volume of the fictitious chambers of a servo, m³. It is so small that they consume a
+"""Volume of the fictitious chambers of a servo, m³. Chambers of this volume consume a
 negligible amount of air."""
 
 _ROUND_TRACK = 1e-3
-"""Half the distance between paired contact points, divided by the body width. It is
-small because both points of a round body lie below the axis."""
+"""Half the distance between paired contact points, divided by the body width. The ratio
+is small because a round body touches the floor almost below its axis."""
 
 _ROUNDNESS = 0.01
 """Relative difference of width and height up to which a cross-section counts as round.
 """
 
 _TWIST_RATIO = 2 / 3
-"""Ratio GJ/EI of a solid, incompressible, round cross-section, with J = 2 I and G =
-E/3."""
+"""Ratio GJ/EI of a solid, incompressible, round cross-section, for which J = 2 I and
+G = E/3."""
 
 _RIGID_RATIO = 1000.0
-"""Stiffness of a servo joint divided by weight times body length. Floor loads then bend
-the joint by less than 1 mrad."""
+"""Stiffness of a servo joint divided by weight times body length. At this stiffness,
+floor loads bend the joint by less than 1 mrad."""
 
 
 _KEY_OF: dict[str, tuple[str, ...]] = {
@@ -99,7 +100,7 @@ _KEY_OF: dict[str, tuple[str, ...]] = {
     "wheel": ("mass", "wheel_kg"),
     "com": ("tail", "com_m"),
 }
-"""Parameter of a violation (`rules`) → path of the key in a robot file."""
+"""Path in a robot file of the parameter that a violation names (`rules`)."""
 
 
 class _Body(NamedTuple):
@@ -121,7 +122,7 @@ class _Drive(NamedTuple):
 
 
 class RobotFile(StrictModel):
-    """Parameters of one robot, as written in a file."""
+    """Parameters of one robot, as stored in a file."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=40)
     """Short name."""
@@ -169,8 +170,8 @@ class RobotFile(StrictModel):
     def spec(self, seed: int = 0) -> RobotSpec:
         """Return the robot in SI units.
 
-        Args:
-            seed: random seed of the modules, if the section `modules` has none.
+        The argument `seed` is the random seed of the modules if the section `modules`
+        specifies no seed.
         """
         drive = self._servos() if self.has_servos else self._air()
         body = self._body_with_skin() if self.has_skin else self._body_on_wheels()
@@ -250,11 +251,11 @@ class RobotFile(StrictModel):
         )
 
     def _servos(self) -> _Drive:
-        """Return the drive of modules that move like servos.
+        """Return the actuator parameters of a robot whose joints are turned by servos.
 
         Two equal time constants give a critically damped response. The stiffness k is
-        so high that loads do not matter. With the damping k τ, the joints of the twin
-        follow the same response.
+        so high that loads hardly bend the joints. The damping k τ gives the joints of
+        the twin the same critically damped response.
         """
         time = self.actuator.response_time_s
         assert time is not None, "`contradictions` reports a missing key"
@@ -292,7 +293,7 @@ class RobotFile(StrictModel):
         return len(self.chamber.directions_deg.value)
 
     def masses(self) -> list[float]:
-        """Return the masses of connectors, or of segments with skin, head first, kg."""
+        """Return connector masses, or segment masses with skin, head first, kg."""
         connectors = self.geometry.connectors.value
         if self.has_skin:
             record = self.mass.segments_kg
@@ -307,7 +308,7 @@ class RobotFile(StrictModel):
 
     @property
     def has_servos(self) -> bool:
-        """Whether servos turn the joints instead of air."""
+        """Whether the joints are turned by servos instead of air pressure."""
         return self.actuator.kind == "position"
 
     def _contradictions_of_kinds(self) -> Iterator[tuple[Loc, str]]:
@@ -338,7 +339,7 @@ class RobotFile(StrictModel):
             yield _KEY_OF[violation.parameter], violation.reason
 
     def doubts(self) -> Iterator[Doubt]:
-        """Yield the numbers whose unit is in doubt."""
+        """Yield the numbers that were probably written in a wrong unit."""
         return find_doubts(
             {path: record.value for path, record in self.records().items()},
             self.masses(),
@@ -381,7 +382,7 @@ class RobotFile(StrictModel):
             yield from direction_violations(self.chamber.directions_deg.value)
 
     def _contradictions_of_delay(self) -> Iterator[tuple[Loc, str]]:
-        """Yield a damping that, with `lead: false`, leaves the chambers no time."""
+        """Yield the damping time if it is too long for the option `lead: false`."""
         if self.bending.lead is not False:
             return
         numbers = self.bending.to_si() | self.actuator.to_si()
@@ -454,7 +455,7 @@ def _prior_violations(
 
 
 _PLAIN_KEYS = ("seed", "kind", "law", "lead")
-"""Keys of record sections whose values are not records."""
+"""Keys in sections of records whose values are plain, without unit and source."""
 
 
 def _section_model(name: str) -> type[Records] | None:
@@ -467,7 +468,7 @@ def _section_model(name: str) -> type[Records] | None:
 
 
 def section_units(section: str) -> dict[str, str]:
-    """Return the units of a section of records by key, or {} for another name."""
+    """Return the units of the keys in a section, or {} for an unknown section."""
     model = _section_model(section)
     keys = model.model_fields if model else ()
     return {key: split_unit(key)[1] for key in keys if key not in _PLAIN_KEYS}
@@ -476,7 +477,7 @@ def section_units(section: str) -> dict[str, str]:
 def load_robot_file(name_or_path: StrPath) -> RobotFile:
     """Load and validate a robot file.
 
-    A `UnitWarning` is issued for each number whose unit is in doubt.
+    A `UnitWarning` is issued for each number that was probably written in a wrong unit.
 
     Raises:
         InputError: the file was not found or cannot be read.
@@ -502,13 +503,13 @@ def _read_robot_file(name_or_path: StrPath) -> tuple[RobotFile, list[str]]:
 
 @checked
 def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
-    """Load a robot by its shipped name (gen1 to gen4, gen4_module) or its file's path.
+    """Load a robot by its shipped name (gen1 to gen4, gen4_module) or by a file path.
 
     A `RobotSpec` is returned unchanged.
 
     Raises:
-        InputError: the file was not found, cannot be read, or is not valid
-            (`InputFileError`).
+        InputError: the file was not found or cannot be read. If the file is not valid,
+            the error is an `InputFileError`.
     """
     if isinstance(robot, RobotSpec):
         return robot
@@ -518,12 +519,12 @@ def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
 def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile | None:
     """Return the robot of a scenario, or None if the scenario has problems.
 
-    Problems and numbers with a doubtful unit are reported to the document.
+    Problems and implausible numbers are reported to the document.
 
     Args:
         document: document of the scenario.
-        robot: name, path, override (mapping with `base`), or mapping with all
-            parameters.
+        robot: name or path of a robot, mapping with the key `base` that overrides
+            another robot, or mapping with all parameters.
         prefix: path of `robot` in the document.
 
     Raises:
@@ -569,7 +570,7 @@ def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile |
 
 
 def robot_in(document: Document, *loc: str) -> RobotFile:
-    """Return the robot at a path of a document, see `resolve_robot`.
+    """Return the robot at a path of a document.
 
     Raises:
         InputFileError: the robot is not valid.
@@ -589,12 +590,14 @@ def _add_warnings(document: Document, prefix: Loc, mistakes: Mapping[str, str]) 
 def find_unit_mistakes(
     robot: RobotFile, base: RobotFile | None = None, override: Mapping[str, Any] = {}
 ) -> dict[str, str]:
-    """Return the numbers whose unit is in doubt: path → reason and likely unit.
+    """Return the reason and the likely unit of each implausible number, keyed by path.
 
     Args:
         robot: robot to check.
-        base: robot that was overridden, whose own doubts are left out.
-        override: overrides, which are in doubt from a factor of 300.
+        base: robot that was overridden. Implausible numbers of this robot are not
+            returned.
+        override: overriding entries. An entry is implausible if it differs from the
+            overridden number by a factor of more than 300.
     """
     known = {doubt.path for doubt in base.doubts()} if base else ()
     mistakes = {
@@ -624,7 +627,7 @@ def _merge_override(
 ) -> dict[str, Any]:
     """Return the data of a base robot with the entries of an override.
 
-    The function `source` names the source of a plain number at a path.
+    The function `source` returns the source text of a plain number at a path.
     """
     merged = dict(base)
     if (
@@ -637,7 +640,7 @@ def _merge_override(
             continue
         section = base.get(name)
         if section is None and name in base and isinstance(value, Mapping):
-            section = {}  # optional section that the base lacks
+            section = {}  # the base robot does not have this optional section
         if not (isinstance(section, Mapping) and isinstance(value, Mapping)):
             merged[name] = value
             continue

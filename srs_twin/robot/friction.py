@@ -1,25 +1,27 @@
-"""Friction laws of a connector on the floor, with forces and their derivatives.
+"""Friction laws of a connector on the floor, with forces and force derivatives.
 
-Each law takes the contact velocity along (t) and across (n) the heading, the wheel load
-N and the two friction coefficients. It returns ``(f_t, f_lat, df_t/dv_t, df_t/dv_n,
-df_n/dv_t, df_n/dv_n)``. The implicit integrator needs the derivatives. sgn v is
-regularised to v/√(v² + ε²) with a slip speed ε. The functions are elementwise, for
-arrays of any shape, and the kernels compile them.
+The arguments of a friction law are the contact velocity along (t) and across (n) the
+heading, the wheel load N and two friction coefficients. A friction law returns ``(f_t,
+f_lat, df_t/dv_t, df_t/dv_n, df_n/dv_t, df_n/dv_n)``, because the implicit integrator
+needs the derivatives. The sign function sgn v is regularised to v/√(v² + ε²) with a
+slip speed ε. All functions are elementwise and accept arrays of any shape. The
+functions also compile within numba kernels.
 
-- `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn v_t,
-  μ_n sgn v_lat). This is the law of the dissertation for one contact point.
+- `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn
+  v_t, μ_n sgn v_lat). The dissertation uses this law with one contact point.
 - `wheel`: rolling wheel on a floor with the friction coefficient μ_n. The axial force
-  is limited by the axle drag μ_t and by the friction cone of sliding: f_t = −N
-  min(μ_t, μ_n |v_t|/|v|) sgn v_t. The remainder of the cone acts across the heading.
+  f_t = −N min(μ_t, μ_n |v_t|/|v|) sgn v_t is limited by the axle drag μ_t and by the
+  friction cone. The remainder of the friction cone acts across the heading.
 - `ellipse`: sliding skid with maximum dissipation. The force lies in the ellipse
   (f_t/μ_t)² + (f_lat/μ_n)² ≤ N² and maximises the dissipated power: f = −N
-  (μ_t² v_t, μ_n² v_lat)/√(μ_t² v_t² + μ_n² v_n²). Both directions share one root. With
-  μ² ε² under the root, ε is the slip speed for the direction of the larger μ.
+  (μ_t² v_t, μ_n² v_lat)/√(μ_t² v_t² + μ_n² v_n²). The term μ² ε² with the
+  larger of the two coefficients is added under the root to regularise the force.
 - `cosine`: sliding skin after Hu and Shelley (2012). Each component of the force is
   proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_lat)/√(v_t² +
-  v_n²). The force has no potential, so that df_t/dv_n ≠ df_n/dv_t. It lies on the
-  ellipse of the law `ellipse`, in another direction.
-- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_lat)/v₁ with v₁ = 1 m/s, a law for tests.
+  v_n²). The force has no potential, because df_t/dv_n ≠ df_n/dv_t. Its tip lies on the
+  same ellipse as the force of the law `ellipse`, but its direction is different.
+- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_lat)/v₁ with v₁ = 1 m/s, a law for
+  tests.
 """
 
 from __future__ import annotations
@@ -30,8 +32,7 @@ import numpy as np
 
 Law = Literal["axis", "wheel", "viscous", "ellipse", "cosine"]
 LAWS: tuple[Law, ...] = get_args(Law)
-"""Names of the friction laws, which are the functions below. Kernels and files use this
-list."""
+"""Names of the friction laws, which are also the names of the functions below."""
 
 TWO_POINT_LAWS = ("wheel", "ellipse", "cosine")
 """Laws with two contact points per connector, at ± half the track. The other laws have
@@ -39,12 +40,11 @@ one contact point at the centre."""
 
 SkinLaw = Literal["ellipse", "cosine"]
 SKIN_LAWS: tuple[SkinLaw, ...] = get_args(SkinLaw)
-"""Laws of a skin, which slides in every direction. The coefficient μ_t differs between
-forward and backward slip."""
+"""Friction laws of a skin that slides in every direction. For a skin, μ_t differs
+between forward and backward slip."""
 
 _MIN_COEFFICIENT = 1e-12
-"""Lower bound in the root of `ellipse`, which avoids 0/0 for a contact without
-friction."""
+"""Lower bound on μ under the root of `ellipse`, which avoids 0/0 without friction."""
 
 
 def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
@@ -56,7 +56,6 @@ def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def] 
         mu_t, mu_lat: friction coefficients along and across the heading.
         slip: slip speed ε, m/s.
     """
-    # Reciprocal roots need one division each, and the derivatives reuse them.
     r_t = 1 / np.sqrt(v_t * v_t + slip * slip)
     r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
     # The drag coefficients k_t and k_lat are the forces divided by the velocities, N·s/m.
@@ -74,18 +73,19 @@ def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def] 
 
 
 def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `wheel` law, see `axis`."""
+    """Return force (N) and derivatives (N·s/m) of the `wheel` law."""
     # The direction cosines a_t and a_lat of the slip use the regularised speed 1/r.
     r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
     r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
     a_t = v_t * r
     a_lat = v_lat * r
-    slide_t = mu_lat * a_t  # axial friction coefficient of a locked wheel
-    # A rolling wheel uses μ_t of the friction cone, so this coefficient remains across.
+    slide_t = mu_lat * a_t  # Axial friction coefficient of a locked wheel.
+    # A rolling wheel uses a part μ_t of the friction cone along the heading. The
+    # remaining friction coefficient across the heading is √(μ_n² − μ_t²).
     rest = np.sqrt(np.maximum(mu_lat * mu_lat - mu_t * mu_t, 0.0))
-    # A rolling wheel has the full axle drag along the heading and the remainder of the
-    # cone across. A skidding wheel has the isotropic cone. Unlike np.where, this
-    # arithmetic also compiles for scalars.
+    # A rolling wheel has the full axle drag along the heading, whereas a skidding wheel
+    # has the isotropic friction cone. Unlike np.where, this arithmetic also compiles for
+    # scalars.
     roll = 1.0 * (np.abs(slide_t) > mu_t)
     skid = 1.0 - roll
     iso = skid * load * mu_lat * r
@@ -101,7 +101,7 @@ def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]
 
 
 def viscous(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `viscous` law, without `slip`."""
+    """Return force (N) and derivatives (N·s/m) of the `viscous` law."""
     zero = 0.0 * v_t
     k_t = load * mu_t
     k_lat = load * mu_lat
@@ -109,7 +109,7 @@ def viscous(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-de
 
 
 def ellipse(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `ellipse` law, see `axis`."""
+    """Return force (N) and derivatives (N·s/m) of the `ellipse` law."""
     # The weights μ² and the common root 1/r define the direction of the force.
     w_t = mu_t * mu_t
     w_lat = mu_lat * mu_lat
@@ -129,7 +129,7 @@ def ellipse(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-de
 
 
 def cosine(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `cosine` law, see `axis`."""
+    """Return force (N) and derivatives (N·s/m) of the `cosine` law."""
     r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
     a_t = v_t * r
     a_lat = v_lat * r

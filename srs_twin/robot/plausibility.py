@@ -1,10 +1,11 @@
-"""Detection of robot parameters that were probably written in another unit.
+"""Detection of robot parameters that were probably written in a wrong unit.
 
-Numbers of one quantity are compared with each other, so that a robot scaled as a whole
-is plausible. Each number divided by its usual multiple is an estimate of the robot's
-size. The median of these estimates is robust against a single mistake. A number is in
-doubt if its own estimate differs from the median by more than the factors `below` and
-`above` of the quantity.
+The lengths of a robot are compared with each other. Times, pressures and stiffnesses
+are compared in the same way. A robot that is scaled as a whole therefore remains
+plausible. Each number divided by its typical ratio to the robot's size is an estimate
+of the size. The median of these estimates is robust against a single mistake. A number
+is implausible if the quotient of its estimate and the median is outside the limits
+`below` and `above`.
 """
 
 from __future__ import annotations
@@ -16,8 +17,7 @@ from typing import Any, NamedTuple
 
 from srs_twin.robot.spec import GRAVITY
 
-# Unit of a key → another unit in which users may have the number → value of the other
-# unit in the unit of the key.
+# Units that users may confuse with the unit of a key, and their conversion factors.
 _OTHER_UNITS = {
     "m": {"cm": 0.01, "mm": 0.001, "": 0.1},
     "kg": {"g": 0.001},
@@ -29,14 +29,15 @@ _OTHER_UNITS = {
 
 
 class _Quantity(NamedTuple):
-    """Numbers of one quantity.
+    """Numbers of one physical quantity.
 
     Attributes:
-        name: plural name for messages.
+        name: plural name of the quantity for messages.
         unit: unit of the keys.
-        below: maximum plausible ratio of the size to its estimate from a number.
-        above: maximum plausible ratio of the estimate from a number to the size.
-        usual: section and key → usual multiple of the size.
+        below: maximum plausible ratio of the median size to a size estimate.
+        above: maximum plausible ratio of a size estimate to the median size.
+        usual: typical ratio of each number to the robot's size, keyed by section and
+            key.
     """
 
     name: str
@@ -91,21 +92,15 @@ _CERTAIN = 100.0
 """Factor beyond the plausible range at which a number is certainly wrong."""
 
 _DENSITY = 500.0
-"""Usual density of a connector with its part of the body, kg/m³; osmium has 22 600."""
+"""Typical density of a connector with its part of the body, kg/m³."""
 
 _DENSITY_RATIO = 50.0
-"""Maximum plausible ratio of a density to the usual density. Beyond 4 times this ratio,
-the density is certainly wrong."""
+"""Maximum plausible ratio of a density to `_DENSITY`. A density beyond 4 times this
+ratio is certainly wrong, because osmium has 22 600 kg/m³."""
 
 
 class Doubt(NamedTuple):
-    """Number whose unit is in doubt.
-
-    Attributes:
-        path: section and key.
-        text: reason and likely unit.
-        is_certain: whether no robot can have this number.
-    """
+    """Number that was probably written in a wrong unit."""
 
     path: str
     text: str
@@ -113,13 +108,7 @@ class Doubt(NamedTuple):
 
 
 def likely_unit(value: float, unit: str, expected: float) -> str:
-    """Suggest another unit for a number, for example "0.4 bar would be 40 kPa".
-
-    Args:
-        value: number as the user wrote it.
-        unit: unit of the key.
-        expected: expected order of magnitude.
-    """
+    """Suggest another unit for a number, for example "0.4 bar would be 40 kPa"."""
     factors = {unit: 1.0} | _OTHER_UNITS.get(unit, {})
     other = min(
         factors, key=lambda name: abs(math.log(factors[name] * value / expected))
@@ -134,7 +123,7 @@ def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[
     """Yield the numbers of a robot that do not fit its other numbers.
 
     Args:
-        values: section and key → value of each record of the robot file.
+        values: value of each record of the robot file, keyed by section and key.
         masses: mass of each connector, or of each segment of a robot with skin, kg.
     """
     pitch = values["geometry.segment_length_m"] + values["geometry.rigid_gap_m"]
@@ -142,8 +131,8 @@ def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[
         "weight times body length": GRAVITY * sum(masses) * pitch * len(masses)
     }
     if "chamber.air_volume_ml" in values and "actuator.at_pressure_kpa" in values:
-        # The moment is p dV/dq, with the volume change spread over the bend q. The unit
-        # is mJ, because pressures are in kPa and volumes in ml.
+        # The moment of the pressure, p dV/dq, is in mJ, because pressures are in kPa
+        # and volumes in ml.
         moment = (
             1e-3
             * values["actuator.at_pressure_kpa"]

@@ -1,6 +1,7 @@
-"""Rules for parameters of a robot that must fit together.
+"""Consistency rules between the parameters of a robot.
 
-`spec` raises their violations, and a robot file reports them at its keys.
+A `RobotSpec` raises an error if a rule is violated. A robot file reports each violation
+at the key of the parameter.
 """
 
 from __future__ import annotations
@@ -13,36 +14,27 @@ import numpy as np
 from srs_twin.errors import InputError
 
 WHEEL_FRACTION = 0.9
-"""Maximum fraction of a connector's mass that its two wheels may have."""
+"""Maximum mass of a connector's two wheels, as a fraction of the connector's mass."""
 
 _MAX_GAP_DEG = 180.0 - 1e-6
-"""Maximum angle between the directions of two neighbouring chambers."""
+"""Maximum angle between the directions of two neighbouring chambers, degrees."""
 
 
 class Violation(NamedTuple):
-    """Violation of a rule.
-
-    Attributes:
-        parameter: parameter to change.
-        reason: text that states the given and the allowed values.
-    """
+    """Violation of a consistency rule by a parameter."""
 
     parameter: str
     reason: str
 
 
 def raise_violations(violations: Iterable[Violation]) -> None:
-    """Raise one error with the reasons of all violations.
-
-    Raises:
-        InputError: there is a violation.
-    """
+    """Raise an `InputError` with the reasons of all violations, if there are any."""
     if reasons := [violation.reason for violation in violations]:
         raise InputError("; ".join(reasons))
 
 
 def spatial_refusal(robot: str, feature: str) -> str:
-    """Return the message that a feature does not support a spatial robot."""
+    """Return a message that the feature is not available for a spatial robot."""
     return (
         f"{feature} does not support the spatial robot {robot}"
         " (chamber.directions_deg); use a robot whose chambers bend it to the left and"
@@ -53,14 +45,7 @@ def spatial_refusal(robot: str, feature: str) -> str:
 def kind_violations(
     *, is_spatial: bool, has_skin: bool, has_tail: bool, extends: bool
 ) -> Iterator[Violation]:
-    """Yield contradictions between the kinds of chambers and of contact.
-
-    Args:
-        is_spatial: whether the segments bend in two directions.
-        has_skin: whether the body slides on its belly instead of rolling on wheels.
-        has_tail: whether the last connector has a second axle.
-        extends: whether pressure lengthens the segments.
-    """
+    """Yield contradictions between the kinds of chambers and of contact."""
     if is_spatial and not has_skin:
         yield Violation(
             "directions",
@@ -99,7 +84,7 @@ def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Viol
 
 
 def tail_violations(com: float, axle: float) -> Iterator[Violation]:
-    """Yield a violation if the tail's centre of mass is not between its axles (m)."""
+    """Yield a violation if the tail's centre of mass is not between its axles."""
     if com > axle:
         yield Violation(
             "com",
@@ -109,7 +94,7 @@ def tail_violations(com: float, axle: float) -> Iterator[Violation]:
 
 
 def direction_violations(directions_deg: Sequence[float]) -> Iterator[Violation]:
-    """Yield a violation if a side of the segment has no chamber."""
+    """Yield a violation if neighbouring chambers are 180° or more apart."""
     ordered = np.sort(np.mod(directions_deg, 360.0))
     largest = float(np.diff(ordered, append=ordered[0] + 360.0).max())
     if largest > _MAX_GAP_DEG:

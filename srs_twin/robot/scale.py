@@ -1,21 +1,22 @@
-r"""Scale of a robot: the unit of its numerical settings.
+r"""Unit of a robot's numerical settings, which depends on the robot's size.
 
-Gravity does not scale. A snake therefore makes the same motion, with speeds multiplied
-by √s, if its dimensions are changed together: lengths by s, masses by s³, stiffness by
-s⁴ and times by √s. The numerical settings must scale as well: time steps and slip
-speeds by √s, contact depths by s. The settings are declared for the shipped robots and
-multiplied by powers of the time unit
+Gravity does not scale with the robot. A snake repeats the same motion, with speeds
+multiplied by √s, if all its dimensions change together: lengths by s, masses by s³,
+stiffness by s⁴ and times by √s. The numerical settings must change as well: time steps
+and slip speeds by √s, contact depths by s. The settings are declared for the shipped
+robots and multiplied by powers of the time unit
 
 $$ u = 2^{\operatorname{round}(\frac12 \log_2 (P / P_0))}, \qquad P_0 = 1/16\ \mathrm m, $$
 
-where P is the distance between connectors. Times and speeds are multiplied by u,
+where P is the distance between connectors. Times and speeds are multiplied by u, and
 lengths by u².
 
 The unit u is 1 for 3.1 cm < P < 12.5 cm, which contains all shipped robots.
 Multiplication by a power of two is exact. A robot scaled by a power of four therefore
-repeats the motion of the original to the last digit. Between these powers the settings
-stay constant and are at most √2 times too fine or too coarse. They change by a factor
-of two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and so on.
+repeats the motion of the original robot to the last digit. For a scale that is not a
+power of four, the settings are at most √2 times too fine or too coarse. The settings
+change by a factor of two (lengths by four) where P passes 3.1 cm, 12.5 cm, 50 cm, and
+so on.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ import math
 from typing import NamedTuple
 
 REFERENCE_PITCH = 1 / 16
-"""P₀, m. The shipped robots have 5.5 to 7.5 cm between their connectors."""
+"""Reference distance P₀ between connectors, m. The shipped robots have 5.5 to 7.5
+cm."""
 
 _ROUND_NUMBERS = (1, 2, 5, 10)
 _ROUNDING = 1e-9
@@ -34,24 +36,24 @@ class Scale(NamedTuple):
     """Units of the numerical settings of a robot, relative to the shipped robots.
 
     Attributes:
-        time: unit u of times and of speeds, a power of two, dimensionless.
+        time: unit u of times and speeds, a power of two, dimensionless.
     """
 
     time: float = 1.0
 
     @classmethod
     def of_pitch(cls, pitch: float) -> Scale:
-        """Return the scale of a robot with a given distance between connectors, m."""
+        """Return the scale of a robot with a given distance between connectors (m)."""
         return cls(2.0 ** round(math.log2(pitch / REFERENCE_PITCH) / 2))
 
     @property
     def speed(self) -> float:
-        """Unit of speeds, u, dimensionless."""
+        """Unit u of speeds, dimensionless."""
         return self.time
 
     @property
     def length(self) -> float:
-        """Unit of lengths, u², dimensionless."""
+        """Unit u² of lengths, dimensionless."""
         return self.time**2
 
 
@@ -60,12 +62,12 @@ SHIPPED = Scale()
 
 
 def divide(interval: float, part: float) -> float:
-    """Return the step into which an interval is divided, s.
+    """Return the time step that divides an interval into equal steps, s.
 
-    The step is `part` if the interval is a multiple of it, and the whole interval if
-    that is shorter. Otherwise the number of steps is 1, 2 or 5 times a power of ten,
-    chosen so that the step is closest to `part` in ratio. A tick of 20 ms scaled by any
-    factor is then divided like the original.
+    The step is `part` if the interval is a multiple of `part`, and the whole interval
+    if the interval is shorter than `part`. In all other cases, the number of steps is
+    1, 2 or 5 times a power of ten, and the step is as close as possible to `part`. A
+    control tick of 20 ms therefore has the same number of steps after scaling.
 
     Args:
         interval: interval to divide, s.

@@ -1,10 +1,10 @@
-"""Sections of robot files: records of numbers with their bounds.
+"""Sections of robot files, with the bounds of all numbers.
 
 A file may list individual properties of the modules, and standard deviations of random
-differences between them. Each quantity has its own random stream, so that a new
-standard deviation does not change the other draws. Draws are limited to three standard
-deviations. Random factors multiply the listed factors, and random biases are added to
-the listed biases.
+differences between the modules. Each quantity has its own random stream, so that a new
+standard deviation does not change the random numbers of other quantities. Random
+numbers are truncated at three standard deviations. Random factors multiply the listed
+factors, and random biases are added to the listed biases.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ RelativeStd = Record[Annotated[float, bounded(0.0, 0.3)], Literal["1"]]
 AngleStd = Record[Annotated[float, bounded(0.0, 0.5)], Literal["rad"]]
 
 _MAX_DEVIATIONS = 3.0
-"""Limit of random draws, in standard deviations."""
+"""Truncation limit of the random numbers, in standard deviations."""
 
-# The bounds admit the shipped robots scaled by 1/40 to 100: lengths by s, masses by s³,
-# and stiffness by s⁴.
+# The bounds allow robots between 1/40 and 100 times the size of the shipped robots.
+# Lengths scale with s, masses with s³ and stiffness with s⁴.
 LENGTHS_M = (1e-5, 100.0)
 """Minimum and maximum length of a robot, m."""
 MASSES_KG = (1e-10, 1e6)
@@ -57,8 +57,8 @@ MASSES_KG = (1e-10, 1e6)
 STIFFNESSES_NM_PER_RAD = (1e-10, 1e9)
 """Minimum and maximum stiffness of a segment, N·m/rad."""
 
-# Quantity → key of its standard deviation. The position is the number of the random
-# stream, so new quantities must be appended.
+# Key of the standard deviation of each quantity. The position of a quantity is the
+# number of its random stream, so new quantities must be appended.
 SPREAD_KEYS = {
     "gain": "gain_spread",
     "tau_fill": "tau_spread",
@@ -106,10 +106,7 @@ class ModulesFile(Records):
     def draw(self, segments: int, seed: int, chambers: int = 2) -> Modules:
         """Return modules with the listed properties and random differences.
 
-        Args:
-            segments: number of segments.
-            seed: random seed, if the file has none.
-            chambers: number of chambers per segment.
+        If the file specifies no seed, the argument `seed` is used.
         """
         seed = seed if self.seed is None else self.seed
         arrays = {}
@@ -134,7 +131,7 @@ class ModulesFile(Records):
         return Modules.from_arrays(**arrays)
 
     def contradictions(self, segments: int, chambers: int) -> Iterator[tuple[Loc, str]]:
-        """Yield lists that do not have one value per segment or chamber."""
+        """Yield lists whose length is not the number of segments or chambers."""
         for name, record in self:
             values = record.value if isinstance(record, Record) else None
             if name in PER_CHAMBER and isinstance(values, list):
@@ -167,7 +164,7 @@ def _one_or_each(value: Any) -> Any:
     ]
 
 
-# A number is a record with a float, an integer or a list, as `number_field` defines.
+# A number is a record whose value is a float, an integer or a list (`number_field`).
 Number = Record[Any, str]
 
 

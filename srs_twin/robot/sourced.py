@@ -1,8 +1,9 @@
-"""Units of keys in files, and records of numbers with unit, status and source.
+"""Records of numbers with unit, status and source, and the units of file keys.
 
-A key ends in the unit of its number: ``segment_length_m``, ``stiffness_nm_per_rad``. A
-`Record` repeats the unit next to the number. The two units must agree, so that a number
-copied from a table with another unit is rejected.
+A key ends with the unit of its number, for example ``segment_length_m`` or
+``stiffness_nm_per_rad``. A `Record` repeats the unit next to the number. The unit of
+the record must agree with the unit of the key, so that a number that was copied from a
+table in another unit is rejected.
 """
 
 from __future__ import annotations
@@ -47,10 +48,11 @@ UNITS = {
     "_s": "s",
     "_v": "V",
 }
-"""Suffix of a key → unit of its number. Longer suffixes come first."""
+"""Unit that belongs to each suffix of a key. Longer suffixes come first."""
 
-# Unit → SI unit, numerator and denominator of the conversion. The division keeps
-# decimal numbers exact: 3.1 / 1000 is the double 0.0031, but 3.1 * 0.001 is not.
+# SI unit that corresponds to each unit, with numerator and denominator of the factor.
+# Division keeps decimal numbers exact: 3.1 / 1000 is the double 0.0031, but 3.1 * 0.001
+# is not.
 _SI_CONVERSIONS = {
     "kPa": ("Pa", 1000, 1),
     "m/kPa": ("m/Pa", 1, 1000),
@@ -64,7 +66,7 @@ _SI_CONVERSIONS = {
 
 def split_unit(key: str) -> tuple[str, str]:
     """Return a key without its unit suffix, and the unit or "1"."""
-    # In mu_n, the n means the normal direction and not the unit newton.
+    # The letter n in mu_n denotes the normal direction, not the unit newton.
     suffix = next(
         (suffix for suffix in UNITS if key.endswith(suffix) and key != "mu_n"), ""
     )
@@ -154,19 +156,19 @@ class Uncertain(StrictModel):
     def quantile(
         self, value: float, bounds: tuple[float, float], probabilities: np.ndarray
     ) -> np.ndarray:
-        """Return the values at cumulative probabilities.
+        """Return the quantiles of the number.
 
         Args:
             value: number in the file.
-            bounds: minimum and maximum allowed number, at which all but uniform
+            bounds: minimum and maximum of the number, at which normal and lognormal
                 distributions are truncated.
             probabilities: cumulative probabilities of any shape.
         """
         if self.low is not None and self.high is not None:
             return self.low + (self.high - self.low) * np.asarray(probabilities)
         if self.factor is not None:
-            # The logarithm of a bound of 0 is infinite, and 1e-300 is far below any
-            # parameter.
+            # The logarithm of a bound of 0 is infinite, so the bound is replaced by 1e-300,
+            # which is far below any parameter.
             median = value if self.median is None else self.median
             ends = np.log(np.maximum(bounds, 1e-300) / median) / np.log(self.factor)
             return np.asarray(
@@ -178,7 +180,7 @@ class Uncertain(StrictModel):
 
 
 def _truncated_normal(ends: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
-    """Return quantiles of the standard normal distribution between two ends."""
+    """Return quantiles of a standard normal distribution truncated at two ends."""
     from scipy.special import ndtr, ndtri
 
     low, high = ndtr(ends)
@@ -212,7 +214,7 @@ class Record(StrictModel, Generic[Value, Unit]):
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
-        """Return a readable name that all types of records share in JSON schemas."""
+        """Return a readable name for record types in JSON schemas."""
         return "Record"
 
 
@@ -222,7 +224,7 @@ def bounded(low: float, high: float) -> Any:
 
 
 class _NumberField(NamedTuple):
-    """Arguments of `number_field`, to which `Records` adds the unit of the key."""
+    """Arguments of `number_field`."""
 
     low: float
     high: float
@@ -241,15 +243,15 @@ def number_field(low: float, high: float, kind: type = float, **options: Any) ->
         high: maximum allowed number.
         kind: type of the number, float or int.
         **options: `shape` is a function that converts the type of one number to the
-            type of the record's value (default: one number). `optional` tells whether
-            the key may be missing. `needed_by` is the only kind of robot that has the
-            key and must have it. `only_for` is the only kind of robot that may have it.
+            type of the record's value (default: one number). `optional` states whether
+            the key may be missing. `needed_by` is the kind of robot that requires the
+            key. `only_for` is the kind of robot that may have the key.
     """
     return _NumberField(low, high, kind, **options)
 
 
 def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
-    """Insert the unit and range of a number before the first semicolon of its text."""
+    """Insert unit and range of a number before the first semicolon of a help text."""
     for key, text in attribute_docstrings(cls).items():
         entry = schema["properties"][key]
         head, semicolon, rest = text.rstrip(".").partition(";")
@@ -260,9 +262,9 @@ class Records(StrictModel):
     """Section of a file whose numbers are records.
 
     Attributes:
-        bounds: minimum and maximum of each number.
-        needed_by: only kind of robot that has a key and must have it.
-        only_for: only kind of robot that may have a key.
+        bounds: minimum and maximum of each number, by key.
+        needed_by: kind of robot that requires a key. Other kinds must not have the key.
+        only_for: kind of robot that may have a key. Other kinds must not have the key.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -299,7 +301,7 @@ class Records(StrictModel):
             setattr(cls, key, Field(None if optional else ..., description=text))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle as plain data, because pickle cannot import the record classes."""
+        """Pickle plain data, because pickle cannot import generated classes."""
         return type(self).model_validate, (self.model_dump(exclude_unset=True),)
 
     def to_si(self) -> dict[str, Any]:
@@ -314,10 +316,11 @@ class Records(StrictModel):
 def replace_value(
     before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str
 ) -> dict[str, Any]:
-    """Return plain data of a record with a new number of status "estimated".
+    """Return the data of a record whose number is replaced and has status "estimated".
 
     Args:
-        before: plain data of the old record, whose unit is kept, or None.
+        before: data of the old record, or None for a new record. The unit of the old
+            record is kept.
         value: new number.
         unit: unit of a new record.
         source: origin of the number.

@@ -1,9 +1,9 @@
-"""RobotSpec: validated parameters of one snake in SI units, frozen.
+"""RobotSpec: immutable, validated parameters of one snake in SI units.
 
-The numbers come from ``calibration/robots/*.yaml``, where each has a source and a
-status. `Modules` holds the differences between the modules of a snake (Section 5.1).
-Moulded chambers differ in gain and air flow, a body at rest is not perfectly straight,
-and sensors drift after their calibration.
+The numbers come from ``calibration/robots/*.yaml``, where each number has a source and
+a status. The class `Modules` stores differences between the modules of a snake (Section
+5.1). Moulded chambers differ in gain and air flow, a body at rest is not perfectly
+straight, and sensors drift after their calibration.
 
 Connectors are numbered i = 1…N from head to tail. Segment j lies between connectors j
 and j+1. A bend q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
@@ -44,16 +44,16 @@ PER_CHAMBER = ("gain", "tau_fill", "tau_vent")
 class Modules:
     """Individual properties of each module, ordered from the head.
 
-    The last axis of a chamber property is (+ chamber, − chamber), or the chambers of
-    `Chamber.directions` for a spatial robot.
+    The last axis of a chamber property is (+ chamber, − chamber) for a planar robot.
+    For a spatial robot, the last axis corresponds to `Chamber.directions`.
 
     Attributes:
         gain: gain of each chamber relative to the nominal gain, shape (segments, 2).
         bias: rest bend of each segment, shape (segments,), rad.
-        tau_fill: fill time constant τ₁ relative to the nominal value, shape (segments,
-            2).
-        tau_vent: vent time constant τ₁ relative to the nominal value, shape (segments,
-            2).
+        tau_fill: ratio of the fill time constant τ₁ to the nominal value, shape
+            (segments, 2).
+        tau_vent: ratio of the vent time constant τ₁ to the nominal value, shape
+            (segments, 2).
         sensor_gain: ratio of sensor reading to actual bend, shape (segments,).
         sensor_bias: sensor reading of a straight segment, shape (segments,), rad.
     """
@@ -86,7 +86,7 @@ class Modules:
 
     @classmethod
     def nominal(cls, segments: int, chambers: int = 2) -> Modules:
-        """Return identical nominal modules."""
+        """Return identical modules with nominal properties."""
         per_chamber = ((1.0,) * chambers,) * segments
         ones = (1.0,) * segments
         zeros = (0.0,) * segments
@@ -94,7 +94,7 @@ class Modules:
 
     @classmethod
     def from_arrays(cls, **arrays: np.ndarray) -> Modules:
-        """Return modules from arrays with the shapes of the attributes."""
+        """Return modules whose attributes are given as arrays."""
         tuples: dict[str, Any] = {
             field.name: _tuples(arrays[field.name]) for field in fields(cls)
         }
@@ -147,15 +147,14 @@ class Geometry:
     Attributes:
         connectors: N, number of connectors ("links" in the dissertation), at least 2.
         segment_length: l, length of the bending part of a segment, m.
-        rigid_gap: L_o, length of the straight part of a segment, half of it at each
-            end, m (Fig. 35).
-        half_track: distance of each contact point from the centre line, m; for a skin
-            of width w, the Gauss points of the belly at w/(2√3).
-        wheel_radius: radius of a wheel, or of the spheres with which a skin touches the
-            floor in the twin, m.
+        rigid_gap: L_o, length of the straight part of a segment, m (Fig. 35). Half of
+            the rigid gap is at each end of the segment.
+        half_track: distance of each contact point from the centre line, m. For a skin
+            of width w, the contact points are the Gauss points at w/(2√3).
+        wheel_radius: radius of a wheel, m. For a robot with skin, the attribute is the
+            radius of the spheres with which the twin touches the floor.
         com_height: height of a connector's centre of mass above the floor, m.
-        width: width of the soft body, which affects only pictures and collision checks,
-            m.
+        width: width of the soft body for pictures and collision checks, m.
     """
 
     connectors: int
@@ -198,11 +197,12 @@ class Mass:
     Attributes:
         connectors: mass of each connector including its wheels, head first, shape (N,),
             kg.
-        wheel: mass of one wheel, included in the connector's mass and 0 with skin, kg.
+        wheel: mass of one wheel, which is part of the connector's mass, kg. A robot
+            with skin has a wheel mass of 0.
         connector_gyration: radius of gyration of a connector without its wheels, m, or
             None for the default of `RobotSpec.connector_gyration`.
-        segments: mass of each segment of a robot with skin, spread evenly over its
-            length, head first, kg, or None for a robot on wheels.
+        segments: mass of each segment of a robot with skin, head first, kg, or None for
+            a robot on wheels. The mass is distributed evenly over the segment.
     """
 
     connectors: tuple[float, ...]
@@ -225,7 +225,10 @@ class Mass:
 
     @classmethod
     def along_body(cls, segments: tuple[float, ...]) -> Mass:
-        """Return the masses of a robot with skin, half of each segment at each end."""
+        """Return the masses of a robot with skin from segment masses (kg).
+
+        Each end of a segment receives half of the segment's mass.
+        """
         halves = (0.0, *segments), (*segments, 0.0)
         connectors = tuple(
             (front + rear) / 2 for front, rear in zip(*halves, strict=True)
@@ -247,13 +250,13 @@ class Friction:
     """Friction coefficients of wheels (Eq. 17) or skin on the floor, and axial drag.
 
     Attributes:
-        mu_t: friction coefficient along the heading (axle drag of a wheel), of a skin
-            for slip towards the head.
-        mu_n: friction coefficient across the heading, for a wheel that slides sideways.
+        mu_t: friction coefficient along the heading, for the axle drag of a wheel, or
+            for a skin that slips towards the head.
+        mu_n: friction coefficient across the heading.
         drag: total axial drag of tubes and belly, N. Equal parts act on the connectors
             against their motion along the heading, independent of the wheel loads.
-        mu_back: friction coefficient of a skin for slip towards the tail, or None for
-            mu_t.
+        mu_back: friction coefficient of a skin for slip towards the tail, by default
+            equal to `mu_t`.
     """
 
     mu_t: float
@@ -278,7 +281,7 @@ class Skin:
 
     Attributes:
         law: friction law, "ellipse" or "cosine" (`robot.friction`).
-        points: number of contact point pairs along a segment.
+        points: number of pairs of contact points along a segment.
     """
 
     law: SkinLaw = "ellipse"
@@ -291,12 +294,12 @@ class Skin:
 
 @dataclass(frozen=True)
 class Bending:
-    """Compliance of one segment, for compliant bends (twin and `compliant` model).
+    """Compliance of one segment in the twin and in the `compliant` model.
 
     Attributes:
         stiffness: k, bending stiffness about z, N·m/rad.
         damping_time: c/k, ratio of damping to stiffness for deviations from the free
-            bend, s. The loss factor of the material at the frequency f is 2π f c/k.
+            bend, s. At the frequency f, the loss factor of the material is 2π f c/k.
         pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
         roll_stiffness: stiffness against twisting, N·m/rad.
         out_of_plane_damping_time: ratio of damping to stiffness for pitch and roll, s.
@@ -336,17 +339,17 @@ class Actuator:
     Attributes:
         tau_fill: fill time constant τ₁, s.
         tau_vent: vent time constant τ₁, s.
-        tau_mode: mode time constant τ₂, with which the free bend follows the pressures,
-            s.
+        tau_mode: mode time constant τ₂, with which the free bend lags the pressures, s.
         gain: free bend C₀ divided by the chamber pressure that causes it, rad/Pa.
-        bend_limit: q_m, limit of the free bend at high pressure, rad, infinite for a
-            linear gain.
+        bend_limit: q_m, limit of the free bend at high pressure, rad. The limit is
+            infinite if the gain is linear.
         onset_fraction: s, fraction of the gain that is missing in the dead zone around
             zero pressure.
         dead_zone: d, free bend of the linear law at the end of the dead zone, rad.
-        dead_zone_transition: w, width of the transition at the end of the dead zone, rad.
-        extension: e, extension of a spatial robot's segment per mean pressure of its
-            chambers, m/Pa.
+        dead_zone_transition: w, width of the transition at the end of the dead zone,
+            rad.
+        extension: e, extension of a spatial robot's segment divided by the mean
+            pressure of its chambers, m/Pa.
     """
 
     tau_fill: float
@@ -388,13 +391,13 @@ class Chamber:
     The volume of a chamber is V(q) = dead_volume + displacement · max(0, ± q).
 
     Attributes:
-        dead_volume: volume, also the minimum volume, of the chamber of a straight
-            segment with its tube, m³.
-        displacement: increase of the volume per bend towards the side of the chamber,
-            m³/rad.
-        directions: bending direction of each chamber of a spatial robot, rad (0 to the
-            left, π/2 upwards), or None for a planar robot with a left and a right
-            chamber.
+        dead_volume: minimum volume of the chamber, including its tube, m³. A straight
+            segment has this chamber volume.
+        displacement: derivative of the volume with respect to a bend towards the side
+            of the chamber, m³/rad.
+        directions: bending direction of each chamber of a spatial robot, rad. The angle
+            is 0 to the left and π/2 upwards. The attribute is None for a planar robot,
+            which has a left and a right chamber.
     """
 
     dead_volume: float
@@ -409,7 +412,7 @@ class Chamber:
 
     @property
     def axes(self) -> np.ndarray:
-        """Left and upward components of each chamber's bend, shape (chambers, 2)."""
+        """Left and upward components of the chamber directions, shape (chambers, 2)."""
         directions = self.directions or (0.0, math.pi)
         vectors = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
         axes: np.ndarray = np.round(vectors, 15)
@@ -423,8 +426,9 @@ class Supply:
     Attributes:
         nominal: supply pressure of a scenario that does not specify one, Pa.
         continuous_limit: maximum pressure that a chamber may hold, Pa.
-        pulsed_limit: maximum supply pressure while chambers alternate (gait, PWM), Pa.
-        limit_source: source of the limits, for messages.
+        pulsed_limit: maximum supply pressure of a gait or PWM, in which chambers
+            alternate, Pa.
+        limit_source: source of the limits, which error messages cite.
     """
 
     nominal: float
@@ -438,12 +442,12 @@ class Supply:
 
 @dataclass(frozen=True)
 class Tail:
-    """Tail assembly on two axles: the last connector with an additional axle behind.
+    """Tail assembly, in which the last connector has an additional axle behind it.
 
     Attributes:
         axle: distance of the second axle behind the axle of the last connector, m.
-        com: distance of the centre of mass behind the axle of the last connector, at
-            most `axle`, m.
+        com: distance of the centre of mass behind the axle of the last connector, m.
+            The maximum distance is `axle`.
         com_height: height of the centre of mass above the floor, m.
         gyration: radius of gyration of the assembly including its wheels, m.
     """
@@ -465,7 +469,7 @@ class Axle(NamedTuple):
     Attributes:
         connector: number of the connector on the axle, counted from 1 at the head.
         behind: distance of the axle behind the centre of the connector, m.
-        mass: mass on the axle at rest on a level floor, kg.
+        mass: mass that the axle carries at rest on a level floor, kg.
     """
 
     connector: int
@@ -478,7 +482,7 @@ class RobotSpec:
     """Parameters of one snake.
 
     Attributes:
-        name: short name, also of the MJCF model.
+        name: short name of the robot and of its MJCF model.
         title: description on one line.
         geometry: dimensions and number of connectors.
         mass: masses of connectors and wheels.
@@ -486,10 +490,11 @@ class RobotSpec:
         bending: compliance of a segment.
         actuator: response of a module to its valves.
         chamber: air space of a chamber.
-        supply: pressures and their limits.
+        supply: supply pressures and their limits.
         phase_step: β, phase lag of the gait from one segment to the next, rad (E18).
-        variation: individual properties of the modules, or None for nominal modules.
-        tail: tail assembly, or None.
+        variation: individual properties of the modules, or None if all modules are
+            nominal.
+        tail: tail assembly, or None if the robot has none.
         skin: contact of a body without wheels, or None for a robot on wheels.
     """
 
@@ -562,8 +567,8 @@ class RobotSpec:
     def axial_stiffness(self) -> float:
         """Axial stiffness of a segment of a spatial robot, N/m.
 
-        E A / l = (E I / l) · A / I, where A / I = 4 / r² for a solid round
-        cross-section of radius r.
+        For a solid round cross-section of radius r, A / I = 4 / r². The axial stiffness
+        is therefore E A / l = (E I / l) · 4 / r².
         """
         return 4 * self.bending.stiffness / self.geometry.com_height**2
 
@@ -590,16 +595,17 @@ class RobotSpec:
         return Scale.of_pitch(self.geometry.pitch)
 
     def connector_weights(self, behind_head: np.ndarray) -> np.ndarray:
-        """Return the weights with which places along the body belong to each connector.
+        """Return the interpolation weights of each connector at points along the body.
 
-        The weight decreases linearly from 1 at the connector to 0 at the next one.
+        The weight of a connector decreases linearly from 1 at the connector to 0 at the
+        neighbouring connectors.
 
         Args:
-            behind_head: distances behind the head of the straight body, shape
-                (places,), m.
+            behind_head: distances of the points behind the head of the straight body,
+                shape (points,), m.
 
         Returns:
-            Weights, shape (N, places), dimensionless.
+            Weights, shape (N, points), dimensionless.
         """
         stations = behind_head / self.geometry.pitch
         distance = np.abs(np.arange(self.geometry.connectors)[:, None] - stations)
@@ -608,7 +614,7 @@ class RobotSpec:
 
     @cached_property
     def axles(self) -> tuple[Axle, ...]:
-        """All axles of a robot on wheels, head first."""
+        """Axles of a robot on wheels, head first."""
         axles = [
             Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)
         ]
@@ -627,8 +633,9 @@ class RobotSpec:
     def connector_gyration(self) -> float:
         """Radius of gyration of a connector without its wheels, m.
 
-        The default is √((L_o² + (2 w)²)/12), for a uniform block with the length of the
-        rigid gap and the width of the track 2 w.
+        By default, the connector is a uniform block with the length of the rigid gap
+        L_o and the width of the track 2 w. The radius of gyration of this block is
+        √((L_o² + (2 w)²)/12).
         """
         if self.mass.connector_gyration is not None:
             return self.mass.connector_gyration
@@ -636,10 +643,10 @@ class RobotSpec:
         return math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
 
     def yaw_inertia(self) -> np.ndarray:
-        """Return the yaw inertia of connectors with their wheels, shape (N,), kg·m²."""
+        """Return the yaw inertia of connectors with wheels, shape (N,), kg·m²."""
         wheel = self.mass.wheel
         g = self.geometry
-        # The inertia of a wheel is r²/4 (thin disc about a diameter) plus the
+        # The yaw inertia of a wheel is m r²/4 for a thin disc about a diameter, plus the
         # parallel-axis term of the half track.
         wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
         inertia: np.ndarray = (

@@ -1,7 +1,8 @@
 """World around the snake: floor, obstacles, objects, bounds and goal.
 
-All numbers are in SI units and in the world frame. Obstacles can be drawn at random:
-fields of pegs, uniformly distributed circles, and the 18 sites of the dissertation.
+All numbers are in SI units and in the world frame. Functions generate random obstacles:
+fields of pegs, uniformly distributed circles, and circles at the 18 sites of the
+dissertation.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ import numpy as np
 from srs_twin.errors import InputError
 
 OBSTACLE_FRICTION = 0.5
-"""Default friction coefficient of silicone on a smooth obstacle. It is an estimate,
-because the dissertation gives none."""
+"""Default friction coefficient of silicone on a smooth obstacle. The value is an
+estimate, because the dissertation gives none."""
 
 WALL_M = 0.001
-"""Rounding radius of the sides of a polygon, m. The solid polygon extends this far
-beyond its corners."""
+"""Rounding radius of the corners of a polygon, m. The solid obstacle extends beyond the
+polygon by this distance."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Pose:
     heading: float
 
     def __iter__(self) -> Iterator[float]:
-        """Yield x, y and heading as floats, so that kernels compile once."""
+        """Yield x, y and heading as floats, for which kernels are compiled."""
         return iter((float(self.x), float(self.y), float(self.heading)))
 
 
@@ -62,7 +63,7 @@ class Polygon:
     """Obstacle with straight sides that do not cross each other.
 
     Attributes:
-        corners: (x, y) of three or more corners, m, in either sense of rotation.
+        corners: (x, y) of three or more corners, m, clockwise or counter-clockwise.
     """
 
     corners: tuple[tuple[float, float], ...]
@@ -102,7 +103,9 @@ class Goal:
 
 @dataclass(frozen=True)
 class Floor:
-    """Plane floor with an optional slope; x and y lie in its plane, z is normal to it.
+    """Plane floor with an optional slope.
+
+    The x and y axes lie in the plane of the floor, and the z axis is normal to it.
 
     Attributes:
         tilt: slope angle, rad.
@@ -143,10 +146,10 @@ class MovableObject:
     Attributes:
         size: radius of a cylinder, or length and width of a box, m.
         mass: mass, kg.
-        friction: friction coefficient between object and floor.
-        x: initial x of the centre, m.
-        y: initial y of the centre, m.
-        heading: initial direction of the length of a box, counter-clockwise from x,
+        friction: friction coefficient between the object and the floor.
+        x: initial x coordinate of the centre, m.
+        y: initial y coordinate of the centre, m.
+        heading: initial direction of the long side of a box, counter-clockwise from x,
             rad.
     """
 
@@ -173,10 +176,10 @@ class MovableObject:
     def supports(self) -> tuple[tuple[float, float], ...]:
         """Positions of four points that carry equal loads, in the object's frame, m.
 
-        For a box, the points form a Gauss rule and have the second moments of a uniform
-        pressure. For a cylinder, they lie at two thirds of the radius. Friction then
-        resists a pure spin with the moment of a uniform pressure, 2/3 μ m g R. For a
-        square box, this moment is 7 % too large.
+        For a box, the four points are Gauss points and have the second moments of a
+        uniform pressure. For a cylinder, the points lie at two thirds of the radius.
+        The friction moment in a pure spin then equals the moment 2/3 μ m g R of a
+        uniform pressure. For a square box, the friction moment is 7 % too large.
         """
         reach = 1 / math.sqrt(12) if self.is_box else math.sqrt(2) / 3
         a, b = (reach * side for side in (self.size if self.is_box else self.size * 2))
@@ -185,16 +188,16 @@ class MovableObject:
 
 @dataclass(frozen=True)
 class World:
-    """Floor, obstacles, objects, bounds and goal, all optional.
+    """Floor, obstacles, objects, bounds and goal.
 
     Attributes:
         obstacles: round obstacles.
-        bounds: allowed area, or None.
+        bounds: rectangle that the snake should not leave, or None.
         goal: goal of the planner, or None.
         polygons: obstacles with straight sides.
         floor: slope of the floor.
         steps: steps of the floor.
-        objects: movable objects, on the twin only.
+        objects: movable objects, which only the twin supports.
         friction: Coulomb friction coefficient between body and obstacles.
     """
 
@@ -214,29 +217,29 @@ class World:
 
     @property
     def has_obstacles(self) -> bool:
-        """Whether there are obstacles."""
+        """Whether the world has obstacles."""
         return bool(self.obstacles or self.polygons)
 
     @property
     def is_solid(self) -> bool:
-        """Whether there are obstacles or objects that the body can touch."""
+        """Whether the world has obstacles or objects that the body can touch."""
         return self.has_obstacles or bool(self.objects)
 
 
 PEG_DISTANCE_M = 0.2
-"""Default distance of the first pegs ahead of the start, m, for a length unit of 1
-(`robot.scale`)."""
+"""Default distance between the start and the first pegs, m. It is multiplied by the
+length unit of the robot (`robot.scale`)."""
 
 FIG54_START = Pose(0.0, 0.0, math.pi / 4)
-"""Start of Section 5.2.1 in the world of Fig. 54."""
+"""Initial pose of Section 5.2.1 in the world of Fig. 54."""
 
 FIG54_GOAL = Goal(2.0, 1.0, math.pi / 4, radius=0.02, heading_tolerance=0.05)
-"""Goal of Section 5.2.1. The dissertation prints the heading −3/4 π of the tree that
-starts at the goal."""
+"""Goal of Section 5.2.1. The dissertation prints −3/4 π, which is the heading of the
+search tree that starts at the goal."""
 
 FIG54_BOUNDS = Bounds((-0.3, 2.3), (-0.3, 1.3))
-"""Border in the definition of the h score. The border's position in the lost figure is
-our assumption."""
+"""Bounds of the world of Fig. 54, which define the h score. The bounds are assumed,
+because the figure is lost."""
 
 FIG54_SITES = tuple(
     Circle(
@@ -245,19 +248,19 @@ FIG54_SITES = tuple(
     for column in range(5)
     for row in range(3)
 ) + tuple(Circle(x, y, 0.1) for x, y in ((0.1, 0.6), (1.9, 0.4), (1.85, 0.05)))
-"""18 sites for circles with a diameter of 200 mm between start and goal. The sites are
-assumed, because Fig. 54 is lost."""
+"""Centres of 18 circles with a diameter of 200 mm between start and goal. The centres
+are assumed, because Fig. 54 is lost."""
 
 _MAX_TRIES = 200
-"""Maximum mean number of tries per circle, beyond which the circles do not fit."""
+"""Mean number of tries per circle after which the circles are considered not to fit."""
 
 
 def fig54_world(count: int, seed: int) -> World:
-    """Return a world with random circles at some of the 18 sites of Fig. 54.
+    """Return a world with circles at randomly chosen sites of Fig. 54.
 
     Args:
         count: number of circles, 0 to 18.
-        seed: random seed. Each pair of count and seed gives an independent draw.
+        seed: random seed. Worlds with different seeds or counts are independent.
 
     Raises:
         InputError: the count is not between 0 and 18.
@@ -283,7 +286,7 @@ def peg_field(
     jitter: float = 0.0,
     staggered: bool = False,
 ) -> tuple[Circle, ...]:
-    """Return the pegs of a square grid, which is symmetric about the line y = first[1].
+    """Return the pegs of a square grid that is symmetric about the line y = first[1].
 
     Args:
         spacing: distance between neighbouring rows and columns, m.
@@ -292,8 +295,8 @@ def peg_field(
         columns: number of columns, along x.
         first: x of the first column, and y of the middle of all columns, m.
         seed: random seed of the displacements.
-        jitter: maximum of the uniformly distributed displacement along x and along y,
-            m.
+        jitter: maximum displacement of a peg along x and along y, m. Displacements are
+            uniformly distributed.
         staggered: whether every second column is shifted by half the spacing.
 
     Raises:
@@ -331,12 +334,12 @@ def random_circles(
 
     Args:
         count: number of circles.
-        bounds: rectangle of the centres.
+        bounds: rectangle that contains the centres of the circles.
         seed: random seed.
         radius: minimum and maximum radius, m.
-        gap: minimum distance between the edges of two circles, m, negative to allow an
-            overlap.
-        clear: discs (x, y, radius) that no circle may touch.
+        gap: minimum distance between the edges of two circles, m. Circles may overlap
+            if the gap is negative.
+        clear: discs (x, y, radius) that no circle may touch, m.
 
     Raises:
         InputError: the circles do not fit.

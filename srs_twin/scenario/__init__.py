@@ -1,4 +1,4 @@
-"""Scenarios: experiments that are loaded from files, checked and built."""
+"""Loading, validation and simulation setup of scenario files."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Checks between the sections of a scenario after each section is validated."""
+"""Consistency checks between validated sections of a scenario."""
 
 from __future__ import annotations
 
@@ -46,13 +46,13 @@ from srs_twin.scenario.start import InitialState
 from srs_twin.scenario.world import WorldFile
 
 _ROUNDING = 1.001
-"""Tolerance factor of a pressure limit. It admits rounded conversions: 7 psi are 48.26
-kPa, but are often written as 48.3 kPa."""
+"""Tolerance factor of a pressure limit, which admits rounded conversions of units. For
+example, 7 psi are 48.26 kPa but are often written as 48.3 kPa."""
 
 
 _DOUBTFUL = 20.0
-"""Ratio of supply pressure to nominal pressure beyond which the unit is questioned. One
-shipped scenario has a tenth of the nominal pressure."""
+"""Ratio between supply pressure and nominal pressure beyond which a message suggests
+another unit. One shipped scenario has a tenth of the nominal pressure."""
 
 _PSI_KPA = 6.894757
 
@@ -64,13 +64,9 @@ _PSI_TOLERANCE = 0.1
 def check(
     document: Document, file: ScenarioFile, world: World, robot: RobotFile | None
 ) -> None:
-    """Report contradictions between the sections of a file.
+    """Report contradictions between the sections of a scenario.
 
-    Args:
-        document: scenario file.
-        file: validated sections.
-        world: world of the file.
-        robot: robot, or None if it is not valid.
+    An invalid robot is given as None.
     """
     spec = None if robot is None else robot.spec()
     sections = [
@@ -136,14 +132,11 @@ def _placed(kind: str, plant: PlantFile, violation: Violation) -> Contradiction:
 
 
 def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
-    """Check the supply pressure against the limit of the robot.
+    """Check the supply pressure against the limit of the robot and return warnings.
 
-    A pressure above the limit is a problem of the document, or a warning if the
-    scenario allows overpressure. The check reads the raw document, so it runs even if
-    other keys are not valid.
-
-    Returns:
-        Warnings for the user.
+    A pressure above the limit is reported as a problem, or returned as a warning if the
+    scenario allows overpressure. The check reads the raw document, so that it also runs
+    if other keys are not valid.
     """
     loc = ("supply", "pressure_kpa")
     pressure = document.get(*loc)
@@ -195,7 +188,7 @@ def _unit_hint(pressure: float, nominal: float) -> str:
 def check_robot(
     document: Document, file: ScenarioFile, world: World, robot: RobotFile
 ) -> None:
-    """Report faults, sensors and time steps that the robot does not allow."""
+    """Report faults, sensors and time steps that the robot does not support."""
     segments = robot.geometry.connectors.value - 1
     for k, fault in enumerate(file.faults):
         if fault.segment > segments:
@@ -218,7 +211,7 @@ def check_robot(
 def check_start(
     file: ScenarioFile, loading: Loading, initial_state: InitialState | None
 ) -> None:
-    """Report obstacles and objects that overlap the body at the start."""
+    """Report obstacles and objects that overlap the body in its initial state."""
     world = loading.world
     if file.bench or not world.is_solid:
         return
@@ -247,8 +240,8 @@ def check_start(
             loc = file.world.place_of(overlap.number, world)
             text = overlap.text
             if len(loc) < 2:
-                # Obstacles that are drawn at random or read from a map have no key of
-                # their own.
+                # Obstacles that are drawn at random or read from a map have no
+                # individual key in the file.
                 text = f"{overlap.name} {text}"
             texts.setdefault(loc, text)
     for loc, text in texts.items():
@@ -305,7 +298,7 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 
 def check_controller(file: ScenarioFile, loading: Loading) -> None:
-    """Set the valve layout and report why a controller does not suit the scenario."""
+    """Set the valve layout, and report controllers that contradict the scenario."""
     document = loading.document
     spec = loading.robot.spec()
     controller = file.controller

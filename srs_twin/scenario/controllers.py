@@ -36,7 +36,7 @@ from srs_twin.scenario.fields import (
 )
 
 _RIGHT_ANGLE = math.pi / 2
-"""Maximum bend, rad."""
+"""Maximum reference bend, rad."""
 
 _FREQUENCY = quantity(0.01, 50.0)
 _PHASE = quantity(-6.3, 6.3)
@@ -51,13 +51,13 @@ Bend = Annotated[float, Field(ge=-_RIGHT_ANGLE, le=_RIGHT_ANGLE)]
 
 @dataclass(frozen=True)
 class ControllerContext:
-    """Information that a controller is built from.
+    """Information from which a controller is built.
 
     Attributes:
         name: scenario name for messages.
-        robot: robot.
-        supply_pa: supply pressure, gauge, Pa.
-        products: products of extension sections.
+        robot: robot of the scenario.
+        supply_pa: gauge supply pressure, Pa.
+        products: products of extension sections, keyed by section.
     """
 
     name: str
@@ -98,26 +98,18 @@ class ControllerSection(Section):
         return True
 
     def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
-        """Return the valve layouts that the controller can drive.
-
-        Args:
-            products: products of extension sections.
-        """
+        """Return the valve layouts that the controller can drive."""
         layouts: tuple[str, ...] = self.constructors[0].layouts  # type: ignore[attr-defined]
         return layouts
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Check that the controller supports a robot and a control tick (s).
-
-        Raises:
-            InputError: the controller does not support this robot or tick.
-        """
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
 
     def warnings(self, limit: float) -> Iterator[str]:
         """Yield warnings about a reference beyond the maximum bend `limit` (rad).
 
         Raises:
-            InputError: the reference exceeds the limit, and `beyond_range` is refuse.
+            InputError: the reference exceeds the limit, and `beyond_range` is "refuse".
         """
         return iter(())
 
@@ -164,11 +156,11 @@ class GaitFile(ControllerSection):
     """Vertical wave of a spatial robot (default: none)."""
 
     def controller(self, context: ControllerContext) -> Controller:
-        """See `ControllerSection.controller`."""
+        """Return a gait controller."""
         return Gait(**self.arguments() | {"pitch": self.pitch and self.pitch.build()})
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`."""
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
         if self.pitch is not None:
             self.pitch.build().check(spec)
 
@@ -180,7 +172,7 @@ class LearningFile(ControllerSection):
     """
 
     constructors = (ILC,)
-    tick = 0.005  # control tick, s; it must resolve a carrier period of 17 ms to measure amplitudes
+    tick = 0.005  # s; the tick must resolve a carrier period of 17 ms
 
     kind: Literal["ilc"]
     """Kind of controller."""
@@ -224,11 +216,11 @@ class LearningFile(ControllerSection):
         return self
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`."""
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
         ChamberPeriods(spec.modules.array("bias"), self.frequency_hz, tick)
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """See `ControllerSection.warnings`."""
+        """Yield a warning if the target exceeds the maximum bend `limit` (rad)."""
         if self.target_rad and self.target_rad > limit:
             yield (
                 f"controller.target_rad: {self.target_rad:.4g} rad is above {limit:.4g}"
@@ -294,7 +286,7 @@ class SquareFile(_PeriodicFile):
 
 
 class StaircaseFile(Section):
-    """Sequence of bends of equal duration, of which the last is kept to the end."""
+    """Sequence of bends of equal duration, of which the last continues to the end."""
 
     constructors = (Staircase,)
 
@@ -313,7 +305,7 @@ ReferenceFile = Annotated[
 
 
 class _TrackingFile(ControllerSection):
-    """Base class of controllers that follow a reference bend."""
+    """Base class of controllers that track a reference bend."""
 
     reference: ReferenceFile
     """Reference bend of all segments."""
@@ -322,7 +314,7 @@ class _TrackingFile(ControllerSection):
     scenario is refused, or the reference saturates."""
 
     def controller(self, context: ControllerContext) -> Controller:
-        """See `ControllerSection.controller`."""
+        """Return a controller that tracks the reference."""
         reference = self.within(largest_bend(context.robot, context.supply_pa))
         controller: Controller = self.constructors[0](
             **self.arguments() | {"reference": reference}
@@ -330,16 +322,16 @@ class _TrackingFile(ControllerSection):
         return controller
 
     def within(self, limit: float) -> Reference:
-        """Return the reference, saturated at the maximum bend (rad) if that is allowed.
+        """Return the reference, which may saturate at the maximum bend `limit` (rad).
 
         Raises:
-            InputError: the reference exceeds the limit, and `beyond_range` is refuse.
+            InputError: the reference exceeds the limit, and `beyond_range` is "refuse".
         """
         reference: Reference = self.reference.build()
         return reference.limited(limit, self.beyond_range)
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """See `ControllerSection.warnings`."""
+        """Yield a warning if the reference saturates at the bend `limit` (rad)."""
         if unlimited := getattr(self.within(limit), "unclipped", None):
             yield (
                 f"controller.reference: {unlimited.peak:.4g} rad is limited to"
@@ -377,7 +369,7 @@ class IterativeFile(_TrackingFile):
     """Carrier frequency of the pulse-width modulation."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`."""
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
         PulseWidthModulator(self.carrier_hz, tick, spec.segments, scale=spec.scale)
 
 
@@ -394,12 +386,12 @@ class HoldFile(ControllerSection):
     """Valve state of the - chambers."""
 
     def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
-        """See `ControllerSection.layouts`."""
+        """Return the valve layouts that support the valve states."""
         return layouts_for([STATES[self.plus], STATES[self.minus]])
 
 
 class GraspFile(ControllerSection):
-    """Whole-body grasp: the tail curls around an object, and the front drags it."""
+    """Whole-body grasp, in which the tail holds an object and the front drags it."""
 
     constructors = (Grasp,)
 
@@ -428,7 +420,7 @@ class GraspFile(ControllerSection):
     the robot)."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """See `ControllerSection.check`."""
+        """Raise an `InputError` if the robot or tick (s) is not supported."""
         check_hold(self.arguments()["hold"], spec)
         check_release(self.mode, self.drag_m)
 

@@ -1,11 +1,12 @@
-"""Expected values of metrics, and the verdicts on them.
+"""Expected values of metrics and their evaluation after a run.
 
-An expectation is met, missed, missed for a known reason, or not judged. It is not
-judged in three cases:
+The state of an expectation is met, missed, missed for a known reason, or not judged. An
+expectation is not judged in three cases:
 
 - the metric is undefined for the run;
 - the stored interval belongs to another run;
-- the standard error of an interval's end is too large for a decision.
+- the distance of a published value from an end of the interval is too small compared
+  with the standard error.
 """
 
 from __future__ import annotations
@@ -40,15 +41,15 @@ from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.fields import Section, quantity
 
 COMPARISON = "comparison"
-"""Subject of the expectations about the comparison of both plants."""
+"""Subject of expectations about the comparison of the two plants."""
 _BOUND = 1e9
-"""Upper bound on absolute values in an expectation. All metrics are far below it."""
+"""Upper bound on absolute values in an expectation, far above all metrics."""
 _INTERVAL_TOLERANCE = 0.01
 """Maximum difference between a run and a stored interval, as a fraction of the
 interval's width. A larger difference indicates other physical laws or another duration.
 """
 _STORAGE_TOLERANCE = 1e-5
-"""Relative tolerance of stored values, which have six digits."""
+"""Relative tolerance of stored values, which are rounded to six digits."""
 _PUBLISHED_STD = 0.01
 """Default relative standard uncertainty of a published value with two or three digits.
 """
@@ -61,12 +62,11 @@ _TALLY = {
     "not_judged": "not judged",
 }
 _OUTSIDE_PROBABILITY = {"interval_50": 0.5, "interval_95": 0.05}
-"""Probability that a value lies outside the interval, called α in the interval score.
-"""
+"""Probability α that a value lies outside the interval, as in the interval score."""
 _INTERVALS = {"interval_50": "50 % interval", "interval_95": "95 % interval"}
 _CAUSES = {"u_num": "the time step", "u_d": "the published value"}
-"""Names of uncertainties in texts. The uncertainty of the robot is named after a
-parameter."""
+"""Names of the largest uncertainty in messages. The uncertainty of the robot is named
+after a parameter."""
 _PARAMETERS = {
     "friction.mu_t": "rolling friction",
     "friction.mu_n": "sideways friction",
@@ -78,7 +78,7 @@ _PARAMETERS = {
     "actuator.tau_vent_s": "venting time of the chambers",
     "mass.connectors_kg": "mass of the connectors",
 }
-"""Readable names of robot parameters whose keys do not explain themselves."""
+"""Readable names of robot parameters for messages."""
 
 Words = Annotated[str, Field(min_length=1, max_length=1000)]
 
@@ -89,7 +89,7 @@ MetricName = Annotated[
     AfterValidator(metric_name),
     PlainSerializer(written_name, when_used="json"),
 ]
-"""Name of a metric. In a file, the metric of a plug-in is written with its module."""
+"""Name of a metric. A file writes the name of a plug-in metric as ``module:Name``."""
 
 _METRIC_SCHEMAS: list[Any] = [
     {"enum": [*METRIC_UNITS, *COMPARISON_UNITS]},
@@ -100,8 +100,8 @@ _METRIC_SCHEMAS: list[Any] = [
 def known_metrics(subject: str | None = None) -> tuple[str, ...]:
     """Return the names of the metrics of a subject.
 
-    Args:
-        subject: "comparison", or a plant for the metrics of plants; None for both.
+    The subject is "comparison" or the name of a plant. If `subject` is None, the names
+    of all metrics are returned.
     """
     if subject is None:
         return (*metric_units(), *COMPARISON_UNITS)
@@ -113,20 +113,20 @@ def known_metrics(subject: str | None = None) -> tuple[str, ...]:
 class ExpectationRow(TypedDict, total=False):
     """Result of an expectation for a run, stored as a row in metrics.json.
 
-    The attributes from `verdict` on describe the interval `within`.
+    The attributes from `verdict` to `interval_error` describe the interval `within`.
 
     Attributes:
         metric: name of the metric.
         of: "analytical", "twin" or "comparison".
-        value: value of the metric, or None.
+        value: value of the metric, or None if the metric has no value.
         allowed: allowed values as text.
-        met: whether the value is allowed, False without a value.
-        state: "met", "missed", "expected_failure" (missed for a known reason) or "not_judged";
-            None in rows of earlier versions.
+        met: whether the metric has a value, and the value is allowed.
+        state: "met", "missed", "expected_failure" (missed for a known reason) or
+            "not_judged". Rows of earlier versions have no state.
         reason: reason why the expectation is not judged, or None.
         near: expected or published value.
         source: source of a published value.
-        expected_failure: known reason of a miss.
+        expected_failure: known reason why the expectation is missed.
         within: name of the interval that must contain the published value.
         verdict: "within", "undecided" or "outside".
         error: value minus published value, called E in ASME V&V 20.
@@ -139,8 +139,8 @@ class ExpectationRow(TypedDict, total=False):
         width: width of the interval.
         score: interval score (Gneiting and Raftery 2007), which is low for narrow
             intervals that contain the published value.
-        interval: lower and upper end.
-        interval_error: standard errors of both ends.
+        interval: lower and upper end of the interval.
+        interval_error: standard errors of the lower and upper end.
     """
 
     metric: str
@@ -168,12 +168,7 @@ class ExpectationRow(TypedDict, total=False):
 
 
 class AllowedRange(NamedTuple):
-    """Range of values that agree with a published or expected value.
-
-    Attributes:
-        low: minimum, or -inf.
-        high: maximum, or inf.
-    """
+    """Range of allowed values, which may be unbounded on either side."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -182,14 +177,14 @@ class AllowedRange(NamedTuple):
     def near(
         cls, value: float, relative: float | None, absolute: float | None
     ) -> AllowedRange:
-        """Return the range within an absolute or, without one, a relative tolerance."""
+        """Return the range given by an absolute or else a relative tolerance."""
         tolerance = absolute
         if tolerance is None:
             tolerance = (relative or 0.0) * math.fabs(value)
         return cls(value - tolerance, value + tolerance)
 
     def holds(self, value: float) -> bool:
-        """Return whether a value is allowed."""
+        """Return whether the range contains a value."""
         return self.low <= value <= self.high
 
     @property
@@ -286,7 +281,7 @@ class Expectation(Section):
 
     @property
     def stated(self) -> float | None:
-        """Published value of the metric, or None without a published value."""
+        """Published value of the metric, or None if the expectation states none."""
         if self.published is not None:
             return self.published
         if self.source:
@@ -295,7 +290,7 @@ class Expectation(Section):
 
     @property
     def allowed(self) -> AllowedRange:
-        """Allowed values, unlimited if an interval must contain a published value."""
+        """Range of allowed values, which is unbounded if `within` is set."""
         if self.near is not None:
             return AllowedRange.near(self.near, self.rel, self.abs)
         low, high = AllowedRange()
@@ -311,10 +306,11 @@ class Expectation(Section):
         """Return the result of the expectation for a run.
 
         Args:
-            metrics: content of metrics.json, with `experiment.stored_intervals` as
-                "intervals".
-            undefined: reason why the metric has no value. It is None if the metric has
-                a value, or if the missing value is the outcome of the run.
+            metrics: contents of metrics.json, with `experiment.stored_intervals` as the
+                entry "intervals".
+            undefined: reason why the metric is undefined, or None if the metric has a
+                value. The reason is also None if the missing value is itself a result
+                of the run.
         """
         allowed = self.allowed
         if self.of:
@@ -356,10 +352,10 @@ class Expectation(Section):
     def _judge_interval(
         self, value: float, stored: Mapping[str, Any]
     ) -> ExpectationRow:
-        """Return the part of a row that depends on a stored interval.
+        """Return the entries of a row that depend on a stored interval.
 
-        The row has a `reason` if no verdict is possible, in particular within two
-        standard errors of an end of the interval.
+        The row has a `reason` if no verdict is possible, for example if the published
+        value lies within two standard errors of an end of the interval.
         """
         published = self.published
         assert self.within is not None and published is not None, "see _is_consistent()"
@@ -396,7 +392,7 @@ class Expectation(Section):
         }
 
     def _uncertainties(self, spread: Mapping[str, Any]) -> ExpectationRow:
-        """Return the standard uncertainties of ASME V&V 20 and the largest of them."""
+        """Return the standard uncertainties of ASME V&V 20, and the largest one."""
         u_d = self.scatter
         if u_d is None:
             u_d = _PUBLISHED_STD * abs(self.published or 0.0)
@@ -428,7 +424,7 @@ class Expectation(Section):
         low, high = spread[str(self.within)]
         tolerance = max(
             _INTERVAL_TOLERANCE * (high - low),
-            # Processors differ in the last digits of a result.
+            # The last digits of a result differ between processors.
             _STORAGE_TOLERANCE * abs(spread["value"]),
         )
         if abs(value - spread["value"]) <= tolerance:
@@ -460,11 +456,11 @@ class Expectation(Section):
 def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | None:
     """Return the path of the parameter with the largest total Sobol index.
 
-    The result is None if the error of the largest index exceeds its lead over the next.
+    The result is None if the second largest index lies within the error of the largest.
 
     Args:
-        sensitivity: parameter path → `total` index and `total_error`, which is half the
-            width of the 95 % interval.
+        sensitivity: `total` Sobol index of each parameter, and `total_error`, which is
+            half the width of the 95 % interval of the index.
     """
     ranked = sorted(sensitivity, key=lambda path: -sensitivity[path]["total"])
     if not ranked:
@@ -502,14 +498,9 @@ class ExpectationsFile(Section):
 
 
 def verdict(checked: ExpectationRow) -> str:
-    """Return the verdict on an expectation.
+    """Return the verdict on an expectation, which is a state or "holds".
 
-    Args:
-        checked: row returned by `Expectation.check`.
-
-    Returns:
-        The state "met", "missed", "expected_failure" (missed for a known reason) or "not_judged".
-            The verdict is "holds" if the expectation is met although `expected_failure` is set.
+    The result is "holds" if the expectation is met although `expected_failure` is set.
     """
     expected_failure = checked.get("expected_failure") is not None
     state = checked.get("state")
@@ -537,7 +528,7 @@ def result_text(checked: ExpectationRow) -> str:
 
 
 def allowed_text(checked: ExpectationRow) -> str:
-    """Return the text of the allowed values: a range, a number, or yes or no."""
+    """Return the allowed values as text: a range, a number, "yes" or "no"."""
     metric = checked["metric"]
     allowed = str(checked["allowed"])
     if is_yes_no(metric) and allowed in ("0", "1"):
@@ -546,7 +537,7 @@ def allowed_text(checked: ExpectationRow) -> str:
 
 
 def tally(verdicts: Mapping[str, int]) -> str:
-    """Return a text that counts the expectations with each verdict."""
+    """Return a text with the number of expectations for each verdict."""
     counted = [
         f"{verdicts[name]} {text}"
         for name, text in _TALLY.items()
@@ -556,8 +547,8 @@ def tally(verdicts: Mapping[str, int]) -> str:
 
 
 UNDECIDED_ERRORS = 2.0
-"""Distance from an end of the interval, in standard errors of that end, below which the
-verdict is undecided (95 %)."""
+"""Distance of a published value from an end of the interval, in standard errors of the
+end, below which the verdict is undecided. Two standard errors correspond to 95 %."""
 
 
 class IntervalVerdict(Enum):
@@ -575,8 +566,8 @@ def interval_verdict(
 
     Args:
         published: published value.
-        interval: lower and upper end.
-        errors: standard errors, by default 0.
+        interval: lower and upper end of the interval.
+        errors: standard errors of the two ends, by default zero.
     """
     low, high = interval
     for end, error in zip(interval, errors or (0.0, 0.0), strict=True):

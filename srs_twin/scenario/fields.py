@@ -1,17 +1,17 @@
-"""Sections of files: keys with units and bounds, and conversion to SI objects.
+"""Sections of scenario files, which convert keys with units to SI objects.
 
-The unit of a number is part of the key: ``frequency_hz``, ``k_per_rad``,
-``distance_mm``. A section builds an object by a constructor whose parameters are named
-like the keys without units: ``frequency``, ``k`` or ``K``, ``distance``. Defaults of
-the constructor are defaults of the file.
+A key ends with the unit of its number: ``frequency_hz``, ``k_per_rad``,
+``distance_mm``. A section calls a constructor whose parameters have the names of the
+keys without units: ``frequency``, ``k`` or ``K``, ``distance``. The defaults of the
+constructor are also the defaults of the file.
 
-The docstring of a key becomes the description in JSON Schemas. The unit and the range
-of a number are appended, and ``{default}`` is replaced by the default of the
+The docstring of a key is the description of the key in JSON Schemas. The unit and the
+range of a number are appended, and ``{default}`` is replaced by the default of the
 constructor.
 
 While a scenario is loaded, each section of an extension reads its keys and files and
 returns a product, for example a planner or a recording. `Scenario.products` stores the
-products by the names of the sections.
+products, keyed by section.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ def quantity(
     Args:
         low: minimum allowed value.
         high: maximum allowed value.
-        default: default value, by default the default of the constructor. Without both,
-            the key is required.
-        unit: unit, if the key does not contain it.
+        default: default value. By default, the default of the constructor is used. A
+            key without any default is required.
+        unit: unit of the number, if the key does not contain it.
     """
     options = {} if default is ... else {"default": default}
     extra = {"unit": unit} if unit else None
@@ -59,7 +59,7 @@ def quantity(
 
 
 def constructor_default() -> Any:
-    """Return a field without bounds that takes the default of the constructor."""
+    """Return a field whose default is the default of the constructor."""
     return partial(Field)
 
 
@@ -84,14 +84,13 @@ def _describe(schema: dict[str, Any], cls: type[Section]) -> None:
 
 
 class Section(StrictModel):
-    """Block of keys of a file.
+    """Group of keys in a file, with units and bounds.
 
     Attributes:
-        constructors: constructors whose parameters the keys set. `build` calls the
-            first one, which also takes precedence.
+        constructors: constructors whose parameters the keys set. The method `build`
+            calls the first constructor, whose parameters also take precedence.
         parameters: parameters of the constructors, keyed by name in lower case.
-        only: keys that require another key to have a given value: (key, value) →
-            dependent keys.
+        only: keys that are allowed only if another key has a given value.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -119,7 +118,7 @@ class Section(StrictModel):
 
     @classmethod
     def parameter(cls, key: str) -> inspect.Parameter | None:
-        """Return the constructor parameter that a key sets."""
+        """Return the constructor parameter that corresponds to a key."""
         return cls.parameters.get(key) or cls.parameters.get(split_unit(key)[0])
 
     @model_validator(mode="after")
@@ -136,10 +135,8 @@ class Section(StrictModel):
     def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
         """Return the arguments of the constructors in SI units.
 
-        Keys that are None are left out if the constructor has a default.
-
-        Args:
-            constructors: constructors to consider, by default all of them.
+        Keys that are None are omitted if the constructor has a default. By default,
+        `constructors` are all constructors of the section.
         """
         known = {
             name
@@ -162,8 +159,8 @@ class Section(StrictModel):
     def build_with(self, **context: object) -> Any:
         """Return the object that the section describes.
 
-        Args:
-            context: arguments that are not keys of the file; unknown ones are ignored.
+        The constructor also receives the arguments `context`, which are not keys of the
+        file. Arguments without a corresponding parameter are ignored.
         """
         given = {
             name: value for name, value in context.items() if name in self.parameters
@@ -171,15 +168,14 @@ class Section(StrictModel):
         return self.constructors[0](**given, **self.arguments())
 
     def written(self) -> dict[str, Any]:
-        """Return the section as plain data with defaults, as in a resolved file."""
+        """Return the section as plain data with explicit defaults."""
         return self.model_dump(mode="json", exclude_none=True, by_alias=True)
 
     def with_scaled_defaults(self, keys: Iterable[str], factor: float) -> Self:
-        """Multiply the defaults of some keys, unless the file sets these keys.
+        """Multiply the defaults of some keys by a factor.
 
-        Args:
-            keys: names of keys that hold a number or a tuple of numbers.
-            factor: dimensionless factor.
+        Keys that the file sets are not changed. Each of the keys holds a number or a
+        tuple of numbers.
         """
         changed: dict[str, object] = {}
         for key in set(keys) - self.model_fields_set:
@@ -191,11 +187,11 @@ class Section(StrictModel):
         copied = self.model_copy()
         copied.__dict__.update(
             changed
-        )  # `model_fields_set` still contains the keys of the file only
+        )  # `model_fields_set` still contains only the keys of the file
         return copied
 
     def with_defaults(self, *keys: str) -> Self:
-        """Return the section with the constructor's defaults for keys that are None."""
+        """Return the section with None replaced by the constructor's defaults."""
         missing = {
             key: self.parameter(key) for key in keys if getattr(self, key) is None
         }
@@ -208,7 +204,7 @@ class Contradiction(NamedTuple):
     """Contradiction between keys of a scenario.
 
     Attributes:
-        loc: path in the file.
+        loc: path of a key in the file.
         text: message for the user.
         at_key: whether the message refers to the key instead of the value.
     """
@@ -219,7 +215,7 @@ class Contradiction(NamedTuple):
 
 
 class FileSections(Protocol):
-    """Sections of `scenario.file.ScenarioFile` that other sections may read."""
+    """Attributes of `scenario.file.ScenarioFile` that sections may read."""
 
     bench: bool
     seed: int
@@ -232,27 +228,27 @@ class FileSections(Protocol):
 
     @property
     def model_fields_set(self) -> set[str]:
-        """Names of the fields that are set in the file."""
+        """Names of the fields that the file sets."""
 
     def section(self, name: str) -> Any:
-        """Return the section of an extension, or None if the file does not have it."""
+        """Return an extension section, or None if the file does not contain it."""
 
 
 @dataclass
 class Loading:
-    """State of loading a scenario.
+    """State of a scenario while it is loaded.
 
     Attributes:
-        document: scenario file, which collects the problems.
+        document: scenario file, in which problems are collected.
         file: validated sections.
         robot: robot file with overrides.
         world: obstacles, bounds and goal.
-        products: products read so far, keyed by section.
+        products: products of the sections read so far, keyed by section.
         warnings: warnings for the user.
-        supply_pa: supply pressure, gauge, Pa.
-        layout: valve layout.
-        initial_state: initial state of the plants (`start.InitialState`), or None for straight
-            and at rest.
+        supply_pa: gauge supply pressure, Pa.
+        layout: valve layout, "3/2" or "in_out".
+        initial_state: initial state of the plants (`start.InitialState`), or None for a
+            straight snake at rest.
     """
 
     document: Document
@@ -267,7 +263,7 @@ class Loading:
 
 
 class ExtensionSection(Section):
-    """Base class of sections that extensions add, with methods that do nothing.
+    """Base class of sections that extensions add to a scenario.
 
     Attributes:
         measures: whether the product contains a measured trajectory.
@@ -284,7 +280,7 @@ class ExtensionSection(Section):
     def read(self, loading: Loading) -> Any:
         """Read the section before the controller is checked and return the product.
 
-        Problems are reported to the document.
+        Problems are reported to `loading.document`.
         """
         return None
 
@@ -295,7 +291,7 @@ class ExtensionSection(Section):
     def resolve(
         self, document: dict[str, Any], file: FileSections, product: Any
     ) -> None:
-        """Write defaults and absolute paths into the resolved document."""
+        """Write defaults and absolute paths to the resolved document."""
 
     def chambers(
         self, product: Any, robot: RobotSpec, supply_pa: float, layout: str
@@ -308,11 +304,7 @@ class ExtensionSection(Section):
         return None
 
     def check_run(self, product: Any) -> None:
-        """Check that a run can start.
-
-        Raises:
-            InputError: the run cannot start.
-        """
+        """Raise an `InputError` if a run cannot start."""
 
 
 def _no_files(section: Mapping[str, object]) -> Iterator[str]:
@@ -321,14 +313,15 @@ def _no_files(section: Mapping[str, object]) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class SectionEntry:
-    """Registry entry of a section.
+    """Registry entry of an extension section.
 
     Attributes:
         annotation: type in the pydantic model of the file.
         description: description for the reference pages and the JSON Schema.
-        input_files: function that yields the paths of the files that a section (plain
-            data) reads.
-        paths: keys that name a file → kind of shipped files, see `Document.locate`.
+        input_files: function that yields the paths of the files that a section reads.
+            The argument of this function is the section as plain data.
+        paths: kind of shipped files for each key that contains a file name
+            (`Document.locate`).
     """
 
     annotation: Any
@@ -347,10 +340,9 @@ _CORE_PATHS: dict[Loc, str] = {
 
 
 def path_fields(sections: Container[str]) -> dict[Loc, str]:
-    """Return the fields of a scenario that name a file → kind of shipped files.
+    """Return the kind of shipped files for each field that contains a file name.
 
-    Args:
-        sections: names of the sections in use, whose extensions are imported.
+    The extensions that define `sections` are imported.
     """
     used = (name for name in SECTIONS if name in sections)
     entries = {name: load(SECTIONS[name]) for name in used}
@@ -363,11 +355,7 @@ def path_fields(sections: Container[str]) -> dict[Loc, str]:
 
 
 def input_files(document: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the paths of the files that the extension sections of a scenario read.
-
-    Args:
-        document: scenario as plain data.
-    """
+    """Yield the paths of the files that the extension sections of a scenario read."""
     for name, entry in SECTIONS.items():
         if isinstance(section := document.get(name), Mapping):
             yield from load(entry).input_files(section)

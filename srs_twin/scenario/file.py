@@ -46,7 +46,7 @@ MOST_RECORD_HZ = 10_000.0
 
 
 class SensorSection(Section):
-    """Base class of sensor sections. The first constructor is a sensor class."""
+    """Base class of sensor sections, whose first constructor is a sensor class."""
 
     def sensor(self, robot: RobotSpec) -> Sensor:
         """Return the sensors of a robot.
@@ -61,7 +61,7 @@ class SensorFile(SensorSection):
     """Curvature sensors."""
 
     constructors = (make_sensor, Strip, HallSensor)
-    only = {}  # set below the class: all other keys require kind: hall
+    only = {}  # set below the class, because all other keys require the kind hall
 
     kind: Literal["ideal", "hall"] = "ideal"
     """Kind of sensor; "ideal" measures the exact bend. "hall" models a magnet and a
@@ -91,7 +91,7 @@ class SensorFile(SensorSection):
     {default:g})."""
 
     def written(self) -> dict[str, Any]:
-        """See `Section.written`."""
+        """Return the section as plain data with explicit defaults."""
         keys = self.only["kind", "hall"] if self.kind == "hall" else ()
         return self.with_defaults(*keys).model_dump(exclude_none=True)
 
@@ -119,7 +119,7 @@ class DeadSensorFile(_FaultFile):
     """Constant reading of the dead sensor (default: no reading)."""
 
     def build(self) -> DeadSensor:
-        """Return the fault in SI."""
+        """Return the fault in SI units."""
         reading = math.nan if self.reading_rad is None else self.reading_rad
         return DeadSensor(self.segment, reading, self.from_s)
 
@@ -136,7 +136,7 @@ class StuckValveFile(_FaultFile):
     always vents it."""
 
     def build(self) -> StuckValve:
-        """Return the fault in SI."""
+        """Return the fault in SI units."""
         side = ("plus", "minus").index(self.chamber)
         state = {"open": 1, "closed": -1}[self.stuck]
         return StuckValve(self.segment, side, state, self.from_s)
@@ -156,7 +156,7 @@ class SupplyFile(Section):
 
 
 class PneumaticsSection(Section):
-    """Base class of pneumatics sections. The first constructor is a chamber class."""
+    """Base class of pneumatics sections, whose first constructor is a chamber class."""
 
     def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
         """Return new chambers of a robot."""
@@ -211,7 +211,7 @@ class PneumaticsFile(PneumaticsSection):
         return self
 
     def written(self) -> dict[str, Any]:
-        """See `Section.written`."""
+        """Return the section as plain data with explicit defaults."""
         keys: tuple[str, ...] = ()
         if self.kind == "orifice":
             keys = ("critical_ratio",)
@@ -244,7 +244,7 @@ _CORE_KINDS = {
 }
 
 CONTROLLER_NAMES = (*_CORE_KINDS, *installed(CONTROLLERS))
-"""Kinds of `controller`, including those of installed extensions."""
+"""Kinds of `controller`, including the kinds of installed extensions."""
 
 if TYPE_CHECKING:
     ControllerFile = ControllerSection
@@ -255,7 +255,7 @@ else:
 
 
 class ScenarioFile(Section):
-    """Experiment with a soft snake, to which `with_extensions` adds sections."""
+    """Scenario file without extensions, to which `with_extensions` adds sections."""
 
     name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = (
         None
@@ -318,7 +318,7 @@ class ScenarioFile(Section):
     }
 
     def tick(self, plant: str) -> float:
-        """Return the control tick (s) of a plant, which the file need not name."""
+        """Return the control tick (s) of a plant, even if the plant does not run."""
         section = getattr(self.plants, plant)
         if self.bench:
             default = BENCH_TICK_S
@@ -329,7 +329,7 @@ class ScenarioFile(Section):
         return float(section.tick_s)
 
     def scaled_to(self, scale: Scale) -> Self:
-        """Return the scenario with numerical defaults in the units of a robot."""
+        """Return the scenario with defaults scaled to the size of a robot."""
         plants = {}
         for kind, section in self.plants.running.items():
             tick = self.tick(kind)
@@ -343,11 +343,11 @@ class ScenarioFile(Section):
         return scaled
 
     def section(self, name: str) -> Any:
-        """Return the section of an extension, or None if the file does not have it."""
+        """Return an extension section, or None if the file does not contain it."""
         return getattr(self, name, None)
 
     def sections(self) -> dict[str, ExtensionSection]:
-        """Return the sections of extensions that the file has, keyed by name."""
+        """Return the extension sections that the file contains, keyed by name."""
         sections = {name: self.section(name) for name in SECTIONS}
         return {
             name: section for name, section in sections.items() if section is not None
@@ -355,7 +355,7 @@ class ScenarioFile(Section):
 
 
 def controller_kinds() -> dict[str, type[ControllerSection]]:
-    """Return a mapping from the kinds of `controller` to their sections."""
+    """Return the section of each kind of `controller`."""
     return _CORE_KINDS | dict(objects(CONTROLLERS))
 
 
@@ -364,10 +364,7 @@ def with_extensions(
 ) -> type[ScenarioFile]:
     """Import extensions and return the model of scenario files with their sections.
 
-    Args:
-        sections: names of the sections; by default all that are installed.
-        controllers: additional kinds of `controller`; by default all that are
-            installed.
+    By default, all installed extensions are imported.
     """
     return _with_extensions(
         tuple(name for name in installed(SECTIONS) if name in sections),

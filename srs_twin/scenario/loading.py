@@ -1,8 +1,9 @@
-"""Loading of scenario files and their JSON Schema.
+"""Loading of scenario files and the JSON Schema of scenario files.
 
-All problems of a file are reported together. The first validation checks what the user
-wrote. The second validation reads the resolved document, in which all defaults and the
-robot are written out. It ensures that a run can be repeated from its folder.
+The first validation checks the file as the user wrote it and reports all problems
+together. The second validation reads the resolved document, in which all defaults and
+the robot are explicit. The second validation ensures that a run can be repeated from
+its output folder.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def load_scenario(
 
     Args:
         scenario: name or path of the scenario, or a loaded scenario to modify.
-        set: values that override fields of the file, keyed by dotted path:
+        set: values that override fields of the file, keyed by dotted path, for example
             ``{"controller.frequency_hz": 1.5}``.
 
     Raises:
@@ -69,12 +70,12 @@ def parse_scenario(
     name: str = "scenario",
     set: Overrides = (),
 ) -> Scenario:
-    """Return the scenario that plain data describe, as in `Scenario.document`.
+    """Build a scenario from plain data.
 
     Args:
-        data: content of a scenario file.
+        data: contents of a scenario file.
         name: name in messages, and default name of the scenario.
-        set: values that override fields, see `load_scenario`.
+        set: values that override fields, keyed by dotted path.
 
     Raises:
         InputFileError: the scenario is not valid.
@@ -132,7 +133,7 @@ def _scenario(document: Document, name: str, overrides: Overrides) -> Scenario:
 
 
 def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
-    """Validate a document and build what its checks need."""
+    """Validate a document and build the objects that further checks require."""
     _locate_files(document)
     file = validate(scenario_model(document), document, document.data)
     robot, robot_problems = _robot(document)
@@ -184,7 +185,7 @@ def _set(document: Document, change: Override) -> None:
     before = document.get(*change.loc)
     is_record = isinstance(before, Mapping) and "unit" in before
     if is_record and not isinstance(change.value, Mapping):
-        # A plain number keeps the unit of the record that it replaces.
+        # If a plain number replaces a record, the unit of the record is kept.
         value = replace_value(before, change.value, None, f"set by {change.label}")
         change = replace(change, value=value)
     twin = document.get(*PRESET[:-1])
@@ -202,7 +203,7 @@ def _locate_files(document: Document) -> None:
 def _resolved_or_raw(
     document: Document, products: Mapping[str, object]
 ) -> dict[str, Any]:
-    """Return the resolved data of an unmodified scenario, or raw data if not valid."""
+    """Return the resolved data, or the raw data if the scenario is not valid."""
     if not isinstance(document.data, dict):
         document.data = {}
     _locate_files(document)
@@ -242,8 +243,8 @@ def _resolved(
     layout: str,
     products: Mapping[str, object],
 ) -> dict[str, Any]:
-    """Return the plain data of a scenario with defaults and the robot written out."""
-    # supply.allow_overpressure is an alias of allow_overpressure.
+    """Return the plain data of a scenario with explicit defaults and robot."""
+    # The key supply.allow_overpressure is an alias of allow_overpressure.
     excluded: Any = {"supply": {"allow_overpressure"}, "changes": True}
     if file.bench:
         excluded["start"] = True
@@ -265,7 +266,7 @@ def _resolved(
         document["start"] = {"from": file.start.run, "time_s": file.start.time_s}
     for key, section in file.sections().items():
         section.resolve(document, file, products.get(key))
-    # Paths are stored as absolute paths, because the run may be read from another
+    # Paths are stored as absolute paths, because the run may be loaded from another
     # working folder.
     for loc, kind in path_fields(document).items():
         block: Any = document
@@ -309,8 +310,7 @@ def scenario_json_schema() -> dict[str, Any]:
     """Return a JSON Schema (draft 2020-12) that describes every key of a scenario."""
     schema = with_extensions().model_json_schema()
     robot_schema = RobotFile.model_json_schema()
-    # Definitions are numbered, because the generated names of records contain their
-    # bounds and are long.
+    # Definitions are numbered because the generated names of record types are long.
     names = {
         name: f"Robot{i}_{name.partition('_')[0]}"
         for i, name in enumerate(robot_schema["$defs"], start=1)

@@ -1,14 +1,16 @@
 """Obstacles from ROS occupancy maps and from CSV lists of circles.
 
 A map is a YAML file of the ROS ``map_server`` with a picture, its resolution and the
-pose of its lower left corner. With the mean c of red, green and blue of a pixel, 0 to
-255, its occupancy is (255 − c)/255, or c/255 with `negate`. A cell is free
+pose of its lower left corner. The colour c of a pixel is the mean of red, green and
+blue (0 to 255). The occupancy is (255 − c)/255, or c/255 if `negate` is true. A cell is
+free
 
 - in mode ``trinary`` if occupancy < `free_thresh`;
 - in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` −
   `free_thresh`) rounds to 0 or less.
 
-All other cells are obstacles, including unknown ones, which the snake must not enter.
+All other cells become obstacles. Unknown cells are obstacles too, because the snake
+must not enter them.
 """
 
 from __future__ import annotations
@@ -32,16 +34,17 @@ from srs_twin.robot.world import Circle, Polygon
 CIRCLE_COLUMNS = ("x_m", "y_m", "radius_m")
 """Columns of a CSV file that lists circles."""
 MAX_PIXELS = 25_000_000
-"""Maximum number of pixels: 250 m by 250 m at 0.05 m."""
+"""Maximum number of pixels, which allows a map of 250 m by 250 m with 0.05 m pixels."""
 MAX_RECTANGLES = 20_000
-"""Maximum number of obstacles. Each obstacle costs a plan 1 ms, and a run of the twin 2
-ms and 40 kB."""
+"""Maximum number of obstacles. Each obstacle costs 1 ms of planning time, and 2 ms and
+40 kB in a run of the twin."""
 
 _MODES = ("1", "L", "P", "RGB")
-"""Pillow's modes of opaque pictures with at most 8 bits per channel."""
+"""Pillow's modes of pictures without transparency and with at most 8 bits per
+channel."""
 _DEPTH_BYTE = 24
-"""Position of the number of bits per channel in a PNG file. It is read here because
-Pillow reduces 16-bit colours to 8 bits."""
+"""Byte in a PNG file that contains the number of bits per channel. The byte is read
+directly because Pillow reduces 16-bit colours to 8 bits."""
 _ALLOWED = (
     "a PNG or PGM picture of at most 8 bits a channel, without transparency, is allowed"
 )
@@ -53,7 +56,7 @@ _QUOTED_LIST = re.compile(
 )
 _BOOLEANS = dict.fromkeys(("0", "n", "no", "off", "false"), False)
 _BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
-"""Booleans of YAML 1.1."""
+"""Boolean words of YAML 1.1."""
 
 
 class MapFile(StrictModel):
@@ -61,9 +64,9 @@ class MapFile(StrictModel):
 
     model_config = ConfigDict(extra="ignore")
 
-    image: Annotated[str, Field(min_length=1, max_length=1000)]  # path of the picture
-    resolution: Annotated[float, Field(ge=1e-4, le=100.0)]  # side of a pixel, m
-    # x and y of the lower left corner, m, and rotation, rad
+    image: Annotated[str, Field(min_length=1, max_length=1000)]  # Path of the picture.
+    resolution: Annotated[float, Field(ge=1e-4, le=100.0)]  # Side of a pixel, m.
+    # Position (m) and rotation (rad) of the lower left corner.
     origin: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...]
     mode: Literal["trinary", "scale"] = "trinary"
     negate: bool = False
@@ -83,7 +86,7 @@ class MapFile(StrictModel):
         """Parse a list that a map editor wrote as the text "[0.0, 0.0, 0.0]"."""
         if isinstance(value, str) and _QUOTED_LIST.fullmatch(value):
             value = [float(number) for number in _NUMBER.findall(value)]
-        # A strict model accepts only a tuple when a validator runs in Python.
+        # A validator in a strict model must return a tuple instead of a list.
         if isinstance(value, list):
             return tuple(value)
         return value
@@ -91,7 +94,7 @@ class MapFile(StrictModel):
     @field_validator("negate", mode="before")
     @classmethod
     def _boolean(cls, text: object) -> bool:
-        """Return the value of a YAML 1.1 boolean, which may be quoted as in ROS."""
+        """Return the value of a YAML 1.1 boolean, which may be a quoted text."""
         if (value := _BOOLEANS.get(str(text).lower())) is None:
             raise ValueError(
                 f"must be true, yes, on, 1 or false, no, off, 0, not {text!r:.50}"
@@ -115,7 +118,7 @@ class MapFile(StrictModel):
             )
 
     def blocked(self, colour: np.ndarray) -> np.ndarray:
-        """Return a mask of occupied and unknown cells from red + green + blue."""
+        """Return a mask of occupied and unknown cells from summed colours."""
         levels = np.arange(_WHITE + 1)
         if not self.negate:
             levels = levels[::-1]
@@ -131,9 +134,6 @@ class MapFile(StrictModel):
 
 def read_map(path: Path) -> tuple[Polygon, ...]:
     """Return rectangles that cover exactly the occupied cells of a map.
-
-    Args:
-        path: path of the YAML file.
 
     Raises:
         InputFileError: a value is not allowed, or the picture cannot be read.
@@ -166,7 +166,7 @@ def _document(path: Path) -> Document:
 
 
 def pictures_of(path: Path) -> list[Path]:
-    """Return the picture of a map in a list, which is empty for an unreadable map."""
+    """Return a list with the picture of a map, or an empty list on error."""
     try:
         return [Path(_document(path).data["image"])]
     except (InputError, KeyError, TypeError):
@@ -211,7 +211,7 @@ def _colours(path: Path) -> np.ndarray:
     """Return the sum of red, green and blue of each pixel, shape (rows, columns).
 
     Raises:
-        InputError: the file is no allowed picture, is damaged, or is too large.
+        InputError: the file is not an allowed picture, is damaged, or is too large.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -237,19 +237,20 @@ def _colours(path: Path) -> np.ndarray:
         raise InputError(f"{name}: {_ALLOWED}") from None
     except Image.DecompressionBombError:
         raise InputError(f"{name}: {too_large}") from None
-    except Exception as error:  # decoders may raise any exception for a damaged file
+    except Exception as error:  # a decoder may raise any exception for a damaged file
         raise InputError(
             f"{name}: damaged ({error}); save it again as PNG or PGM"
         ) from error
 
 
 def _rectangles(full: np.ndarray) -> list[list[int]]:
-    """Cover the occupied cells by rectangles (left, bottom, right, top).
+    """Cover the occupied cells with rectangles (left, bottom, right, top).
 
-    A rectangle is a run of occupied cells, extended over equal runs in the rows above.
+    A rectangle begins as an interval of occupied cells in one row. The rectangle is
+    extended upwards over all rows that contain the same interval.
 
     Raises:
-        InputError: there are more than `MAX_RECTANGLES`.
+        InputError: there are more than `MAX_RECTANGLES` rectangles.
     """
     width = full.shape[1] + 1
     edges = np.flatnonzero(
@@ -270,8 +271,8 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
             f" but only {MAX_RECTANGLES:,} are allowed; remove specks with a median"
             " filter, crop the map or reduce its size"
         )
-    # Rectangles with the same columns do not overlap, so their sorted starts and ends
-    # belong together.
+    # Rectangles in the same columns do not overlap, so the n-th start row belongs to
+    # the n-th end row.
     first, last = (
         x[np.lexsort((x, end[x] % width, begin[x] % width))] for x in (first, last)
     )

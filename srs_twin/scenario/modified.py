@@ -1,8 +1,8 @@
 """Changed fields of a scenario, and the expectations that they invalidate.
 
-A run of a modified scenario is no longer the published experiment. The titles of the
-run name the changed fields. An expectation about the unmodified scenario is omitted if
-a changed field affects its metric.
+A run of a modified scenario is no longer the published experiment. The title of the run
+therefore names the changed fields. If a changed field affects a metric, an expectation
+about the metric of the unmodified scenario is omitted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Changes = Sequence[Mapping[str, Any]]
 """Changed fields as plain data with the keys ``{"field", "from", "to"}``."""
 
 PLANTS = "plants"
-"""Name of the changed field if a run uses other plants than the file names."""
+"""Name of the changed field if other plants run than the scenario file names."""
 
 STEADY = frozenset(
     [
@@ -49,21 +49,21 @@ STEADY = frozenset(
         "plan_max_heading_jump_rad",
     ]
 ).union(ENERGY_MEANINGS)
-"""Metrics that do not depend on the duration, such as means over periods and plans."""
+"""Metrics that do not depend on the duration, such as means over periods, and plans."""
 
 _NAMES = ("name", "title", "changes", "robot.name", "robot.title")
 _NO_CONDITION = (
     *(*_NAMES, "expect", "seed", "record_hz", PLANTS),
     *("allow_overpressure", "supply.allow_overpressure"),
 )
-"""Fields that are not conditions of the experiment, such as names, the random seed,
-recording, expectations and permissions."""
+"""Fields that do not affect the experiment, such as names, the random seed, recording,
+expectations and permissions."""
 _MAX_TITLE_LENGTH = 64
-"""Maximum number of characters of the changes in a title."""
+"""Maximum number of characters with which a title describes changes."""
 _DIGEST = ", sha256 "
 """Text that precedes the digest of a long value."""
 _MAX_VALUES = 24
-"""Maximum number of values that are written out."""
+"""Maximum number of values that are written out instead of a digest."""
 
 
 class ChangedField(Section):
@@ -93,8 +93,8 @@ def changed_fields(
         before: plain data of the unmodified scenario.
         after: plain data of the modified scenario.
         locs: paths that were set. The values within a block are compared one by one.
-        earlier: changes that `before` already contains. A field that has its original
-            value again is omitted.
+        earlier: changes that were made to `before`. A field is omitted if it has its
+            original value again.
     """
     known = {change["field"]: change.get("from") for change in earlier}
     paths = {field: parse_path(field) for field in known if field != PLANTS}
@@ -116,13 +116,7 @@ def changed_fields(
 def with_plants(
     changes: Changes, named: Sequence[str], run: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """Return changes with an entry for the plants if a run uses other plants.
-
-    Args:
-        changes: changed fields.
-        named: plants that the scenario names.
-        run: plants that run.
-    """
+    """Return changes, with an additional entry if other plants run."""
     rest = [dict(change) for change in changes if change["field"] != PLANTS]
     if set(named) == set(run):
         return rest
@@ -130,14 +124,14 @@ def with_plants(
 
 
 def marked(title: str, changes: Changes) -> str:
-    """Append the changed fields to a title, see `changes_text`."""
+    """Append the changed fields to a title."""
     if changes:
         return f"{title} (modified: {changes_text(changes)})"
     return title
 
 
 def changes_text(changes: Changes) -> str:
-    """List the changed fields with their values, or only count them."""
+    """Return a list of the changed fields and values as text, or only their number."""
     texts = [f"{c['field']} {text_of(c['from'])} → {text_of(c['to'])}" for c in changes]
     text = ", ".join(texts)
     if len(text) <= _MAX_TITLE_LENGTH:
@@ -166,8 +160,9 @@ def text_of(value: object) -> str:
 def invalidated_by(expectation: Expectation, changes: Changes) -> list[str]:
     """Return the changed fields that invalidate an expectation.
 
-    An expectation with `source`, `published` or `known` refers to the unmodified
-    scenario. Other expectations are bounds that apply to modified scenarios too.
+    Expectations with `source`, `published` or `expected_failure` refer to the
+    unmodified scenario. Other expectations are bounds that apply to modified scenarios
+    too.
     """
     if (expectation.source, expectation.published, expectation.expected_failure) == (
         None,
@@ -184,10 +179,7 @@ def invalidated_by(expectation: Expectation, changes: Changes) -> list[str]:
 def affects(field: str, metric: str, subject: str) -> bool:
     """Return whether a changed field affects the conditions of a published metric.
 
-    Args:
-        field: path of the changed field.
-        metric: name of the metric.
-        subject: subject of the metric, "analytical", "twin" or "comparison".
+    The subject of the metric is "analytical", "twin" or "comparison".
     """
     first, *rest = re.split(r"[.\[]", field)
     if field in _NO_CONDITION or first == "expect":
@@ -200,11 +192,7 @@ def affects(field: str, metric: str, subject: str) -> bool:
 
 
 def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a line about invalidated expectations, or an empty list without any.
-
-    Args:
-        left_out: see `Scenario.left_out`.
-    """
+    """Return a list with a line about invalidated expectations, or an empty list."""
     if not left_out:
         return []
     metrics = ", ".join(
@@ -253,7 +241,7 @@ def _at(document: Any, loc: Loc) -> Any:
 def _value(document: object, loc: Loc) -> object:
     """Return the value at a path for display.
 
-    Robots and plants are shown by name, records by their number, and many values by a
+    Robots and plants are shown by name, records by their number, and long lists by a
     digest.
     """
     value = _at(document, loc)

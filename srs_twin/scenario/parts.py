@@ -1,10 +1,11 @@
-"""Sections for parts from outside the package.
+"""Sections for plug-in classes in scenario files.
 
-A part is named as ``kind: module:Name``, or by a name that a package registers. The
-name may be a class of a controller, of chambers or of a sensor. Its section is then
-made from the signature of the class: the other keys are the arguments, without
-conversion of units. The name may also be a section, which is used like a section of
-this package. `srs_twin.extensions` describes what is imported when.
+A file names a plug-in class as ``kind: module:Name``, or by a name that a distribution
+registers. The class may be a controller, a chamber model or a sensor. The section is
+then derived from the signature of the class. The keys are the arguments of the class,
+and units are not converted. The class may also be a section, which is used like a
+section of this package. The module `srs_twin.extensions` describes which modules are
+imported.
 """
 
 from __future__ import annotations
@@ -38,13 +39,7 @@ from srs_twin.sensing import KINDS as SENSORS, Sensor
 
 
 class _Kind(NamedTuple):
-    """Kind of part that a scenario may take from outside the package.
-
-    Attributes:
-        section: base class of sections.
-        base: base class of objects.
-        known: names of the package's parts.
-    """
+    """Type of section that may refer to a plug-in class."""
 
     section: type[Section]
     base: type
@@ -56,10 +51,10 @@ PARTS = {
     "pneumatics": _Kind(PneumaticsSection, Pneumatics, PNEUMATICS),
     "sensor": _Kind(SensorSection, Sensor, SENSORS),
 }
-"""Sections of a scenario that may name parts from outside the package."""
+"""Sections of a scenario that may name plug-in classes."""
 
 _CONTEXT = ("spec", "supply_pa", "layout")
-"""Arguments of chambers and sensors that the scenario provides and a file cannot set.
+"""Arguments of chambers and sensors that the scenario determines and a file cannot set.
 """
 
 OWN_SCHEMA = {
@@ -67,13 +62,13 @@ OWN_SCHEMA = {
     "properties": {"kind": {"type": "string", "pattern": f"^{PART_PATTERN}$"}},
     "required": ["kind"],
 }
-"""JSON Schema of the section of a part from outside the package."""
+"""JSON Schema of the section of a plug-in class."""
 
 
 class _ArgumentsSection(Section):
     """Section whose keys are the arguments of a class.
 
-    Field names end in an underscore, so that they hide no methods.
+    Field names end with an underscore, so that they do not hide methods.
 
     Attributes:
         not_written: fields whose default cannot be read back from a file.
@@ -82,36 +77,36 @@ class _ArgumentsSection(Section):
     not_written: ClassVar[set[str]]
 
     def arguments(self, *constructors: object) -> dict[str, Any]:
-        """See `Section.arguments`."""
+        """Return the arguments of the class."""
         return {name[:-1]: value for name, value in self if name != "kind"}
 
     def written(self) -> dict[str, Any]:
-        """See `Section.written`. Null is kept as a possible value of an argument."""
+        """Return the section as plain data. Arguments whose value is null are kept."""
         unset = self.not_written - self.model_fields_set
         return self.model_dump(mode="json", by_alias=True, exclude=unset)
 
 
 class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
-    """Section of a part that is not imported.
+    """Section of a plug-in class that is not imported.
 
-    Its keys are not checked, and it cannot build an object.
+    The keys are not checked, and the section cannot build an object.
     """
 
     model_config = ConfigDict(extra="allow")
-    constructors = (Gait,)  # it drives all valve layouts and robots
+    constructors = (Gait,)  # a gait supports all valve layouts and robots
 
     kind: str
 
     def arguments(self, *constructors: object) -> dict[str, Any]:
-        """Raise `AbsentPartError`."""
+        """Raise an `AbsentPartError`."""
         raise AbsentPartError(self.kind)
 
 
 def scenario_model(document: Document) -> type[ScenarioFile]:
     """Return the model of a scenario file with the sections that the file names.
 
-    Parts that cannot be used are reported and not checked. If names are unknown, the
-    model has all sections, so that messages can suggest the right names.
+    Plug-in classes that cannot be used are reported to the document. If names are
+    unknown, the model has all sections, so that messages can suggest the right names.
     """
     outside = _parts_from_outside(document)
     kind = document.get("controller", "kind")
@@ -148,7 +143,7 @@ def read_resolved(data: Mapping[str, Any]) -> ScenarioFile:
     """Return the sections of a resolved scenario.
 
     Raises:
-        InputFileError: a part from outside the package cannot be used here.
+        InputFileError: a plug-in class cannot be used.
     """
     document = Document("scenario", data)
     model = scenario_model(document)
@@ -213,7 +208,7 @@ def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
 
 
 def _adapter(hint: Any) -> TypeAdapter[Any] | None:
-    """Return the validator of a type, or None if a file cannot contain its values."""
+    """Return the validator of a type, or None if a file cannot contain such values."""
     try:
         adapter = TypeAdapter(hint)
         adapter.json_schema()

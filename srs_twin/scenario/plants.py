@@ -1,4 +1,4 @@
-"""Section `plants` of a scenario: the plants that run, and their options."""
+"""Section `plants` of a scenario, which selects the plants and their options."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ from srs_twin.robot.scale import Scale, divide
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
-"""Names of the plants. The first is the reference."""
+"""Names of the plants. The first plant is the reference of comparisons."""
 
 
 class _PlantFile(Section):
     """Base class of the plant sections.
 
     Attributes:
-        floor_keys: keys about the floor contact, not allowed on a bench.
-        scaled_keys: keys whose defaults scale with the robot's time unit.
-        kind_key: key that determines what the plant supports, see
-            `plants.base.refusals`.
-        wheel_keys: keys about wheels or skids, not allowed for a robot with skin.
+        floor_keys: keys about the floor contact, which are not allowed on a bench.
+        scaled_keys: keys whose defaults are multiplied by the robot's time unit.
+        kind_key: key that determines what the plant supports (`plants.base.refusals`).
+        wheel_keys: keys about wheels or skids, which are not allowed for a robot with
+            skin.
     """
 
     floor_keys: ClassVar[tuple[str, ...]]
@@ -57,7 +57,7 @@ class _PlantFile(Section):
     bench, times the robot's time unit)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
-        """Return the section with default times and speeds in the units of a robot.
+        """Return the section with default times and speeds scaled to a robot.
 
         Args:
             scale: units of the robot.
@@ -111,7 +111,7 @@ class AnalyticalFile(_PlantFile):
     times the robot's time unit)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
-        """See `_PlantFile.scaled_to`."""
+        """Return the section with default times and speeds scaled to a robot."""
         scaled = super().scaled_to(scale, tick)
         if "timestep_s" not in self.model_fields_set:
             scaled.__dict__["timestep_s"] = default_timestep(tick, scale)
@@ -119,8 +119,8 @@ class AnalyticalFile(_PlantFile):
 
 
 BENCH_TICK_S = 0.001
-"""Default control tick on a bench, s, for a time unit of 1. Controllers on a bench
-track fast references."""
+"""Default control tick on a bench for a robot with time unit 1, s. The tick is short
+because controllers on a bench track fast references."""
 
 
 class TwinFile(_PlantFile):
@@ -151,13 +151,13 @@ class TwinFile(_PlantFile):
     @model_validator(mode="after")
     def _take_preset(self) -> TwinFile:
         if "timestep_s" not in self.model_fields_set:
-            # The model is frozen. `model_fields_set` must still contain only the keys
-            # of the file.
+            # The model is frozen, and `model_fields_set` must contain only keys of the
+            # file.
             self.__dict__["timestep_s"] = preset_timestep(self.preset)
         return self
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
-        """See `_PlantFile.scaled_to`."""
+        """Return the section with default times and speeds scaled to a robot."""
         scaled = super().scaled_to(scale, tick)
         if "timestep_s" not in self.model_fields_set:
             scaled.__dict__["timestep_s"] = divide(tick, scaled.timestep_s)
@@ -169,7 +169,7 @@ class TwinFile(_PlantFile):
         return self.friction or LAW_OF[self.wheels]
 
     def build_contact(self) -> Contact:
-        """Return the contact."""
+        """Return the contact model."""
         if self.contact == "loaded":
             return LoadedContact(self.law)
         return PreloadedContact(self.wheels)
@@ -180,7 +180,7 @@ class TwinFile(_PlantFile):
 
     @property
     def fast_preset(self) -> str | None:
-        """Name of the preset `fast` if a time step overrides it, or None."""
+        """Name of the preset "fast" if a time step overrides the preset, or None."""
         if self.preset != "fast":
             return None
         override = f" with timestep_s {self.timestep_s}"
@@ -206,7 +206,7 @@ def preset_timestep(preset: object) -> float | None:
 
 
 def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
-    """Replace the preset of a twin, keeping a time step that overrides it."""
+    """Replace the preset of a twin. A time step that overrides the preset is kept."""
     data = {**twin, "preset": preset}
     if twin.get("timestep_s") == preset_timestep(twin.get("preset")):
         data.pop("timestep_s", None)
@@ -214,13 +214,13 @@ def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
 
 
 PRESET = ("plants", "twin", "preset")
-"""Path of the key `preset`."""
+"""Path of the key `preset` in a scenario."""
 
 PlantFile = AnalyticalFile | TwinFile
 
 
 class PlantsFile(Section):
-    """Plants that run, with their options. A plant that is not named does not run."""
+    """Plants that run, with their options. A plant without a section does not run."""
 
     analytical: AnalyticalFile | None = None
     """Analytical model; {} selects its defaults."""

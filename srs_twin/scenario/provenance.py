@@ -1,8 +1,9 @@
-"""Provenance of a run: everything that determines its numbers.
+"""Provenance of a run, which is all data that determine the results.
 
-Provenance covers the scenario, its files, the source code, the package versions and the
-arithmetic of the processor, but not names, displays and expectations. The SHA-256 of
-the provenance is the key under which a result is stored.
+The provenance consists of the scenario, the files that the scenario reads, the source
+code, the package versions and the arithmetic of the processor. Names, displays and
+expectations are not part of the provenance. A result is stored under the SHA-256 of the
+provenance.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ WORDS = ("title", "source", "status", "expected_failure", "reason")
 """Keys at any depth whose texts explain a value and do not affect a run."""
 
 _VIEWING = "srs_twin.viewing"
-"""Package that only displays results and is therefore left out of the keys."""
+"""Package that only displays results and is therefore not part of the provenance."""
 
 _TYPE_CHECKING_BLOCK = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.M)
 _IMPORT = re.compile(
@@ -56,7 +57,7 @@ _IMPORT = re.compile(
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of packages that determine results, and `arithmetic`."""
+    """Return the versions of packages that determine results, and the arithmetic."""
     packages = ("mujoco", "numpy", "scipy", "numba")
     return {
         "srs_twin": __version__,
@@ -70,11 +71,11 @@ def versions() -> dict[str, str]:
 def arithmetic() -> str:
     """Return the name of the arithmetic, which determines the last digits of results.
 
-    The name has three parts. The first is the processor for which kernels are compiled,
-    which `NUMBA_CPU_NAME` overrides. The second names the kernels of the BLAS libraries
-    of NumPy and SciPy, which `OPENBLAS_CORETYPE` overrides. The third is a digest of
-    the processor's features and of function values of the C library, NumPy and BLAS,
-    which select code by processor.
+    The name has three parts. The first part is the processor for which kernels are
+    compiled (variable `NUMBA_CPU_NAME`). The second part names the BLAS kernels of
+    NumPy and SciPy (variable `OPENBLAS_CORETYPE`). The third part is a digest of
+    processor features and of function values of the C library, NumPy and BLAS, because
+    these libraries select code for the processor.
     """
     from numba.core.registry import cpu_target
 
@@ -104,7 +105,7 @@ def run_key(document: Mapping[str, object], plants: Iterable[str], runner: str) 
 
     Args:
         document: scenario as plain data.
-        plants: plants that run, empty for a mere plan.
+        plants: plants that run. The sequence is empty if only a plan is computed.
         runner: dotted name of the module that runs the scenario.
     """
     return digest_of(
@@ -123,7 +124,7 @@ def run_sources(document: Mapping[str, object], runner: str) -> dict[str, str]:
     sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
     used = installed(METRICS) | installed(sections)
     formats = {}
-    if sections:  # they may read recorded files
+    if sections:  # sections of extensions may read recorded files
         used |= installed(FORMATS)
         formats = registered("format")
     controller = document.get("controller")
@@ -166,11 +167,11 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
 
 
 def judged_digest(document: Mapping[str, object]) -> str:
-    """Return a digest that tells whether stored intervals still apply to a scenario.
+    """Return a digest that changes when stored intervals are no longer valid.
 
-    The digest covers the robot and the input files. It leaves out code, duration and
-    seed, because their effect on a result is visible in the value. It also leaves out
-    explanatory texts, so that a reworded source does not make an interval stale.
+    The digest depends on the robot and the input files. Code, duration and seed are
+    excluded, because their effects are visible in the value of a result. Explanatory
+    texts are excluded too, so that intervals remain valid if a source is reworded.
     """
     skipped = (*NOT_PHYSICS, "duration_s", "seed")
     return digest_of(
@@ -201,9 +202,9 @@ def digest_of(**data: object) -> str:
 def file_digests(document: Mapping[str, object]) -> dict[str, str]:
     """Return the hexadecimal SHA-256 of the input files of a run, keyed by path.
 
-    Input files are footprints, recordings and logs that are given by name or path; the
-    robot is part of the document. The digest of an unreadable file is empty, and the
-    run reports the error.
+    Input files are footprints, recordings and logs. The robot file is excluded, because
+    the scenario document contains the robot. The digest of an unreadable file is an
+    empty string.
     """
     return {path: _sha256(path) for path in _files(document)}
 
@@ -235,7 +236,7 @@ def _sha256(path: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -> str:
-    """Return the digest of a file, cached by its times and its size."""
+    """Return the digest of a file, cached by modification time and size."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -244,12 +245,9 @@ def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -
 def source_digests(module: str) -> dict[str, str]:
     """Return the hexadecimal SHA-256 of the sources of a module and its imports.
 
-    Only imports from this package count. They are read from the source text, including
-    imports inside functions and excluding imports for type checkers. The ``__init__``
-    of a package counts only if the package itself is imported.
-
-    Args:
-        module: dotted name of the module.
+    Only imports from this package are considered. Imports are read from the source
+    text, including imports inside functions but not imports for type checkers. The
+    ``__init__`` of a package is included only if the package itself is imported.
     """
     return dict(sorted(_closure(module, Path(__file__).resolve().parents[2])))
 

@@ -1,4 +1,4 @@
-"""Scenario: an experiment in SI that builds its plants and its controller."""
+"""Scenario: an experiment in SI units that builds its plants and its controller."""
 
 from __future__ import annotations
 
@@ -54,22 +54,22 @@ class Scenario:
     """Experiment with a robot, a controller and one or two plants.
 
     Attributes:
-        name: name of the scenario and its output folder.
-        title: one-line title with the changed fields.
+        name: name of the scenario and of the output folder.
+        title: title on one line, including the changed fields.
         robot: robot with overrides.
         duration: simulated duration, s.
         seed: random seed.
         record_hz: recording rate, Hz.
-        supply_pa: supply pressure, gauge, Pa.
+        supply_pa: gauge supply pressure, Pa.
         pose: initial centre of mass x, y (m) and mean heading (rad).
-        initial_state: function that sets the initial state of a plant, or None for straight and
-            at rest at `pose`.
+        initial_state: function that sets the initial state of a plant, or None for a
+            straight snake at rest at `pose`.
         world: obstacles, bounds and goal.
-        file: sections of the file, with all defaults written out.
-        document: plain data of a file that loads as an equal scenario, with defaults
-            and robot written out.
+        file: sections of the file with explicit defaults.
+        document: plain data with explicit defaults and robot. Loading the document
+            returns an equal scenario.
         warnings: warnings for the user.
-        products: products of extension sections.
+        products: products of extension sections, keyed by section.
         source: file name for messages.
     """
 
@@ -95,8 +95,8 @@ class Scenario:
         return {name: value for name, value in vars(self).items() if name != "file"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Sections of parts from outside the package are classes that pickle cannot
-        # import, so they are made again.
+        # Sections of plug-in classes are generated classes that pickle cannot import, so
+        # the sections are created again.
         vars(self).update(state, file=read_resolved(state["document"]))
 
     @property
@@ -111,12 +111,12 @@ class Scenario:
 
     @property
     def planner(self) -> Any:
-        """Planner of the section `planner`, or None without one."""
+        """Planner of the section `planner`, or None if there is no such section."""
         return self.products.get("planner")
 
     @property
     def recording(self) -> Any:
-        """Recording of the section `recording`, or None without one."""
+        """Recording of the section `recording`, or None if there is no such section."""
         return self.products.get("recording")
 
     @property
@@ -126,19 +126,19 @@ class Scenario:
 
     @property
     def label(self) -> str:
-        """Name of the scenario with the changed fields."""
+        """Name of the scenario, followed by the changed fields."""
         return marked(self.name, self.changes)
 
     @property
     def expect(self) -> tuple[Expectation, ...]:
-        """Expectations that are still valid after the changes of fields."""
+        """Expectations that are valid for the scenario with its changed fields."""
         return tuple(
             item for item in self.file.expect if not invalidated_by(item, self.changes)
         )
 
     @property
     def left_out(self) -> list[dict[str, Any]]:
-        """Invalidated expectations. The changed fields are listed as `because`."""
+        """Invalidated expectations. The entry `because` contains the changed fields."""
         pairs = (
             (item, invalidated_by(item, self.changes)) for item in self.file.expect
         )
@@ -154,9 +154,10 @@ class Scenario:
         ]
 
     def run_on(self, plants: Sequence[str] | None) -> Scenario:
-        """Return the scenario for a run on given plants, by default its own plants.
+        """Return the scenario for a run on given plants.
 
-        Other plants count as a changed field.
+        By default, the scenario runs on its own plants. A run on other plants is
+        recorded as a changed field.
         """
         changes = with_plants(
             self.changes, tuple(self.plants), plants or tuple(self.plants)
@@ -182,7 +183,7 @@ class Scenario:
 
     @property
     def timing(self) -> dict[str, Any]:
-        """Arguments of `rollout` and `Job` that the scenario sets."""
+        """Arguments of `rollout` and `Job` that are defined by the scenario."""
         names = (
             "duration",
             "pose" if self.initial_state is None else "initial_state",
@@ -193,7 +194,7 @@ class Scenario:
 
     @property
     def measured(self) -> Trajectory | None:
-        """Measured trajectory in the time of the run, or None without a recording."""
+        """Measured trajectory that starts at time 0 and ends with the run, or None."""
         measured = (
             section.measured(self.products[key])
             for key, section in self.file.sections().items()
@@ -208,10 +209,10 @@ class Scenario:
 
     @contextmanager
     def named_in_errors(self) -> Iterator[None]:
-        """Add the name of the file to input errors of a block.
+        """Add the name of the scenario file to input errors that the block raises.
 
         Raises:
-            InputError: the block raised it.
+            InputError: the block raised the error.
         """
         try:
             yield
@@ -222,13 +223,12 @@ class Scenario:
     def build_plant(
         self, kind: str, *, robot: RobotSpec | None = None, **changes: Any
     ) -> Plant:
-        """Return a new plant at rest, with defaults if the file does not name it.
+        """Return a new plant at rest. If the file lacks the plant, defaults are used.
 
         Args:
             kind: "analytical" or "twin".
             robot: robot that replaces the robot of the scenario.
-            changes: arguments of the plant, and `gaps`, that replace the scenario's
-                values.
+            changes: arguments of the plant that replace the values of the scenario.
 
         Raises:
             UnknownNameError: the kind is unknown.
@@ -262,7 +262,7 @@ class Scenario:
         return TwinSnake(robot, **arguments)
 
     def check_run(self) -> None:
-        """Check that a run can start, for example that its plan can be computed.
+        """Check that a run can start, for example that the plan can be computed.
 
         Raises:
             InputError: the run cannot start.
@@ -275,7 +275,7 @@ class Scenario:
         """Return a new controller.
 
         Raises:
-            InputError: the controller follows a plan, and the plan cannot be computed.
+            InputError: the controller requires a plan that cannot be computed.
         """
         return self.controller.controller(
             ControllerContext(self.name, self.robot, self.supply_pa, self.products)

@@ -1,6 +1,6 @@
-"""Section `start` of a scenario: initial state of the snake.
+"""Section `start` of a scenario, which defines the initial state of the snake.
 
-The initial pose, motion and pressures are set by keys or taken from an earlier run.
+Initial pose, motion and pressures are given by keys or taken from an earlier run.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from srs_twin.scenario.fields import Contradiction, FilePath, Section, quantity
 from srs_twin.trajectory import Trajectory
 
 _MAX_SEGMENTS = 64
-"""Maximum number of segments in a list."""
+"""Maximum number of segments in a list of initial values."""
 
 Speed = Annotated[float, Field(ge=-10.0, le=10.0)]
 Bend = Annotated[float, Field(ge=-3.2, le=3.2)]
@@ -78,7 +78,7 @@ class StartFile(Section):
     """Time of the state (within the run that from names)."""
 
     def contradictions(self) -> Iterator[Contradiction]:
-        """Yield keys that contradict each other."""
+        """Yield contradictions between the keys of the section."""
         if self.run is None:
             if self.time_s is not None:
                 yield Contradiction(
@@ -102,16 +102,16 @@ class StartFile(Section):
     def initial_state(
         self, segments: int, supply_pa: float, plants: Mapping[str, object]
     ) -> InitialState | None:
-        """Return the initial state of each plant, or None for straight and at rest.
+        """Return the initial state of each plant, or None for a straight snake at rest.
 
         Args:
             segments: number of segments.
-            supply_pa: supply pressure, the maximum chamber pressure, gauge, Pa.
+            supply_pa: gauge supply pressure, Pa. Chamber pressures must not exceed it.
             plants: plants that run, keyed by name.
 
         Raises:
             InputError: a list does not have one entry per segment, a pressure is above
-                the supply pressure, or the run has no such time.
+                the supply pressure, or the earlier run does not contain the time.
         """
         if not self.moves:
             return None
@@ -183,16 +183,12 @@ class _MotionState:
 
 @dataclass(frozen=True)
 class InitialState:
-    """Function that starts a plant in a given state, used as a `rollout.Begin`.
-
-    Attributes:
-        states: initial state of each plant, keyed by name.
-    """
+    """Function that sets a plant to a given initial state (`rollout.PlaceFunction`)."""
 
     states: Mapping[str, _MotionState]
 
     def __call__(self, plant: Plant, seed: int) -> SnakeState:
-        """Reset a plant and place it in its initial state."""
+        """Reset a plant and set the initial state."""
         moving = self.states[plant.name]
         x, y = map(float, moving.com)
         resting = plant.reset(pose=(x, y, moving.heading), seed=seed)
@@ -233,8 +229,8 @@ def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionSt
     )
     k = min(max(int(np.searchsorted(times, time - 1e-9)), 1), len(times) - 1)
     near = slice(max(k - 2, 0), min(k + 2, len(times)))
-    # A parabola or cubic through the neighbouring samples gives the value (coefficient
-    # 0) and the rate (coefficient 1).
+    # A polynomial through the neighbouring samples gives the value (coefficient 0) and
+    # the rate (coefficient 1).
     fit = np.polynomial.polynomial.polyfit(
         times[near] - time, columns[near], len(times[near]) - 1
     )

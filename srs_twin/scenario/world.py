@@ -1,4 +1,4 @@
-"""Section `world` of a scenario: floor, obstacles, movable objects, bounds and goal."""
+"""Section `world` of a scenario, with floor, obstacles, objects, bounds and goal."""
 
 from __future__ import annotations
 
@@ -142,12 +142,7 @@ class RandomFile(Section):
     def draw(
         self, bounds: BoundsFile | None, seed: int, places: list[Pose | Goal]
     ) -> tuple[Circle, ...]:
-        """Draw the circles.
-
-        Args:
-            bounds: area that is used if the section does not set one.
-            seed: random seed that is used if the section does not set one.
-            places: start and goal, which stay clear of circles.
+        """Draw the circles at random.
 
         Raises:
             InputError: the circles do not fit into the area.
@@ -197,7 +192,7 @@ class PegsFile(Section):
         return self
 
     def draw(self, start: Pose, seed: int, length: float) -> tuple[Circle, ...]:
-        """Return the pegs.
+        """Return the pegs of the field.
 
         Args:
             start: initial pose of the snake.
@@ -255,7 +250,7 @@ class _ObjectFile(Section):
     """Initial heading (counter-clockwise from x)."""
 
     def build(self) -> MovableObject:
-        """Return the object."""
+        """Return the object in SI units."""
         size = tuple(getattr(self, key) for key in self.size_keys)
         return MovableObject(size=size, **self.arguments())
 
@@ -300,8 +295,8 @@ class WorldFile(Section):
     """Polygonal obstacles."""
     random: RandomFile | None = None
     """Randomly placed round obstacles."""
-    # The default is None, so that documents of scenarios without these keys keep their
-    # digests.
+    # The default is None, so that the digests of scenarios without these keys remain
+    # unchanged.
     pegs: PegsFile | None = None
     """Field of pegs."""
     obstacle_friction: float | None = quantity(0.0, 10.0, None)
@@ -311,8 +306,8 @@ class WorldFile(Section):
     """Slope of the floor."""
     steps: Annotated[list[FloorStepFile], Field(max_length=100)] = []
     """Steps of the floor."""
-    # The default is None, so that documents of scenarios without objects keep their
-    # digests.
+    # The default is None, so that the digests of scenarios without objects remain
+    # unchanged.
     objects: Annotated[list[ObjectFile], Field(max_length=10)] | None = None
     """Movable objects; they exist on the twin only."""
     bounds: BoundsFile | None = None
@@ -321,7 +316,7 @@ class WorldFile(Section):
     """Goal for the centre of mass."""
 
     def scaled_to(self, scale: Scale) -> WorldFile:
-        """Return the section with default lengths in the units of a robot."""
+        """Return the section with default lengths scaled to a robot."""
         goal = self.goal
         random = self.random
         unit = scale.length
@@ -349,11 +344,12 @@ class WorldFile(Section):
         return path
 
     def place_of(self, number: int, world: World) -> tuple[str | int, ...]:
-        """Return the path of an obstacle in this section, or () if it is uncertain.
+        """Return the path of an obstacle in this section, or () if the path is unknown.
 
         Args:
-            number: index among round obstacles, polygons and objects, from 0.
-            world: result of `build_world`.
+            number: index of the obstacle in the list of round obstacles, polygons and
+                objects, counted from 0.
+            world: world returned by `build_world`.
         """
         round_ones = len(world.obstacles)
         firsts = {
@@ -372,7 +368,7 @@ class WorldFile(Section):
         return ()
 
     def build_world(self, start: Pose, seed: int, length: float = 1.0) -> World:
-        """Return the world of a snake that starts at a pose.
+        """Return the world around a snake that starts at a given pose.
 
         Args:
             start: initial pose, which random obstacles avoid.
