@@ -341,7 +341,12 @@ class AnalyticalSnake(PneumaticPlant):
         return inertia
 
     def steps(self, schedule: Schedule, samples: int) -> TimeSteps:
-        """Return the integrator's steps for a schedule with equally spaced samples."""
+        """Return the integrator's steps for a schedule.
+
+        Args:
+            schedule: valve commands.
+            samples: number of equally spaced samples, which end a step each.
+        """
         longest = self.timestep
         if self._coupled:
             longest = min(longest, self._coupling_step)
