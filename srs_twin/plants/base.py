@@ -117,7 +117,7 @@ class SnakeState:
 
     The z axis points up, yaw is counter-clockwise, and connectors are numbered from the
     head. A history is an object of the same class in which every field has a leading
-    axis of samples. `at` returns the state of one sample.
+    axis of samples. The method `at` returns the state of one sample.
 
     Attributes:
         time: time since the start of the run, s.
@@ -138,10 +138,10 @@ class SnakeState:
             fluctuate between steps.
         obstacle_force: horizontal force of all obstacles on each connector and the
             adjoining halves of its segments, shape (N, 2), N. The force is averaged
-            since the previous sample. It is 0 on plants without obstacles.
+            since the previous sample. The force is 0 on plants without obstacles.
         torque: net moment of each segment on the connectors that it joins, shape
-            (segments,), N·m. For compliant bends it is k (q_f − q) + c (q̇_f − q̇),
-            where q_f is the free bend, k the stiffness and c the damping.
+            (segments,), N·m. For compliant bends the moment is k (q_f − q) + c (q̇_f −
+            q̇), where q_f is the free bend, k the stiffness and c the damping.
         work: work ∫ Σ T_j q̇_f,j dt of the compressed air since the start, J, where T_j
             is the torque and q_f,j the free bend of segment j.
         internal_loss: part of the work that the material of the segments has
@@ -197,9 +197,10 @@ class SpatialState(SnakeState):
     """State of a snake whose segments bend in two directions.
 
     The fields `bend`, `bend_rate`, `measured_bend` and `torque` have the shape
-    (segments, 2). Their last axis holds the components to the left and upwards. The
-    fields `pressure` and `valves` have one column per chamber. `connector_heading` is
-    the heading of the connector's axis after projection onto the floor.
+    (segments, 2). The last axis of these fields holds the components to the left and
+    upwards. The fields `pressure` and `valves` have one column per chamber.
+    `connector_heading` is the heading of the connector's axis after projection onto the
+    floor.
 
     Attributes:
         height: heights of the connectors above the floor, shape (N,), m.
@@ -236,7 +237,8 @@ class Plant(Claimable, Stateful, ABC):
         tick: control tick, s, which is a multiple of the plant's time step.
         max_chunk_s: recommended maximum length of a schedule in one call of `play`, s.
         layout: valve layout, one of `pneumatics.valves.LAYOUTS`.
-        state: most recently returned state. Plants that cannot be saved lack it.
+        state: most recently returned state. Only plants that can be saved have this
+            attribute.
     """
 
     name: str
@@ -261,9 +263,10 @@ class Plant(Claimable, Stateful, ABC):
 
     @property
     def sample_step(self) -> float | None:
-        """Time of which the interval between samples must be a multiple, s.
+        """Smallest interval between samples, s.
 
-        The value is None if samples may be taken at any interval.
+        Longer intervals must be multiples of the smallest interval. The value is None
+        if any interval is possible.
         """
         if type(self).advance is Plant.advance:
             return self.tick
@@ -271,7 +274,7 @@ class Plant(Claimable, Stateful, ABC):
 
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Lay the snake straight and at rest with empty chambers.
+        """Reset to a straight snake at rest with empty chambers.
 
         Args:
             pose: centre of mass x, y (m) and mean heading (rad).
@@ -370,7 +373,7 @@ class Plant(Claimable, Stateful, ABC):
 
         Args:
             schedule: valve states over a whole number of ticks.
-            samples: number of equally spaced samples, the last one at the end.
+            samples: number of equally spaced samples. The last sample is at the end.
 
         Returns:
             The history of the samples. Plants that can only advance tick by tick return
@@ -434,7 +437,7 @@ class PneumaticPlant(Plant):
         return supply
 
     def identity(self) -> dict[str, Any]:
-        """Return the settings that must match a saved state, except stuck valves."""
+        """See `Plant.identity`. Stuck valves may differ."""
         settings = super().identity()
         chambers = {
             key: value

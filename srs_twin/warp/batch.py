@@ -171,7 +171,7 @@ class WarpBatch(Claimable):
         seed: int = 0,
         worlds: Sequence[int] | None = None,
     ) -> SnakeState:
-        """Lay snakes straight and at rest with empty chambers.
+        """Reset to straight snakes at rest with empty chambers.
 
         Args:
             poses: centre of mass x, y (m) and mean heading (rad) of each run that is

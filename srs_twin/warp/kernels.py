@@ -27,7 +27,7 @@ class StepSettings(NamedTuple):
         slots: number of valve slots per time step.
         tick: number of time steps per tick.
         mean_control: whether the bodies are driven by the mean control over a step. By
-            default they are driven by the control at the beginning of the step.
+            default the bodies are driven by the control at the beginning of the step.
     """
 
     h: float
@@ -316,7 +316,7 @@ def _observation_kernel(
 
 
 def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
-    """Advance the chambers of segment j over a valve slot; return the new bend, rad.
+    """Advance the chambers of segment j by a valve slot, and return the new bend, rad.
 
     The argument `before` is the bend at the beginning of the slot.
     """
@@ -516,7 +516,7 @@ def _middle_kernels(
         all_accumulators: AllAccumulators,
         bias: wp.array2d(dtype=float),
     ):
-        # v̂ is the engine's velocity, and the positions return to mid-step.
+        # Store the engine's velocity as v̂, and restore the positions at mid-step.
         i = wp.tid()
         engine = engine_of(engines, i)
         workspace = workspace_of(workspaces, i)

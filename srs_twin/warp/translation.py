@@ -22,7 +22,7 @@ from srs_twin.plants.twin import friction_solve, spatial_algebra, stick_slip
 from srs_twin.pneumatics import chambers, lag
 
 _TOLERANCES = {
-    "_RIM_TOLERANCE": 1e-6,  # relative tolerance of the rim speed (`stick_slip`)
+    "_RIM_TOLERANCE": 1e-6,  # Relative tolerance of the rim speed (`stick_slip`).
     # Tolerance of the squared residual (`friction_solve`), (kg·m/s)².
     "_ABSOLUTE_TOLERANCE": 1e-15,
 }

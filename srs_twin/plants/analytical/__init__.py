@@ -58,8 +58,8 @@ from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
 # Maximum interval between exchanges of bends and pressures for point masses, at a time
-# unit of 1, s. At 0.25 ms the pressures oscillate below ambient pressure. At 0.05 ms
-# the results are unchanged.
+# unit of 1, s. With an interval of 0.25 ms the pressures oscillate below ambient
+# pressure. Half of the chosen interval gives the same results.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
@@ -345,7 +345,8 @@ class AnalyticalSnake(PneumaticPlant):
 
         Args:
             schedule: valve commands.
-            samples: number of equally spaced samples, which end a step each.
+            samples: number of equally spaced samples. Each sample is at the end of a
+                step.
         """
         longest = self.timestep
         if self._coupled:

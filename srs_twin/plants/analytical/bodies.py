@@ -9,12 +9,11 @@ or obstacle acts on the chain, so the bends alone determine its motion. The recu
 Newton–Euler algorithm computes the moments of the segments in two loops. The loop from
 head to tail computes the acceleration a_j of each connector j,
 
-$$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot
-L\dot\psi)\,e_\perp(\psi), $$
+$$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi). $$
 
-where chord j has the length L, the direction ψ, the unit vector e(ψ) along the chord
-and the unit vector e_⊥(ψ) normal to the chord. The loop from tail to head sums forces
-and moments. The moment T_j of segment j is the generalised force of the bend q_j.
+Here chord j has the length L, the direction ψ, the unit vector e(ψ) along the chord and
+the unit vector e_⊥(ψ) normal to the chord. The loop from tail to head sums forces and
+moments. The moment T_j of segment j is the generalised force of the bend q_j.
 """
 
 from __future__ import annotations
@@ -73,10 +72,10 @@ class Motion(NamedTuple):
 
 
 class Body(Stateful, ABC):
-    """Abstract mechanics of an analytical model, driven by the chambers.
+    """Abstract base class for the mechanics of an analytical model.
 
     Attributes:
-        state: current state with the indices of `kernels`. Compliant bends append
+        state: current state with the indices of `kernels`. `CompliantBends` adds
             further entries.
         velocity: current velocities, in the format of `Motion.velocities`.
         solid: constants of the body for the kernels.
@@ -101,7 +100,7 @@ class Body(Stateful, ABC):
         cells: LumpedSegments,
         bends: int = 0,
     ) -> None:
-        """Set the constants. `bends` is the number of bends with degrees of freedom."""
+        """Set the constants. `bends` is the number of compliant bends."""
         self.solid = solid
         self.floor = floor
         self.cells = cells
@@ -113,11 +112,11 @@ class Body(Stateful, ABC):
         return 0
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Return compliant bends (rad) and bend rates (rad/s), otherwise None, None."""
+        """Return bends (rad) and rates (rad/s), or (None, None) if prescribed."""
         return None, None
 
     def reset(self, pose: Pose) -> None:
-        """Lay the body straight and at rest at a pose of its centre of mass."""
+        """Reset to a straight body at rest with a given pose of its centre of mass."""
         self.state, self.velocity = map(np.zeros, self._shapes)
         self.state[:3] = pose
 
@@ -174,8 +173,8 @@ class Body(Stateful, ABC):
 
         Returns:
             The number of completed steps, and the states and velocities at the samples
-            in the layout of `Motion`. If a step failed, fewer steps are completed than
-            requested.
+            in the layout of `Motion`. If a step fails, the later steps are not
+            computed.
         """
 
     def stored(self, bend: np.ndarray, free: np.ndarray) -> float | np.ndarray:
@@ -266,7 +265,7 @@ class ClampedBends(Body):
     def move(
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
-        """See `Body.move`. The states are computed later, in `motion`."""
+        """See `Body.move`. The method `motion` computes the states."""
         return len(steps), *self._allocate(len(sample_steps))
 
     def motion(

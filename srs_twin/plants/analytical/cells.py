@@ -1,11 +1,11 @@
 """Division of segments into cells, for bodies with skin or among obstacles.
 
-A segment of constant curvature with the bend q is represented by a chain of arcs, the
-cells. Cell c has the bend s_c q, where s_c is the cell's fraction of the bend. The
-masses and contact points of the body are at the ends of the cells. The masses have the
-weights of the trapezoidal rule along the arcs. The kernels treat the cells as the
-segments of a longer chain. The mean heading over all contact points differs from the
-mean heading over the connectors by a linear function of the bends.
+A segment of constant curvature with the bend q is divided into a chain of arcs, which
+are called cells. Cell c has the bend s_c q, where s_c is the cell's fraction of the
+bend. The masses and contact points of the body are at the ends of the cells. The masses
+have the weights of the trapezoidal rule along the arcs. The kernels treat the cells as
+the segments of a longer chain. The mean heading over all contact points differs from
+the mean heading over the connectors by a linear function of the bends.
 
 For prescribed bends, the moment of a segment is T_j = Σ s_c T_c, where T_c is the
 moment of cell c. This sum follows from the virtual work T_j δq_j. In the `compliant`

@@ -7,16 +7,15 @@ q̇. The velocities of connector i along and across its heading are R_{t,i} u an
 u. The matrix R_i(q) contains both rows and a third row for the yaw rate. With the
 momenta p, Hamilton's equations are
 
-$$ p = M(q)\,u, \quad M = \sum m_i \bigl(R_{t,i}^T R_{t,i} + R_{n,i}^T R_{n,i}\bigr),
-\qquad
-   \dot p_q = \frac{\partial T}{\partial q} + \tau - k q - c \dot q + \sum R_i^T f_i, $$
+$$ p = M(q)\,u, \quad M = \sum m_i \bigl(R_{t,i}^T R_{t,i} + R_{n,i}^T R_{n,i}\bigr), \qquad
+   \dot p_q = \frac{\partial T}{\partial q} + \tau - k q - c \dot q + \sum R_i^T f_i. $$
 
-where m_i is the mass of a connector, T the kinetic energy, k the stiffness, c the
+Here m_i is the mass of a connector, T the kinetic energy, k the stiffness, c the
 damping, and f_i the friction force and moment on a connector. The compressed air exerts
 the moment τ = k G (p⁺ − p⁻), where G is the gain and p⁺, p⁻ are the chamber pressures.
 The first three momenta are the linear momentum and the angular momentum L, as in
-`complete`. These momenta are conserved exactly without friction, because only the floor
-changes them. The equations contain no acceleration.
+`complete`. Only the floor changes these momenta, so they are conserved exactly without
+friction. The equations contain no acceleration.
 
 **Integration.** The SDIRK2 method of `kernels` is used. At each stage, the Newton
 method solves for u. The Newton matrix contains friction, stiffness, damping and the
@@ -32,14 +31,14 @@ contain the velocity of a connector, its spin ω, and the rate of change of its 
 at constant u, all relative to the mean-heading frame. Across segment j, z changes
 according to
 
-$$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j, $$
+$$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j. $$
 
-with coefficients τ_j and t_j that depend on the bend. The Newton matrix is the sum of
-Zᵀ B Z over the connectors, where Z maps u to z. The matrix B of a connector contains
-the mass m, the derivatives of friction and, between velocities and rates, ± a m with a
-= γ h. The linear system is solved by the articulated-body algorithm. A loop from tail
-to head eliminates each bend from the matrix of the body behind it. A loop from head to
-tail substitutes the bends.
+The coefficients τ_j and t_j depend on the bend. The Newton matrix is the sum of Zᵀ B Z
+over the connectors, where Z maps u to z. The matrix B of a connector contains the mass
+m, the derivatives of friction and, between velocities and rates, ± a m with a = γ h.
+The linear system is solved by the articulated-body algorithm. A loop from tail to head
+eliminates each bend from the Newton matrix of the body behind the segment. A loop from
+head to tail substitutes the bends.
 
 The vector z of the head is initially unknown. Rates must be relative to the centre of
 mass, which gives the constraint Σ m ż = 0. The two Lagrange multipliers of this
@@ -146,10 +145,10 @@ _BEND_Y_RATE = 7
 _LINK_COLUMNS = 8
 
 # Rows and columns of the Newton matrix.
-_X = 0  # velocity, m/s
+_X = 0  # Velocity, m/s.
 _Y = 1
-_M = 2  # spin, rad/s
-_X_RATE = 3  # rate of the velocity, m/s²
+_M = 2  # Spin, rad/s.
+_X_RATE = 3  # Rate of the velocity, m/s².
 _Y_RATE = 4
 _MULTIPLIER_X = 5
 _MULTIPLIER_Y = 6
@@ -185,7 +184,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model from values or (segments, cells) arrays for the springs."""
+        """Return the model. Stiffness and damping may be arrays (segments, cells)."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells
@@ -286,7 +285,7 @@ def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untype
         q: bends, shape (segments,), rad.
         u: velocity of the centre of mass (m/s), yaw rate and bend rates (rad/s), shape
             (3 + segments,).
-        moment: moment k q_f + c q̇_f of the free bend q_f on each segment, shape
+        moment: moment k q_f + c q̇_f on each segment due to its free bend q_f, shape
             (segments,), N·m.
         a: implicit step γ h for `solve`, s.
         model: constants, a `CompliantModel`, whose obstacles hold the pose of the body.
@@ -335,7 +334,8 @@ def _sum_behind(q, u, moment, model, workspace):  # type: ignore[no-untyped-def]
     for j in range(n - 2, -1, -1):
         load = workspace.loads[j + 1]
         link = workspace.links[j]
-        # At a constant mean heading, the head rotates by this fraction of the bend.
+        # If the mean heading is constant, the head rotates by `fraction` times the
+        # bend.
         fraction = (n - 1 - j) / n
         mass_fraction = mass[j + 1] / model.solid.weight
         px = px + load[MOMENTUM_X]
@@ -648,8 +648,8 @@ def _stage(a, free, row, model, floor, u, workspace):  # type: ignore[no-untyped
     size = u.shape[0]
     weight = model.solid.weight
     _begin_stage(bend, bend_rate, model, workspace)
-    step_fraction = 0.0  # executed fraction of the latest Newton step
-    derivative_before = 0.0  # derivative of the potential at the start of that step
+    step_fraction = 0.0  # Executed fraction of the latest Newton step.
+    derivative_before = 0.0  # Derivative of the potential at the start of that step.
     converged = False
     passes = 0
     power = 0.0
@@ -723,8 +723,8 @@ class CompliantState(NamedTuple):
 
     Attributes:
         state: state of `kernels`, followed by bends (rad) and the momenta of the bends
-            (kg·m²/s). With obstacles, the impulses on each point (N·s) and the time (s)
-            follow.
+            (kg·m²/s). With obstacles, the state also contains the impulses on each
+            point (N·s) and the time (s).
         velocity: velocities in the layout of `balance`, from which the next solution
             starts.
     """

@@ -1,12 +1,12 @@
-r"""Friction on the connectors of a moving body, compiled, and derivatives of friction.
+r"""Compiled functions for the friction on connectors and the derivatives of friction.
 
 **Coasting.** In `slide`, a straight body slides without rotation, and all connectors
 have the same velocity. The body therefore moves like a point. Its mass cancels from the
 equation of motion
 
-$$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}, $$
+$$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}. $$
 
-where f is the friction law with the coefficients μ_t along and μ_n across the heading,
+Here f is the friction law with the coefficients μ_t along and μ_n across the heading,
 for a load equal to gravity per unit mass. Wheel w has the radius R and the moment of
 inertia I_w about its axle, and M is the mass of the robot. The spin of the wheels adds
 the relative inertia s along the heading, which increases the stopping distance by the
@@ -81,7 +81,7 @@ class FloorFriction(NamedTuple):
 
 
 class ContactTerms(NamedTuple):
-    """Force and moment of the contacts of a connector, and derivatives of both.
+    """Force and moment of the contacts of a connector, with derivatives.
 
     In the names of derivatives, the first letter denotes the force or moment, and the
     second letter the velocity. The letters stand for the directions along (t), across
@@ -502,8 +502,8 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
 # even for a friction ellipse with an axis ratio of 1:14.
 _SLIDING_RATIO = 1000.0
 
-_MIN_SLIP_SPEED = 1e-7  # minimum slip speed on a slope at a time unit of 1, m/s
-_COASTING_STEP = 5e-4  # maximum time step of `slide`, s
+_MIN_SLIP_SPEED = 1e-7  # Minimum slip speed on a slope at a time unit of 1, m/s.
+_COASTING_STEP = 5e-4  # Maximum time step of `slide`, s.
 _COASTING_SLIP_SPEED = (
     1e-9  # slip speed of `slide`, m/s, which only avoids a division by 0
 )

@@ -7,15 +7,14 @@ heading θ + φ_i(q), where θ is the mean heading. Let r_c be the centre of mas
 ρ_i(q) the position r_i − r_c in the frame of the mean heading. The velocity v of the
 centre of mass and the angular momentum L obey
 
-$$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i,
-\qquad
-   L = I(q)\,\dot\theta + h(q, \dot q), $$
+$$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i, \qquad
+   L = I(q)\,\dot\theta + h(q, \dot q). $$
 
-where f_i is the friction force on a connector and n_i the yaw moment of its wheels. The
+Here f_i is the friction force on a connector and n_i the yaw moment of its wheels. The
 body has the moment of inertia I = Σ m_i |ρ_i|² + J_i. The bend rates contribute h = Σ
 m_i ρ_i × ρ̇_i + J_i φ̇_i to L. The equations are Eq. 11 multiplied by eᵀ, which
 eliminates the segment torques. Because L is a state, the scheme does not need q̈, and
-discontinuities of q̈ at valve events do not reduce its order.
+discontinuities of q̈ at valve events do not reduce the order of the scheme.
 
 Friction is stiff, so the velocities are integrated by the two-stage, second-order,
 L-stable SDIRK method of Alexander (1977). At each stage, the Newton method solves for
@@ -33,10 +32,11 @@ whole body,
 $$ M a = \sum f_i - m_i a_i, \qquad
    I \alpha = \sum n_i - J_i \varepsilon_i + \rho_i \times (f_i - m_i a_i). $$
 
-A loop from tail to head sums the loads on all connectors behind segment j. Their sum is
-the force F_j and the moment N_j about the rear end of the segment. A massless segment
-has a chord of length L(q) with the derivative L'. The unit vector e along the chord has
-the mean heading of the segment's ends. The virtual work of the segment is T_j δq_j, so
+A loop from tail to head sums the loads on all connectors behind segment j. The sum
+consists of the force F_j and the moment N_j about the rear end of the segment. A
+massless segment has a chord of length L(q) with the derivative L'. The unit vector e
+along the chord has the mean heading of the segment's ends. The virtual work of the
+segment is T_j δq_j, so
 
 $$ T_j = -L'\, F_j \cdot e + \tfrac12 L\, e \times F_j - N_j. $$
 
@@ -102,7 +102,7 @@ class Samples(NamedTuple):
 
 
 # Columns of `_InverseArrays.chords`.
-_DERIVATIVE_X = 0  # L' e, m/rad
+_DERIVATIVE_X = 0  # L' e, m/rad.
 _DERIVATIVE_Y = 1
 _SPAN_X = 2  # L e, m
 _SPAN_Y = 3
@@ -245,8 +245,8 @@ def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
 @kernel_only
 def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
     # `remainder` is the moment of the loads about the centre of mass (N·m). A bend
-    # rotates the whole body, because the mean heading is constant. The remainder does
-    # work on this rotation.
+    # rotates the whole body, because the mean heading is constant, so the remainder
+    # does work.
     chords = workspace.chords
     load = workspace.load
     n = load.shape[0]
@@ -267,20 +267,20 @@ GAMMA = 1 - math.sqrt(0.5)
 """Diagonal γ of the SDIRK2 method, whose stages are at γ h and h, dimensionless."""
 
 # Indices into the state.
-STATE_X = 0  # centre of mass, m
+STATE_X = 0  # Centre of mass, m.
 STATE_Y = 1
-HEADING = 2  # mean heading, rad
-STATE_VX = 3  # velocity of the centre of mass, world frame, m/s
+HEADING = 2  # Mean heading, rad.
+STATE_VX = 3  # Velocity of the centre of mass, world frame, m/s.
 STATE_VY = 4
-MOMENT = 5  # angular momentum L, kg·m²/s
-ENERGY_LOSS = 6  # energy lost to friction, and potential energy gained, J
+MOMENT = 5  # Angular momentum L, kg·m²/s.
+ENERGY_LOSS = 6  # Energy lost to friction, and potential energy gained, J.
 STATES = 7
 
 SPEED_LIMIT = 100.0
 """Speed above which a solution is rejected as diverged, m/s."""
 
-_NEWTON_STEPS = 100  # maximum number of Newton iterations per stage
-_NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities at a time unit of 1, m/s
+_NEWTON_STEPS = 100  # Maximum number of Newton iterations per stage.
+_NEWTON_TOLERANCE = 1e-8  # Tolerance of the velocities at a time unit of 1, m/s.
 _NEWTON_ARM = 0.1
 """Lever arm that converts a yaw rate to a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
@@ -291,8 +291,7 @@ _OVERSHOOT = 0.1
 def is_too_long(derivative_before, derivative_after):  # type: ignore[no-untyped-def]
     """Return whether a Newton step went beyond the minimum of the potential.
 
-    The second derivative of friction's potential is discontinuous, which makes such
-    steps possible. `derivative_after` is negative if the step was too long.
+    The derivative of the potential along the step then changes its sign.
     """
     return derivative_after < -_OVERSHOOT * derivative_before
 
@@ -325,7 +324,7 @@ def _solve3(a, b, c, right):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
-    if abs(angle) > 0.1:  # rad; below this angle the neglected terms are below 1e-17
+    if abs(angle) > 0.1:  # rad; for smaller angles the neglected terms are below 1e-17
         dc = math.cos(angle)
         ds = math.sin(angle)
     else:
@@ -465,8 +464,8 @@ def _stage(stage, a, bends, heading, model, workspace):  # type: ignore[no-untyp
     )
     u = Twist(guess[0], guess[1], guess[2])
     step = Twist(0.0, 0.0, 0.0)
-    step_fraction = 0.0  # executed fraction of the latest Newton step
-    derivative_before = 0.0  # derivative of the potential at the start of that step
+    step_fraction = 0.0  # Executed fraction of the latest Newton step.
+    derivative_before = 0.0  # Derivative of the potential at the start of that step.
     converged = False
     power = 0.0
     # The mean heading at the end of the stage depends on the unknown yaw rate.
@@ -552,8 +551,8 @@ def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
         bends: bends and rates at the two stages, shape (2, segments).
         model: constants of body and floor.
         workspace: work arrays. The state at the end is written to `after`, and the
-            derivatives at the stages to `rates`. `guess` and `pace` must belong to the
-            start of the step and are updated to its end.
+            derivatives at the stages to `rates`. The call replaces `guess` and `pace`
+            at the start of the step by the values at the end.
     """
     u = workspace.guess
     pace = workspace.pace

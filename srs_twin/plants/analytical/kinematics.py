@@ -16,10 +16,10 @@ from srs_twin.robot import geometry
 
 # Rows of a posed body, which is an array of shape (ROWS, N) with one column per
 # connector.
-COS = 0  # cosine of the connector's heading relative to the mean heading
-SIN = 1  # sine of the connector's heading relative to the mean heading
-SPIN = 2  # rate of the connector's heading relative to the mean heading, rad/s
-X = 3  # position, m
+COS = 0  # Cosine of the connector's heading relative to the mean heading.
+SIN = 1  # Sine of the connector's heading relative to the mean heading.
+SPIN = 2  # Rate of the connector's heading relative to the mean heading, rad/s.
+X = 3  # Position, m.
 Y = 4
 VX = 5  # velocity, m/s
 VY = 6
@@ -131,8 +131,8 @@ def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
 @inlined
 def _fill_chords(q, rate, solid, out):  # type: ignore[no-untyped-def]
     # A separate loop, which the compiler can vectorise. `out` serves as a buffer. The
-    # result is the heading of the head relative to the mean heading (rad), and the
-    # rate.
+    # result is the heading of the head relative to the mean heading (rad), and its rate
+    # (rad/s).
     cosine = out[COS]
     sine = out[SIN]
     span = out[X]
@@ -160,7 +160,7 @@ class _Centre(NamedTuple):
 
 @compiled
 def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Compute positions and velocities; return I (kg·m²) and h (kg·m²/s) of `kernels`.
+    """Compute a posed body, and return I (kg·m²) and h (kg·m²/s) of `kernels`.
 
     Args:
         q: bends, shape (segments,), rad.
@@ -211,8 +211,8 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-untyped-def]
-    # `lead` is the heading of the head relative to the mean heading (rad). The origin
-    # becomes the centre of mass.
+    # `lead` is the heading of the head relative to the mean heading (rad). The
+    # transformation also moves the origin to the centre of mass.
     mass = solid.mass
     connector_inertia = solid.inertia
     cosine = out[COS]

@@ -3,9 +3,9 @@ r"""Contact of the `compliant` model with obstacles.
 **Shapes.** At each point of the chain of `cells`, the body is a straight stretch along
 the heading of the point. The stretch reaches half way to the neighbouring points, and
 it has round ends and the half width w. An obstacle is a line segment with a radius,
-which represents a circle or one side of a polygon. The contact is at the closest points
-of stretch and obstacle. Each contact force acts on a single stretch. It therefore
-changes the force and the moment at only one point of the chain.
+which represents a circle or one side of a polygon. A contact force acts on a single
+stretch, at the closest points of stretch and obstacle. The contact force therefore
+changes force and moment at only one point of the chain.
 
 **Law.** The normal force N and the friction f_t of a contact depend on the overlap δ
 and on the normal and tangential velocities v_n and v_t of the body at the contact. A
@@ -14,17 +14,17 @@ positive v_n means that the body moves away from the obstacle:
 $$ N = k\,δ_+\,(1 - χ v_n)_+, \qquad
    f_t = -μ N \frac{v_t}{\sqrt{v_t^2 + ε^2}}. $$
 
-Here ( )₊ denotes the positive part, so N never pulls. The dissipation coefficient χ
-removes energy (Hunt and Crossley, 1975), μ is the friction coefficient and ε the slip
+Here ( )₊ denotes the positive part, so N is never negative. The dissipation coefficient
+χ removes energy (Hunt and Crossley, 1975), μ is the friction coefficient and ε the slip
 speed. The contact stiffness is k = m/T², where m is the mass of the robot and T =
 `CONTACT_TIME_S` is a time constant. In the limit T → 0 the contact is rigid. Force and
 stiffness are evaluated at the end of each implicit stage of length a = γ h, in which δ
-changes by −a v_n. The derivative
+changes by −a v_n. Stiff contacts therefore do not limit the time step. The Newton
+matrix contains the derivative
 
 $$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) $$
 
-therefore enters the Newton matrix, and stiff contacts do not limit the time step. The
-Newton matrix neglects the change of the normal's direction during a step.
+The Newton matrix neglects the change of the normal's direction during a step.
 
 The Newton method relies on a convex potential. Friction has such a potential only if
 the normal forces are constant. Each stage is therefore solved repeatedly, with friction
@@ -88,7 +88,7 @@ _RADIUS = 4
 _SHAPE_COLUMNS = 5
 
 # Entries of `Obstacles.pose`.
-_COM_X = 0  # centre of mass, m
+_COM_X = 0  # Centre of mass, m.
 _COM_Y = 1
 _COS = 2  # cosine of the mean heading
 _SIN = 3
@@ -98,16 +98,17 @@ class Obstacles(NamedTuple):
     """Obstacles and the work arrays of their contacts, for the kernels.
 
     Attributes:
-        shape: begin (x, y), end (x, y) and radius of each line segment, shape
-            (obstacles, _SHAPE_COLUMNS), m. The line segment of a circle has the length
-            0.
+        shape: start point (x, y), end point (x, y) and radius of each line segment,
+            shape (obstacles, _SHAPE_COLUMNS), m. The line segment of a circle has the
+            length 0.
         stretch: length of the body ahead of and behind each point, shape (points, 2),
             m.
         half_width: half width w of the body, m.
         stiffness, loss: contact stiffness k (N/m) and dissipation coefficient χ (s/m).
         friction, slip: friction coefficient μ (dimensionless) and slip speed ε (m/s).
         pose: pose of the body at the end of a stage, shape (4,).
-        near: number of obstacles within reach of the body, followed by their indices.
+        near: number of obstacles within reach of the body, followed by the indices of
+            these obstacles.
         force: force of the obstacles on each point at the latest evaluation, world
             frame, shape (points, 2), N.
         normal: normal forces at the latest evaluation, shape (obstacles, points), N.
@@ -446,7 +447,7 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given)
 def fill_rates(obstacles, model, free, free_rates, rates, workspace):  # type: ignore[no-untyped-def]
-    """Write the rates of the impulses, of the time and of the energy column.
+    """Compute the rates of the impulses, the time and the energy column.
 
     Without obstacles, the energy column (`ENERGY_LOSS`) holds the losses, and the work
     of the torques is the energy of the body plus these losses. With obstacles, the

@@ -1,4 +1,4 @@
-"""Options of the analytical models, which set assumptions and the numerics."""
+"""Physical assumptions and numerical settings of the analytical models."""
 
 from __future__ import annotations
 
@@ -63,14 +63,15 @@ class AnalyticalOptions:
             "quasistatic" (module `quasistatic`) is the only model for robots whose
             segments bend in two directions, and it accepts no other robots.
         friction: friction law of a robot on wheels. "axis" is the law of the
-            dissertation, with one contact per connector. "wheel" has two wheels per
-            connector. "ellipse" and "cosine" have two skids per connector. "viscous" is
-            a law for tests. On robots with skin the law of the skin applies instead.
+            dissertation, with one contact per connector. In "wheel" each connector has
+            two wheels. In "ellipse" and "cosine" each connector has two skids.
+            "viscous" is a law for tests. On robots with skin the law of the skin
+            applies instead.
         load: load of a wheel or skid. "static" is half of the weight of its connector.
             "instantaneous" adds the load transfer due to the lateral force (module
             `floor`).
         friction_torque: whether the moment of friction about the centre of mass acts.
-            With False, which requires "simplified", the model is the first model of the
+            The value False requires "simplified" and selects the first model of the
             dissertation.
         inertia: moment of inertia of each connector. "point" sets the moment to 0.
             "connector" assumes a compact body with two wheels, as in the twin. "lumped"
@@ -127,7 +128,7 @@ class AnalyticalOptions:
             )
 
     def law_on(self, spec: RobotSpec) -> str:
-        """Return the friction law of the skin, or of the contacts without a skin."""
+        """Return the law of the robot's skin, or `friction` without a skin."""
         return self.friction if spec.skin is None else spec.skin.law
 
     def track_of(self, spec: RobotSpec) -> float:
@@ -149,7 +150,7 @@ class AnalyticalOptions:
         )
 
     def violations(self, spec: RobotSpec | None) -> Iterator[Violation]:
-        """Yield the options that exclude each other or, if it is given, the robot."""
+        """Yield a violation for each conflict of options with others or the robot."""
         if not self.friction_torque and self.model != "simplified":
             yield Violation(
                 "friction_torque",

@@ -26,14 +26,14 @@ power. Friction also bends the segments.
 
 The normal loads N_i that multiply D depend on the solution. A step is therefore solved
 up to four times, each time with the loads of the previous solution. Friction laws
-without a potential, such as `cosine`, cannot be used, because the minimum does not
-exist for them.
+without a potential, such as `cosine`, cannot be used, because the minimised function
+does not exist for such laws.
 
 **Jumps.** The resting pose can become unstable. A real body then topples within a time
-that depends on its inertia. This model has the drag instead of inertia. The drag acts
-on the vertical velocity ż_i and on the surface velocity ρ̇_i of rolling. Between jumps
-the drag changes the loads by the fraction ż/(g τ), which is below 0.01. A step is
-divided if a point moves too far in it. A jump is counted when the speed of a point
+that depends on its inertia. This model contains the drag instead of inertia. The drag
+acts on the vertical velocity ż_i and on the surface velocity ρ̇_i of rolling. Between
+jumps the drag changes the loads by the fraction ż/(g τ), which is below 0.01. Steps in
+which a point moves too far are divided. A jump is counted when the speed of a point
 exceeds √(g r)/4.
 
 **Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small,

@@ -62,7 +62,7 @@ def _begin_step(state, body, workspace, h):  # type: ignore[no-untyped-def]
         rows = workspace.rows[p]
         mass = body.mass[p]
         # A point moves only with the head and with the segments up to its own segment.
-        # Their velocities are the first `used` velocities.
+        # The first `used` velocities belong to the head and to these segments.
         used = 9 + 3 * (p // count)
         drag = mass / body.drag_time
         for i in range(used):

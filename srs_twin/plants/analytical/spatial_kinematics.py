@@ -15,21 +15,21 @@ import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled, inlined
 
-# A state contains, in this order, the position and the rotation matrix (by rows) of the
-# head connector, the accumulated quantities named below, the bends, the impulses of the
-# floor on all points, shape (points, 3), and the normal loads of the points.
+# A state contains the position and the rotation matrix (by rows) of the head connector,
+# the quantities below, the bends, the impulses of the floor on all points, shape
+# (points, 3), and the normal loads of the points.
 ROTATION = 3
-WORK = 12  # work of the compressed air, J
-FRICTION_LOSS = 13  # energy dissipated by the floor, J
-INTERNAL_LOSS = 14  # energy dissipated by bending and twisting, J
-DRAG_LOSS = 15  # energy dissipated by the drag of vertical and rolling motion, J
-CLOCK = 16  # time, s
-JUMPS = 17  # number of jumps between resting poses
-IS_JUMPING = 18  # 1 during a jump, otherwise 0
+WORK = 12  # Work of the compressed air, J.
+FRICTION_LOSS = 13  # Energy dissipated by the floor, J.
+INTERNAL_LOSS = 14  # Energy dissipated by bending and twisting, J.
+DRAG_LOSS = 15  # Energy dissipated by the drag of vertical and rolling motion, J.
+CLOCK = 16  # Time, s.
+JUMPS = 17  # Number of jumps between resting poses.
+IS_JUMPING = 18  # Equal to 1 during a jump, otherwise 0.
 BENDS = 19
 
-# Number of rows of `Workspace.rows`: velocities of a contact along and across the body
-# and upwards, and rolling velocity.
+# Number of rows of `Workspace.rows`. The rows are the velocities of a contact along the
+# body, across the body and upwards, and the rolling velocity.
 ROWS = 4
 ALONG, ACROSS, UP, ROLL = range(ROWS)
 
@@ -211,7 +211,8 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
     e_y = 1.0 * (axis == 1)
     e_z = 1.0 * (axis == 2)
     # The column is e + b t × e + c t × (t × e), where e is the unit vector of the
-    # component and t the rotation vector. The double product is t (t · e) − e t².
+    # component and t the rotation vector. The product t × (t × e) equals t (t · e) − e
+    # t².
     return (
         e_x + b * (y * e_z - z * e_y) + c * (x * part - e_x * square),
         e_y + b * (z * e_x - x * e_z) + c * (y * part - e_y * square),

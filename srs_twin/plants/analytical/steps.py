@@ -7,12 +7,12 @@ error is as large as the whole impulse of friction. The models `complete` and
 `simplified` therefore divide steps in which friction reverses.
 
 **Error estimate.** A step of length h has two stages, at γ h and h after its start. The
-rate of the momentum is k₀ at the start, which is the last stage of the previous step,
-and k₁ and k₂ at the two stages. If the rate changes linearly, k₁ is the linear
-interpolation of k₀ and k₂. The deviation of k₁ from this interpolation changes the
-velocity of the mass M over the step by
+rate of the momentum is k₀ at the start of the step, k₁ at the first stage and k₂ at the
+second stage. If the rate changes linearly, k₁ is the linear interpolation of k₀ and k₂.
+The deviation of k₁ from this interpolation changes the velocity of the mass M over the
+step by
 
-$$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr| . $$
+$$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr| $$
 
 The estimate η is at least 0.7 times the error due to a reversal anywhere in the step.
 Where friction is smooth, η is of third order in h. The rate of the angular momentum is
@@ -82,10 +82,10 @@ class TimeSteps:
         Args:
             span: length of the schedule, s.
             events: times of valve events, ascending, s.
-            samples: number of equally spaced samples, the last one at the end.
+            samples: number of equally spaced samples. The last sample is at the end.
             longest: maximum length of a step, s.
-            same: time within which an event coincides with another event or with the
-                end of a step, s.
+            same: maximum time difference at which two events, or an event and the end
+                of a step, count as simultaneous, s.
         """
         per_sample = math.ceil(span / samples / longest * (1 - 1e-12))
         even = _even(span, samples, per_sample)
@@ -214,8 +214,8 @@ class PrescribedState(NamedTuple):
     Attributes:
         state, rate: state with the indices of `kernels`, and time derivative of the
             state at the end of the previous step, shape (STATES,).
-        velocity: velocity in the body frame (m/s) and yaw rate (rad/s), shape (3,),
-            from which the next solution starts.
+        velocity: velocity in the body frame (m/s) and yaw rate (rad/s), shape (3,). The
+            next solution starts from these velocities.
     """
 
     state: np.ndarray
@@ -252,8 +252,8 @@ def advance(
             STATES) and (samples, 3).
 
     Returns:
-        The number of completed steps and the number of computed substeps. After a
-        failure, the number of completed steps is smaller than the number of steps.
+        The number of completed steps and the number of computed substeps. If a step
+        fails, the later steps are not computed.
     """
     n = len(model.solid.mass)
     stages = Bends(np.zeros((2, n - 1)), np.zeros((2, n - 1)))

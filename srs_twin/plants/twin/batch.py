@@ -5,10 +5,9 @@ of the twin alone. Each distinct robot is compiled once, and the compiled model 
 copied for equal robots.
 
 A thread simulates whole twins, including chambers and observation. Every call of the
-engine releases the global interpreter lock. MuJoCo's own batch functions are not used
-for two reasons: with `mujoco.batch.Batch` the threads wait while Python runs, and
-`mujoco.rollout.Rollout` does not return the solver's warm start, so a run divided into
-chunks would not be bit-identical.
+engine releases the global interpreter lock. The class `mujoco.batch.Batch` is not used,
+because its threads wait while Python runs. The class `mujoco.rollout.Rollout` does not
+return the solver's warm start, so a run divided into chunks would not be bit-identical.
 
 >>> from dataclasses import replace
 >>> from srs_twin import Gait, Job, TwinBatch, load_robot, run_many
@@ -119,7 +118,7 @@ class TwinBatch(Claimable):
     def reset(
         self, *, poses: Sequence[Pose] | None = None, seed: int = 0
     ) -> SnakeState:
-        """Lay all snakes straight and at rest with empty chambers.
+        """Reset all snakes to straight bodies at rest with empty chambers.
 
         Args:
             poses: centre of mass x, y (m) and mean heading (rad) of each run. The
@@ -159,12 +158,12 @@ class TwinBatch(Claimable):
         return self.state
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState | None]:
-        """Advance all runs by one tick. Runs with diverged commands end.
+        """Advance all runs by one tick. A run ends if its commands have diverged.
 
         Args:
             valves: valve commands as in `step`.
-            samples: number of equally spaced samples, the last one at the end of the
-                tick.
+            samples: number of equally spaced samples. The last sample is at the end of
+                the tick.
 
         Returns:
             The history of each run, as returned by `play`.
@@ -192,8 +191,8 @@ class TwinBatch(Claimable):
         Args:
             schedules: schedule of each run over a whole number of ticks. Runs with the
                 schedule None are not advanced.
-            samples: number of equally spaced samples of each run, the last one at the
-                end.
+            samples: number of equally spaced samples of each run. The last sample is at
+                the end.
 
         Returns:
             The history of each run. If a run diverges, its history ends at the

@@ -9,8 +9,7 @@ The module `friction_solve` computes the friction of one step and lists the symb
 velocity v. MuJoCo first solves the step with the friction forces f̂ of the previous
 step. The result is the velocity v̂:
 
-$$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T
-\hat f_w . $$
+$$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w . $$
 
 Here M is the joint-space inertia, D the damping matrix, Q are the applied forces, and c
 are the Coriolis and centrifugal forces. N̂ are the normal forces with the Jacobian J_n,
@@ -20,8 +19,7 @@ dampers implicitly (h D), together with the springs (`_damping_matrices`).
 The desired step has the second-order damping C instead of h D, Coriolis forces at
 mid-step, and the friction f of the current step:
 
-$$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w ,
-\qquad
+$$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w , \qquad
    \bar v = (v_- + v)/2 . $$
 
 N and f_w are the normal forces and friction forces of the current step. With A = M + C
@@ -173,7 +171,7 @@ class LoadedStepper(Stateful):
             spec: robot of the model.
             settings: settings with the time step and a `LoadedContact`.
             air: maximum stiffness due to the compression of the air in the chambers,
-                shape (nv, nv), N·m/rad. None means no such stiffness.
+                shape (nv, nv), N·m/rad. Without this argument the air has no stiffness.
             objects: movable objects of the scene.
         """
         # The kernels call C functions of the engine by name, so LLVM must load the
@@ -295,7 +293,7 @@ class LoadedStepper(Stateful):
             array[:] = 0.0
 
     def roll(self) -> None:
-        """Set the rim speed of each wheel to rolling without slip."""
+        """Set the rim speeds of the wheels to the speeds of rolling without slip."""
         contacts = self._contacts
         velocity = np.empty(6)
         for w in range(contacts.wheels):
@@ -459,13 +457,12 @@ def _reference_dynamics(
 def _damping_matrices(
     model: mujoco.MjModel, mass: np.ndarray, h: float, air: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    r"""Return C of second order in time, and (h D + h² K) − C, shapes (nv, nv).
+    r"""Return the second-order damping matrix C, and (h D + h² K) − C, shape (nv, nv).
 
     MuJoCo evaluates dampers (matrix D) and springs (matrix K) at the end of a step,
     which is accurate to first order. The matrix C replaces this damping:
 
-    $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 +
-    \dots $$
+    $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots $$
 
     Under a force f, the step (M + C)(v − v₋) = h (f − D v₋) then has the exact
     exponential decay. The step is accurate to second order, and fast modes do not
@@ -484,8 +481,8 @@ def _damping_matrices(
     )
     decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
     shapes = mass @ modes
-    # Rigid motions are undamped. Rounding errors of their decay rates would add an
-    # inertia that does not rotate with the snake.
+    # Rigid motions are undamped. Rounding errors in the decay rates of rigid motions
+    # would add an inertia that does not rotate with the snake.
     damped = decays > _MIN_DECAY
     decays[~damped] = 1.0
     damping: np.ndarray = (

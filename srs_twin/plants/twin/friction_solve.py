@@ -5,8 +5,7 @@ velocity v̂ from the friction forces f̂_w of the previous step. The unknown is
 velocity change δ = v − v̂, which is due to the difference between f̂_w and the friction
 forces f_w of the current step:
 
-$$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - \hat
-f_w\bigr) - b = 0, \qquad
+$$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - \hat f_w\bigr) - b = 0, \qquad
    b = h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
 
 **Symbols**
@@ -26,9 +25,9 @@ f_w\bigr) - b = 0, \qquad
   across the heading.
 - J_n: Jacobian that maps generalised velocities to the normal velocities of the wheels
   that press on the floor.
-- R: MuJoCo's regularisation of the normal forces of these wheels, 1/kg.
-- r: residual of the equation, kg·m/s or kg·m²/s.
-- u_w: velocity of contact w at which the friction law is evaluated,
+- R: MuJoCo's regularisation of the normal forces on wheels, 1/kg. - r: residual of the
+equation, kg·m/s or kg·m²/s. - u_w: velocity of contact w at which the friction law is
+evaluated,
   u_w = J_w (v₋ + θ (v − v₋)).
 - θ: fraction of the step at which friction is evaluated (`_evaluation_fraction`). A
   sliding contact has θ = 1/2, which gives second-order accuracy. For a sticking contact
@@ -43,7 +42,8 @@ of M, and its factorisation has no fill-in. The derivatives of the contact force
 summed as spatial 6 × 6 matrices from the ends of the chain to its root, and then
 projected on the joint axes. The composite-rigid-body algorithm sums inertias in the
 same way (Featherstone 2008, Section 6.2). In spatial vectors the rotation comes first.
-Their reference point is the centre of mass of the snake, as for `cdof` in MuJoCo.
+The reference point of spatial vectors is the centre of mass of the snake, as for `cdof`
+in MuJoCo.
 
 **Loads.** Friction depends on the normal forces, which depend on δ. The first Newton
 step uses the normal forces at v̂. The equation is then solved to the tolerance with the
@@ -99,8 +99,8 @@ _WHEEL = LAWS_ON_LOADS.index("wheel")
 _ELLIPSE = LAWS_ON_LOADS.index("ellipse")
 _COSINE = LAWS_ON_LOADS.index("cosine")
 
-_MAX_ITERATIONS = 30  # maximum number of Newton steps with the final loads
-_MAX_TRIALS = 12  # maximum number of evaluations in a line search
+_MAX_ITERATIONS = 30  # Maximum number of Newton steps with the final loads.
+_MAX_TRIALS = 12  # Maximum number of evaluations in a line search.
 
 # Tolerances of the squared residual. The first tolerance is relative to the squared
 # friction impulse, and friction is then accurate to 1e-7. The second tolerance is
@@ -122,14 +122,14 @@ _NORMAL = 2  # for a collision geom, the direction away from the obstacle
 _HUB = 3
 
 # Columns of `Workspace.response`.
-_FORCE_ALONG = 0  # N
-_FORCE_ACROSS = 1  # N
-_DERIVATIVE_ALONG = 2  # ∂f_t/∂v_t of force and velocity along the heading, N·s/m
-_OFF_DIAGONAL = 3  # ∂f_t/∂v_lat = ∂f_lat/∂v_t, N·s/m
-_DERIVATIVE_ACROSS = 4  # ∂f_lat/∂v_lat of force and velocity across the heading, N·s/m
-_RIM_SPEED = 5  # rim speed of a wheel at the time when friction is evaluated, m/s
-_UNLOADING = 6  # decrease of the normal force due to δ, N
-_SPIN_FORCE = 7  # part of the force along the heading that spins the wheel, N
+_FORCE_ALONG = 0  # N.
+_FORCE_ACROSS = 1  # N.
+_DERIVATIVE_ALONG = 2  # ∂f_t/∂v_t of force and velocity along the heading, N·s/m.
+_OFF_DIAGONAL = 3  # ∂f_t/∂v_lat = ∂f_lat/∂v_t, N·s/m.
+_DERIVATIVE_ACROSS = 4  # ∂f_lat/∂v_lat of force and velocity across the heading, N·s/m.
+_RIM_SPEED = 5  # Rim speed of a wheel at the time when friction is evaluated, m/s.
+_UNLOADING = 6  # Decrease of the normal force due to δ, N.
+_SPIN_FORCE = 7  # Part of the force along the heading that spins the wheel, N.
 
 # Third column of `ContactState.force`, after `_FORCE_ALONG` and `_FORCE_ACROSS`.
 _STORED_SPIN = 2
@@ -153,8 +153,8 @@ class Contacts(NamedTuple):
         static_load: normal force at rest, shape (C,), N.
         load_kind: kind of load in the friction law, an index into `numerics.LOADS`.
         sensor: index into `sensordata` of the normal force on a wheel, shape (C,). For
-            a collision geom, the index of the force, which precedes the point of
-            application.
+            a collision geom, the index refers to the force. The point of application
+            follows the force in `sensordata`.
         wheel_radius: radius of the wheels, m.
         floor: friction law of the wheels on the floor.
         obstacle_friction: friction coefficient between collision geoms and obstacles,
@@ -176,7 +176,7 @@ class Contacts(NamedTuple):
 
 
 class ContactState(NamedTuple):
-    """State of the contacts that the next time step uses.
+    """State of the contacts that one time step passes to the next step.
 
     Attributes:
         force: friction along and across the heading, and part of the friction that
@@ -713,7 +713,7 @@ def _sum_impulses(contacts, state, workspace, h):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _evaluate_residual(engine, contacts, sparsity, state, workspace, h, out):  # type: ignore[no-untyped-def]
-    """Compute r(δ) and the response of the friction law; return the square of r."""
+    """Compute r(δ) and the response of the friction law, and return the square of r."""
     change = workspace.v_change
     spatial_velocities(engine.cdof, sparsity, change, workspace.motion)
     _evaluate_friction(contacts, state, workspace, h)
@@ -736,8 +736,8 @@ def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[
         clear(derivative[i])
     for w in range(contacts.body.shape[0]):
         # tt, tn and nn are derivatives of r with respect to δ, where t stands for along
-        # and n for across the heading. Their factor is −θ h, because ∂u/∂δ is θ J and
-        # friction enters r with the factor −h.
+        # and n for across the heading. These derivatives have the factor −θ h, because
+        # ∂u/∂δ is θ J and friction enters r with the factor −h.
         weight = -workspace.theta[w] * h
         tt = weight * response[w, _DERIVATIVE_ALONG]
         tn = weight * response[w, _OFF_DIAGONAL]

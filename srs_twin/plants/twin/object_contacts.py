@@ -11,18 +11,18 @@ vertical friction on collision geoms does not change these loads. The normal for
 between objects and collision geoms are computed from the engine's prediction v̂.
 
 Each object is a separate kinematic tree. The derivatives of contact forces between
-objects and collision geoms couple the motions of objects and snake. They add a block B
-to the Newton matrix, which is outside the sparsity pattern of the inertia matrix M.
-Without B, the matrix consists of the block P of the snake and the block Q of the
+objects and collision geoms couple the motions of objects and snake. The derivatives
+form a block B of the Newton matrix, outside the sparsity pattern of the inertia matrix
+M. Without B, the matrix consists of the block P of the snake and the block Q of the
 objects. Block elimination solves for the motion y of the objects first and then for the
 motion x of the snake,
 
-$$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y), $$
+$$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y). $$
 
-where r_s and r_o are the right-hand sides of snake and objects. The factors of P are
+Here r_s and r_o are the right-hand sides of snake and objects. The factors of P are
 already known.
 
-These functions are compiled only for worlds with objects. Warp does not support them.
+These functions are compiled only for worlds with objects, which Warp does not support.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _DERIVATIVE_ACROSS = 4
 
 
 class ObjectState(NamedTuple):
-    """State of the contacts that the next time step uses.
+    """State of the contacts that one time step passes to the next step.
 
     Attributes:
         force: friction along and across the contact surface, shape (C, 2), N.
@@ -86,8 +86,8 @@ class ObjectContacts(NamedTuple):
             2). A support point has −1 instead of a collision geom.
         object_body: body id of the object, shape (C,).
         place: position of a support point in the frame of the object, shape (C, 2), m.
-        sensor: index into `sensordata` of the force on the collision geom, shape (C,).
-            The point of application follows the force.
+        sensor: index into `sensordata` of the force on the collision geom, which
+            precedes its point of application, shape (C,).
         load: normal force, constant for a support point, shape (C,), N.
         friction: friction coefficient, shape (C,), dimensionless.
         inverse_effective_mass: inverse effective mass, shape (C,), 1/kg.
@@ -98,10 +98,10 @@ class ObjectContacts(NamedTuple):
         theta: fraction θ of the step at which friction is evaluated, shape (C,).
         response: friction along and across (N), and the derivatives of friction along,
             mixed and across (N·s/m), shape (C, 5).
-        coupling, solved: matrices B and B P⁻¹, with one row for each of the no degrees
-            of freedom of the objects, shape (no, nv).
+        coupling, solved: matrices B and B P⁻¹, shape (m, nv), where m is the number of
+            the objects' degrees of freedom.
         matrix: matrix of the objects, with the right-hand side as last column, shape
-            (no, no + 1).
+            (m, m + 1).
     """
 
     pairs: int

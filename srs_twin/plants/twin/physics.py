@@ -192,7 +192,7 @@ class Kinematics:
 
 
 class EngineWarnings(threading.local):
-    """Latest MuJoCo warnings on a thread, which belong to the twin on this thread."""
+    """Latest MuJoCo warnings on the current thread."""
 
     def __init__(self) -> None:
         self.last: deque[str] = deque(maxlen=4)
@@ -212,7 +212,7 @@ def _keep_warning(text: str) -> None:
 mujoco.set_mju_user_warning(_keep_warning)
 _ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # simulates on the calling thread
 _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_SNAKE = 1  # id of the body that contains the whole snake, without the objects
+_SNAKE = 1  # Id of the body that contains the whole snake, without the objects.
 # The saved state includes the solver's warm start, so that resumed steps are
 # bit-identical.
 _SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -222,9 +222,9 @@ class SnakePhysics(Stateful):
     """Bodies of a snake in MuJoCo, driven by its chambers.
 
     Attributes:
-        model: compiled model. Each physics has its own model, which may be changed.
+        model: compiled model, which no other object uses.
         data: current state of the bodies.
-        free: whether the snake moves on a floor. Otherwise its head is clamped.
+        free: whether the snake moves on a floor instead of having a clamped head.
         internal_joints: springs and dampers of the segments.
         stepper: integrator for loaded contact, or None under a preloaded contact or
             without a floor.
@@ -363,7 +363,7 @@ class SnakePhysics(Stateful):
     def reset_pose(self, pose: Pose) -> None:
         """Reset to a snake at rest with rest bends and empty chambers.
 
-        The pose is the centre of mass x, y (m) and the mean heading (rad).
+        The pose contains the centre of mass x, y (m) and the mean heading (rad).
         """
         mujoco.mj_resetData(self.model, self.data)
         hinges = self._angles.sum(axis=1, keepdims=True)
@@ -474,7 +474,7 @@ class SnakePhysics(Stateful):
         data.qpos[:2] += pose[:2] - data.subtree_com[_SNAKE][:2]
 
     def advance_chambers(self, schedule: Schedule, steps: int) -> Trace:
-        """Advance the chambers, and return steps + 1 rows for all ends of steps."""
+        """Advance the chambers, and return a trace with steps + 1 rows."""
         times = schedule.span * np.arange(steps + 1) / steps
         return self._pneumatics.advance(
             schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates()
@@ -650,7 +650,7 @@ class SnakePhysics(Stateful):
         return float(momentum @ data.qvel) / 2
 
     def bend_angles(self) -> np.ndarray:
-        """Return the bends, shape (segments,), or (segments, 2) if spatial, rad."""
+        """Return the bends (rad), which have two columns for a spatial robot."""
         return self._by_segment(self._angles @ self.data.qpos)
 
     def bend_rates(self) -> np.ndarray:
@@ -680,8 +680,8 @@ class SnakePhysics(Stateful):
     def floor_forces(self) -> np.ndarray:
         """Return the floor's mean force on each wheel in the last `run`, N.
 
-        The preload is subtracted. The force is in the world frame. Its shape is (axles,
-        2, 3), with axes for axle, left or right wheel, and x, y, z.
+        The preload is subtracted. The force is in the world frame. The axes of the
+        result, shape (axles, 2, 3), are axle, left or right wheel, and x, y, z.
         """
         force = self._floor_force.copy()
         force[..., 2] -= self._preload

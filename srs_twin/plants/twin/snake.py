@@ -416,7 +416,7 @@ class TwinSnake(PneumaticPlant):
         )
 
     def _unwrap(self, headings: np.ndarray) -> np.ndarray:
-        """Return headings without jumps by 2π since the previous sample.
+        """Return headings without jumps of 2π relative to the previous sample.
 
         A connector rotates by far less than π between two samples.
         """

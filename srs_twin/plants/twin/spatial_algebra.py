@@ -1,8 +1,8 @@
 """Algebra of spatial vectors and tree-structured matrices, for numba and Warp.
 
-In spatial vectors, the rotational components come first. Their reference point is the
-centre of mass of the snake, as for `cdof` in MuJoCo. Symmetric matrices have the
-sparsity pattern of the joint-space inertia M (`Sparsity`).
+In spatial vectors, the rotational components come first. The reference point of spatial
+vectors is the centre of mass of the snake, as for `cdof` in MuJoCo. Symmetric matrices
+have the sparsity pattern of the joint-space inertia M (`Sparsity`).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-untyped-def]
-    """Compute the spatial velocity beyond each degree of freedom, from the root on."""
+    """Compute the spatial velocities beyond all degrees of freedom, root first."""
     for i in range(velocity.shape[0]):
         p = sparsity.parent[i]
         for k in range(6):

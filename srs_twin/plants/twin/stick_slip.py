@@ -10,8 +10,7 @@ previous step, divided by the friction limits. The friction force f is computed 
 elastic trial value y:
 
 $$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_lat v_lat), \qquad
-   f = N\,(\mu_t y_t, \mu_lat y_lat)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_lat)
-   . $$
+   f = N\,(\mu_t y_t, \mu_lat y_lat)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_lat) . $$
 
 For |y| ≤ 1 the contact sticks. The change of the force is then proportional to the
 velocity, and the force is constant at rest. For |y| > 1 the contact slides with the
@@ -148,8 +147,8 @@ def skin_friction(v_t, v_lat, load, law, p_t, p_lat, is_cosine):  # type: ignore
     greatest = max(along, mu_lat)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    # Friction opposes the slip. For a force towards the tail, the coefficient is
-    # therefore the coefficient for slip towards the head.
+    # Friction opposes the slip. A force towards the tail therefore has the friction
+    # coefficient for slip towards the head.
     mu_p = mu_ahead if p_t <= 0.0 else mu_back
     mu_v = mu_ahead if v_t >= 0.0 else mu_back
     q_t = p_t / max(mu_p * load, _MIN_LIMIT)
@@ -188,9 +187,9 @@ def rolling_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: 
     the wheel with the coefficient μ_t under the load N. The rim speed w at the end of
     the step satisfies the balance of the contact force f_t and the axle's friction,
 
-    $$ k\,(w - w_0) = -f_t(v_t - w) - \mu_t N \operatorname{sgn} w , $$
+    $$ k\,(w - w_0) = -f_t(v_t - w) - \mu_t N \operatorname{sgn} w . $$
 
-    where w₀ is the rim speed at the beginning of the step. The function sgn is
+    Here w₀ is the rim speed at the beginning of the step. The function sgn is
     set-valued at 0, so a wheel stays locked if the contact force is too small to turn
     it. A sliding wheel without inertia has the force of `robot.friction.wheel`.
 

@@ -21,8 +21,8 @@ has a slide joint ``stretch_j`` with the axial stiffness of a solid round sectio
 actuator ``air_along_j`` exerts this axial stiffness times the free extension.
 
 With a clamped base (`ModelSettings.base`) the head is fixed to the world. The model
-then has no floor, wheels or preload. It also has no pitch and roll hinges, because the
-chain bends in the horizontal plane, in which gravity does no work.
+then has no floor, wheels or preload. A clamped model also has no pitch and roll hinges,
+because the chain bends in the horizontal plane, in which gravity does no work.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ class _Chain:
     A station is the distance of a point along a straight segment from the connector at
     which the segment is attached. `ahead` is the direction of a segment along the x
     axis, −1 behind the root and 1 in front of the root. Numbers in names are counted
-    from the head in both directions.
+    from the head.
     """
 
     mj: MjSpec

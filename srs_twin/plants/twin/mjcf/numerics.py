@@ -310,7 +310,7 @@ def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
 
 
 def stable_step(step: float, damping_time: float) -> float:
-    """Return the longest stable part of a time step that divides the step equally, s.
+    """Return the longest stable step of which the time step is a multiple, s.
 
     `damping_time` is the damping time of the segments, s.
     """

@@ -39,7 +39,7 @@ def check(spec: RobotSpec, settings: ModelSettings, world: World) -> None:
 def violations(
     spec: RobotSpec, settings: ModelSettings, world: World
 ) -> Iterator[Violation]:
-    """Yield all violations. Their parameters are arguments of `TwinSnake`."""
+    """Yield all violations, whose parameters are arguments of `TwinSnake`."""
     if world.objects and settings.base != "free":
         yield Violation("objects", "movable objects need a free snake")
     if world.objects and world.steps:

@@ -3,10 +3,10 @@
 **Obstacles** consist of capsules. A circle is represented by an upright capsule with
 the radius of the circle. A polygon has a capsule of 1 mm radius along each side, which
 enlarges the polygon by 1 mm. Obstacles touch only the collision geoms of the body.
-These geoms are copies of the capsules of the skin, with the width of the robot, at the
-height of the centres of mass. MuJoCo therefore computes the contact between collision
-geom and obstacle in closed form, in the plane. Only worlds with obstacles or objects
-have collision geoms, so other worlds have no additional cost.
+The collision geoms are copies of the capsules of the skin, with the width of the robot,
+at the height of the centres of mass. MuJoCo therefore computes the contact between
+collision geom and obstacle in closed form, in the plane. Only worlds with obstacles or
+objects have collision geoms, so other worlds have no additional cost.
 
 **An object** is a cylinder or a box that slides and rotates on the floor but does not
 tip. The MuJoCo body of an object has two slide joints and a hinge about z. The entries
@@ -39,8 +39,8 @@ from srs_twin.robot.world import WALL_M, FloorStep, MovableObject, World
 # MuJoCo's contype of obstacles and conaffinity of collision geoms. Floor and wheels
 # have explicit contact pairs.
 CONTACT_BIT = 2
-HEIGHT_RATIO = 2.0  # half height of a round obstacle, relative to the body's width
-_MIN_CONTACT_STEPS = 2.0  # minimum ratio of contact time to time step in MuJoCo
+HEIGHT_RATIO = 2.0  # Half height of a round obstacle, relative to the body's width.
+_MIN_CONTACT_STEPS = 2.0  # Minimum ratio of contact time to time step in MuJoCo.
 _LEVEL_EXTENT = (
     100.0  # minimum length of the floor beyond the outer steps at a length unit of 1, m
 )
@@ -50,8 +50,8 @@ _LEVEL_EXTENT = (
 _IMPEDANCE = 0.99, 0.999
 # Depth over which a contact reaches its full stiffness, at a length unit of 1, m.
 _TRANSITION_DEPTH = 0.0005
-_GREY = [0.45, 0.47, 0.5, 1]  # RGBA
-_COLLISION_GROUP = 4  # geom group, which viewers do not show
+_GREY = [0.45, 0.47, 0.5, 1]  # RGBA.
+_COLLISION_GROUP = 4  # Geom group, which viewers do not show.
 _GRADIENT = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
 _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 
@@ -79,7 +79,7 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
 
     The sensors measure the force of all obstacles on the collision geom (N), the point
     of application of this force (m), and the velocity of the collision geom's centre
-    (m/s). All values are in the world frame.
+    (m/s). All sensors use the world frame.
     """
     solid = mj.add_default("obstacle", mj.default).geom
     solid.type = mjtGeom.mjGEOM_CAPSULE
@@ -237,7 +237,7 @@ def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
 
     Sensors measure the force of each object on each collision geom and the point of
     application of the force. Further sensors measure the velocity and the angular
-    velocity of each object. All values are in the world frame.
+    velocity of each object. All sensors use the world frame.
     """
     default = mj.add_default("object", mj.default)
     collision_geom = mj.find_default("collision").geom
@@ -278,7 +278,7 @@ def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def place_of(collision_geom: str) -> tuple[int, int]:
-    """Return the segment number and the number in the segment of a collision geom."""
+    """Return the numbers of segment and capsule from the name of a collision geom."""
     _, segment, number = collision_geom.split("_")
     return int(segment), int(number)
 

@@ -49,14 +49,14 @@ from srs_twin.plants.twin.mjcf.numerics import (
 )
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-_NET_FORCE = 3  # reduction of a contact sensor: sum over all contacts
-_SIDES = {"left": 1, "right": -1}  # sign of y
+_NET_FORCE = 3  # Reduction of a contact sensor: sum over all contacts.
+_SIDES = {"left": 1, "right": -1}  # Sign of y.
 _RUNNER_SLOPE = (
     0.6  # slope of a runner towards the front, far above any connector's pitch angle
 )
 
-# The following lengths apply at a length unit of 1 (`robot.scale`), m. All runners are
-# in the floor by the initial depth, so that the first step detects their contacts.
+# The following lengths apply at a length unit of 1 (`robot.scale`), m. The initial
+# depth of runners in the floor ensures that the first step detects their contacts.
 _RUNNER_DEPTH = 1e-6
 _REFERENCE_DEPTH = (
     5e-5  # depth of all feet in the floor at which regularisations are evaluated
