@@ -1,1 +1,1 @@
-"""Plants: the analytical model and the MuJoCo twin, with a common interface."""
+"""Simulated snakes: the analytical model and the MuJoCo twin share one interface."""

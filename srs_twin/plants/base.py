@@ -1,9 +1,7 @@
-"""Plant, the interface of simulated snakes, and SnakeState, their observable state.
+"""Interface `Plant` of simulated snakes, and `SnakeState`, their observable state.
 
-`check_plausible`, `check_before_step` and `check_commands` detect within one tick
-divergence that the integrators do not detect. The state before a step is checked as
-well, because a step may hide a wrong number. Examples are a position of 1e15 m, an
-infinite pressure, which the engine replaces by 0, and a valve state of NaN.
+The integrators do not detect every divergence. `check_plausible`, `check_before_step`
+and `check_commands` therefore check the states and the commands of each tick.
 """
 
 from __future__ import annotations
@@ -35,7 +33,7 @@ Pose = tuple[float, float, float]
 PlantState = SavedState
 
 BASES = ("free", "clamped")
-"""Supports of the chain: "free" on the floor, or "clamped" at its head in the air."""
+"""Supports of a snake: "free" on the floor, or with its head "clamped" in the air."""
 
 _FLAT = frozenset({"planar", "obstacles", "floor"})
 SUPPORTS = {
@@ -46,13 +44,13 @@ SUPPORTS = {
     "contact 'loaded'": _FLAT | {"spatial", "skin", "tail", "objects", "steps"},
     "contact 'preloaded'": frozenset({"planar", "spatial", "obstacles"}),
 }
-"""Features of robots and worlds that each kind of plant supports.
+"""Names of the features of robots and worlds that each kind of plant supports.
 
-The kinds are the models of `AnalyticalSnake` and the contacts of `TwinSnake`.
+The keys are the models of `AnalyticalSnake` and the contacts of `TwinSnake`.
 """
 
 _TERRAIN = "terrain"
-"""Feature of a spatial robot on a floor that is not level, which no plant supports."""
+"""Name of a feature that no plant supports: a spatial robot on an uneven floor."""
 
 
 def refusals(
@@ -65,7 +63,7 @@ def refusals(
             or "contact" of the twin. Violations due to the robot name this option as
             their parameter.
         value: value of the option.
-        spec: robot, or None to check the features of the world alone.
+        spec: robot. If `spec` is None, only the features of the world are checked.
         world: world around the robot. Violations due to the world name its section as
             their parameter.
     """
@@ -118,8 +116,8 @@ class SnakeState:
     """Observable state of a snake at one time, in SI units and the world frame.
 
     The z axis points up, yaw is counter-clockwise, and connectors are numbered from the
-    head. With a leading axis of samples on every field, the object is a history, from
-    which `at` selects a state.
+    head. A history is an object of the same class in which every field has a leading
+    axis of samples. The method `at` returns the state of one sample.
 
     Attributes:
         time: time since the start of the run, s.
@@ -128,27 +126,28 @@ class SnakeState:
         heading: mean of the connector headings, unwrapped, rad.
         position: positions of the connectors, shape (N, 2), m.
         connector_heading: connector headings, unwrapped, shape (N,), rad.
-        bend: bends q_j = θ_j − θ_{j+1}, shape (segments,), rad.
+        bend: bends q_j = θ_j − θ_{j+1} of the segments, where θ_j is the heading of
+            connector j, shape (segments,), rad.
         bend_rate: rates of the bends, shape (segments,), rad/s.
         pressure: gauge pressures of the + and − chambers, shape (segments, 2), Pa.
         valves: valve states during the preceding interval, shape (segments, 2).
-        measured_bend: sensor readings of `bend`, shape (segments,), rad.
+        measured_bend: bends measured by the curvature sensors, shape (segments,), rad.
         contact_force: horizontal force of the floor on each connector, shape (N, 2), N.
             The analytical model reports the instantaneous force. The twin reports the
-            mean force since the previous sample, because its contact forces fluctuate
-            between steps.
+            mean force since the previous sample, because the contact forces of the twin
+            fluctuate between steps.
         obstacle_force: horizontal force of all obstacles on each connector and the
-            adjoining halves of its segments, shape (N, 2), N. It is the mean since the
-            previous sample, and 0 on plants without obstacles.
+            adjoining halves of its segments, shape (N, 2), N. The force is averaged
+            since the previous sample. The force is 0 on plants without obstacles.
         torque: net moment of each segment on the connectors that it joins, shape
-            (segments,), N·m. For compliant bends it is k (q_f − q) + c (q̇_f − q̇),
-            where q_f is the free bend, k the stiffness and c the damping.
-        work: work of the air since the start, J. It is the work of the torques T_j on
-            the free bends, ∫ Σ T_j q̇_f,j dt.
+            (segments,), N·m. For compliant bends the moment is k (q_f − q) + c (q̇_f −
+            q̇), where q_f is the free bend, k the stiffness and c the damping.
+        work: work ∫ Σ T_j q̇_f,j dt of the compressed air since the start, J, where T_j
+            is the torque and q_f,j the free bend of segment j.
         internal_loss: part of the work that the material of the segments has
-            dissipated, J. The planar analytical models do not record it and report 0.
-        pneumatic_energy: pneumatic energy drawn from the supply since the start (`Pneumatics.pneumatic_energy`),
-            J.
+            dissipated, J. The planar analytical models report 0.
+        pneumatic_energy: pneumatic energy drawn from the supply since the start, J. See
+            `Pneumatics.pneumatic_energy`.
         qpos: generalised positions of the twin, or an empty array on other plants.
     """
 
@@ -177,7 +176,7 @@ class SnakeState:
 
     @staticmethod
     def history(states: Sequence[SnakeState]) -> SnakeState:
-        """Return the concatenation of histories, where a state counts as one sample."""
+        """Concatenate histories. A single state counts as a history of one sample."""
         return concatenate_records(
             [state if np.ndim(state.time) else state.as_history() for state in states]
         )
@@ -197,15 +196,16 @@ class SnakeState:
 class SpatialState(SnakeState):
     """State of a snake whose segments bend in two directions.
 
-    The fields `bend`, `bend_rate`, `measured_bend` and `torque` have a last axis with the
-    components to the left and upwards, shape (segments, 2). The fields `pressure` and
-    `valves` have one column per chamber. `connector_heading` is the heading of the horizontal
-    projection of a connector.
+    The fields `bend`, `bend_rate`, `measured_bend` and `torque` have the shape
+    (segments, 2). The last axis of these fields holds the components to the left and
+    upwards. The fields `pressure` and `valves` have one column per chamber.
+    `connector_heading` is the heading of the connector's axis after projection onto the
+    floor.
 
     Attributes:
         height: heights of the connectors above the floor, shape (N,), m.
-        orientation: quaternions of the connectors, w first, x forward and z up, shape
-            (N, 4).
+        orientation: unit quaternions of the connectors, with the real part first, shape
+            (N, 4). The x axis points forward and the z axis up.
         load: mean vertical force of the floor on each connector since the previous
             sample, shape (N,), N.
     """
@@ -224,21 +224,21 @@ TICK_S = 0.02
 
 _FIELDS = tuple(
     field.name for field in fields(SnakeState)
-)  # cached: `fields` is too slow for every tick
+)  # `fields` is too slow to call at every tick
 _SPATIAL_FIELDS = tuple(field.name for field in fields(SpatialState))
 
 
 class Plant(Claimable, Stateful, ABC):
-    """Abstract base class of snakes that follow valve commands.
+    """Abstract base class of simulated snakes that are driven by valve commands.
 
     Attributes:
         name: short name of the plant, "analytical" or "twin".
         spec: simulated robot.
         tick: control tick, s, which is a multiple of the plant's time step.
-        max_chunk_s: maximum length of a schedule that callers should pass to one call
-            of `play`, s.
+        max_chunk_s: recommended maximum length of a schedule in one call of `play`, s.
         layout: valve layout, one of `pneumatics.valves.LAYOUTS`.
-        state: last returned state, only on plants that can be saved.
+        state: most recently returned state. Only plants that can be saved have this
+            attribute.
     """
 
     name: str
@@ -248,25 +248,25 @@ class Plant(Claimable, Stateful, ABC):
     layout: str = "3/2"
     state: SnakeState
     world: World | None = None
-    """Floor, obstacles and objects around the snake, or None for a level floor.
-    """
+    """Floor, obstacles and objects around the snake, or None for a level floor."""
     has_contact: bool = False
-    """Whether the body touches obstacles or objects, whose forces are then recorded."""
+    """Whether contact forces of obstacles or objects are recorded."""
     objects: int = 0
     """Number of movable objects.
 
-    The last values of `qpos` are x, y (m) and heading (rad) of each object.
+    The last entries of `qpos` are x, y (m) and the heading (rad) of each object.
     """
     measures_air: bool = True
-    """Whether pneumatic energy and valve openings are known and recorded."""
+    """Whether pneumatic energy and valve openings are recorded."""
     has_internal_loss: bool = False
-    """Whether segments can dissipate energy without bending, which is then recorded."""
+    """Whether the energy dissipated in the material of the segments is recorded."""
 
     @property
     def sample_step(self) -> float | None:
-        """Unit of the interval between samples within a tick, s.
+        """Smallest interval between samples, s.
 
-        It is None if every interval is possible.
+        Longer intervals must be multiples of the smallest interval. The value is None
+        if any interval is possible.
         """
         if type(self).advance is Plant.advance:
             return self.tick
@@ -274,7 +274,7 @@ class Plant(Claimable, Stateful, ABC):
 
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Lay the snake straight and at rest with empty chambers.
+        """Reset to a straight snake at rest with empty chambers.
 
         Args:
             pose: centre of mass x, y (m) and mean heading (rad).
@@ -291,7 +291,7 @@ class Plant(Claimable, Stateful, ABC):
         return PlantState(self.identity(), self.state_dict())
 
     def restore(self, state: PlantState) -> SnakeState:
-        """Continue from a saved state, bit-identically to the original plant.
+        """Continue from a saved state, with results bit-identical to the original run.
 
         Returns:
             The state of the snake at the time of the saved state.
@@ -316,7 +316,8 @@ class Plant(Claimable, Stateful, ABC):
             seed: random seed of the plant, for sensor noise.
 
         Raises:
-            InputError: the plant cannot be in this state, or can only start at rest.
+            InputError: the plant does not support this state, or it can only start at
+                rest.
         """
         raise InputError(f"plant '{self.name}' can only start straight and at rest")
 
@@ -334,20 +335,20 @@ class Plant(Claimable, Stateful, ABC):
 
         Args:
             valves: valve states, int8, +1 to fill, 0 to hold and −1 to vent. The shape
-                is (segments, 2) with columns for the + and − chambers, or (slots,
-                segments, 2) with slots of equal length.
+                is (segments, 2) with columns for the + and − chambers. An array of
+                shape (slots, segments, 2) divides the tick into slots of equal length.
 
         Raises:
-            InputError: `advance` refuses the valve states.
-            DivergedError: the state is no longer finite and plausible.
+            InputError: the shape of `valves` is wrong, or a valve state is not allowed.
+            DivergedError: the state has become infinite, NaN or implausibly large.
         """
         return self.advance(valves, 1)[-1]
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """Advance by one tick and return equally spaced states.
 
-        The last state is at the end of the tick. A plant overrides this method, or only
-        `step` if it cannot sample within a tick.
+        The last state is at the end of the tick. Subclasses that cannot sample within a
+        tick override only `step`.
 
         Args:
             valves: valve states as in `step`.
@@ -357,7 +358,7 @@ class Plant(Claimable, Stateful, ABC):
         Raises:
             InputError: the shape is wrong, a valve state is not −1, 0 or +1, or the
                 plant cannot provide so many samples.
-            DivergedError: the state is no longer finite and plausible.
+            DivergedError: the state has become infinite, NaN or implausibly large.
         """
         if samples != 1:
             raise InputError(
@@ -368,20 +369,21 @@ class Plant(Claimable, Stateful, ABC):
         return [self.step(valves)]
 
     def play(self, schedule: Schedule, samples: int) -> SnakeState | None:
-        """Follow a schedule without feedback.
+        """Execute a schedule of valve commands without feedback.
 
         Args:
             schedule: valve states over a whole number of ticks.
-            samples: number of equally spaced samples, the last one at the end.
+            samples: number of equally spaced samples. The last sample is at the end.
 
         Returns:
-            The history of the samples, or None from a plant that only advances tick by
-            tick.
+            The history of the samples. Plants that can only advance tick by tick return
+            None.
 
         Raises:
-            InputError: the valves cannot take a commanded state.
-            DivergedError: the state is no longer finite and plausible. The error's
-                `history` holds the samples before.
+            InputError: the valve layout does not allow a commanded state.
+            DivergedError: the state has become infinite, NaN or implausibly large. The
+                attribute `history` of the error holds the samples before the
+                divergence.
         """
         return None
 
@@ -395,13 +397,11 @@ class Plant(Claimable, Stateful, ABC):
 
 
 class PneumaticPlant(Plant):
-    """Plant with a `Pneumatics` and a `Sensor`.
-
-    Subclasses implement the motion in `_simulate`.
+    """Plant with chambers and curvature sensors. Subclasses implement `_simulate`.
 
     Attributes:
-        pneumatics: chambers and valves.
-        sensor: curvature sensors.
+        pneumatics: model of the chambers and valves.
+        sensor: model of the curvature sensors.
         seed: random seed of the sensor noise.
     """
 
@@ -474,23 +474,17 @@ class PneumaticPlant(Plant):
 
     @abstractmethod
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Follow a schedule of checked valve states and return the samples' history."""
+        """Simulate a schedule of checked valve states and return the history."""
 
 
 _PA_PER_UNIT = {"kPa": 1e3, "bar": 1e5, "psi": 6894.76}
-"""Units other than Pa in which a supply pressure may have been given by mistake."""
+"""Pressure units that users confuse with Pa, and their values in Pa."""
 
 _LEAST_SUPPLY_FRACTION = 0.01
-"""Fraction of the nominal pressure below which a pressure is probably not in Pa."""
+"""Fraction of the nominal pressure below which a supply pressure is rejected."""
 
 
 def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
-    """Return a supply pressure (Pa) after a check that it is plausible for a robot.
-
-    Raises:
-        InputError: the pressure is not finite, negative, or so small that its unit is
-            probably not Pa.
-    """
     nominal = spec.supply.nominal
     if not 0 <= supply_pa < np.inf:
         raise InputError(
@@ -498,7 +492,7 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
             " negative, in Pa"
         )
     if 0 < supply_pa < _LEAST_SUPPLY_FRACTION * nominal:
-        # The most likely unit brings the pressure closest to the nominal pressure.
+        # Choose the unit with which the pressure is closest to the nominal pressure.
         unit = min(
             _PA_PER_UNIT,
             key=lambda unit: abs(np.log(supply_pa * _PA_PER_UNIT[unit] / nominal)),
@@ -512,15 +506,16 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
 
 
 def check_initial_state(snake: SnakeState, yaw_rate: float, segments: int) -> None:
-    """Check that a snake can start in a state, before anything moves.
+    """Check that a plant with `segments` segments can start in a state.
 
     Args:
-        snake: physical state as in `Plant.place`.
+        snake: physical state as in `Plant.set_state`.
         yaw_rate: rate of the mean heading, rad/s.
         segments: number of segments of the plant.
 
     Raises:
-        InputError: a value has another shape or is not finite, or `snake` is a history.
+        InputError: a field has the wrong shape, a value is not finite, or `snake` is a
+            history.
     """
     shapes = {"com": (2,), "com_velocity": (2,), "heading": (), "bend": (segments,)}
     shapes |= {"bend_rate": (segments,), "pressure": (segments, 2)}
@@ -547,14 +542,14 @@ _VALVE_STATE_RANGE = np.iinfo(np.int8)
 
 
 def check_plausible(plant: str, state: SnakeState) -> SnakeState:
-    """Return a state or a history after a check that it is plausible.
+    """Return a state or a history if all its values are finite and plausible.
 
     Raises:
-        DivergedError: the state is not plausible. The error's `history` holds the
-            earlier samples.
+        DivergedError: a value is infinite, NaN or implausibly large. The attribute
+            `history` of the error holds the earlier samples.
     """
-    # All other fields of the state follow from the checked fields. Scalars are compared
-    # in Python, because a NumPy call on a scalar takes as long as on an array.
+    # The other fields of a state are computed from the fields checked here. Scalars are
+    # compared in Python, because NumPy takes as long for a scalar as for an array.
     scalars: tuple[Any, ...] = (state.heading, state.work, state.pneumatic_energy)
     single = not isinstance(state.time, np.ndarray)
     if single:
@@ -575,7 +570,10 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
 
 
 def check_before_step(plant: str, time: float, *state: Any) -> None:
-    """Check that the state before a step is plausible.
+    """Check that the numbers and arrays of a state are plausible before a step.
+
+    A step may hide a diverged value. For example, the engine replaces an infinite
+    pressure by 0.
 
     Args:
         plant: name of the plant.
@@ -583,7 +581,7 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
         state: numbers and arrays of the state.
 
     Raises:
-        DivergedError: the state is not plausible.
+        DivergedError: a value is infinite, NaN or implausibly large.
     """
     if not is_plausible(*state):
         wrong = first_implausible(
@@ -594,13 +592,11 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
 
 
 def check_commands(source: str, time: float, valves: object) -> None:
-    """Check that valve commands have not diverged.
-
-    The chambers report finite but invalid commands.
+    """Check that valve commands are numbers in the range of int8.
 
     Args:
         source: name of the controller or policy.
-        time: start of the tick for the commands, s.
+        time: start of the tick, s.
         valves: commanded valve states, any shape.
 
     Raises:

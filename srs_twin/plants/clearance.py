@@ -1,16 +1,15 @@
 r"""Distance of the body from obstacles and objects, and overlaps at the start of a run.
 
-On every plant the body is represented by the collision collision geom of the twin, which has a
-capsule of the body's width between every two adjacent hinges (`mjcf.surroundings`). The
-axes of these capsules are computed from the recorded connectors. The pose of a
-connector determines the hinges next to it, so the axes are exact for one or two hinges
-per segment. With more hinges, the inner hinges are assumed to have equal bends. A model
-without hinges gets the hinges of the corresponding twin. The middle of a segment with
-length l and bend q then lies inside the arc by
+On every plant the body has the collision geom of the twin, which has a capsule of the
+body's width between every two adjacent hinges. The axes of the capsules are computed
+from the recorded poses of the connectors. These poses determine the first and the last
+hinge of each segment. Hinges between the first and the last one are assumed to have
+equal bends. For plants without hinges, the default number of hinges is used.
+
+The axes are straight between two hinges. In a segment with two hinges, the length l and
+the bend q, the middle of the axis lies inside the arc of constant curvature by
 
 $$ l\,|q|/24 . $$
-
-At 1.5 rad the distance is 5 % larger. In generation 2 it is 1.5 mm at 1 rad.
 """
 
 from __future__ import annotations
@@ -29,29 +28,27 @@ if TYPE_CHECKING:
     import shapely
 
 TOUCHING_M = 1e-6
-"""Overlap below which a body only touches an obstacle, m.
+"""Maximum overlap that counts as touching without force, m.
 
-The twin sinks into the floor by nanometres.
+The value exceeds the nanometres by which the weight presses the twin into the floor.
 """
 PENETRATION_M = 1e-3
-"""Overlap that soft contacts can cause during a run, at a length unit of 1, m."""
+"""Maximum overlap that soft contacts cause during a run, at a length unit of 1, m."""
 
 _POINTS_PER_WIDTH = 40
 """Number of points per body width at which depths inside a polygon are evaluated.
 
-The error of a depth is half the distance of these points.
+The maximum error of a depth is half the distance between neighbouring points.
 """
 
 
 class Solid(NamedTuple):
-    """Obstacle or object, represented by a core and a radius.
-
-    It consists of all points within the radius of the core.
+    """Obstacle or object, given as all points within `radius` of `core`.
 
     Attributes:
         name: name in messages, such as "obstacle 2 at (0.5, 0.1) m".
         core: point or area in the frame of the obstacle or object.
-        radius: distance of the surface from the core, m.
+        radius: distance between the surface and the core, m.
         pose: position x, y (m) and heading (rad) of the frame.
     """
 
@@ -62,7 +59,7 @@ class Solid(NamedTuple):
 
 
 def solids(world: World) -> list[Solid]:
-    """Return circles, polygons, and then objects at their initial poses."""
+    """Return the circles, the polygons, and the objects at their initial poses."""
     import shapely
 
     found = []
@@ -85,18 +82,13 @@ def solids(world: World) -> list[Solid]:
 def collision_lines(
     position: np.ndarray, connector_heading: np.ndarray, geometry: Geometry, hinges: int
 ) -> np.ndarray:
-    """Return the axes of the collision capsules.
-
-    The axes are inside the collision geom by half the width of the body.
+    """Return the axes of the collision capsules, shape (samples, points, 2), m.
 
     Args:
         position: positions of the connectors, shape (samples, N, 2), m.
         connector_heading: headings of the connectors, shape (samples, N), rad.
         geometry: geometry of the robot.
         hinges: number of hinges per segment.
-
-    Returns:
-        Points from head to tail, shape (samples, points, 2), m.
     """
     length = geometry.segment_length
     gap = geometry.rigid_gap
@@ -110,25 +102,19 @@ def collision_lines(
     )
     directions = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
     line = position[:, :-1, None] - np.cumsum(capsules[:, None] * directions, axis=2)
-    # The rear connector determines the last hinge. The closing error is distributed
-    # over the hinges in front of the last one.
+    # The line must end at the rear connector, so the closing error is distributed
+    # linearly over the points of the segment.
     weight = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
     line += weight * (position[:, 1:, None] - line[:, :, -1:])
     return np.concatenate([position[:, :1], line.reshape(len(line), -1, 2)], axis=1)
 
 
 def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
-    """Return the distance of the collision geom from the nearest obstacle or object.
+    """Return the distance (m) to the nearest obstacle or object at each sample.
 
-    The distance is negative for an overlap. In a polygon or a box it is at least minus
-    half the width of the body.
-
-    Args:
-        plant: plant whose world has obstacles or objects.
-        states: history of the plant's states.
-
-    Returns:
-        Distance at each sample, shape (samples,), m.
+    The distance is measured from the surface of the collision geom and is negative for
+    an overlap. If the axis of the body is inside a polygon or a box, the distance is
+    minus half the width of the body.
     """
     import shapely
 
@@ -160,8 +146,7 @@ class Overlap(NamedTuple):
     Attributes:
         number: index into `solids`.
         name: name of the obstacle or object in messages.
-        depth: maximum depth of a point of the axes in the obstacle, plus half the width
-            of the body, m.
+        depth: maximum overlap, m.
     """
 
     number: int
@@ -170,7 +155,7 @@ class Overlap(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Message without the name."""
+        """Message that follows the name."""
         return (
             f"overlaps the body at the start by {1e3 * self.depth:.3g} mm; move it or"
             " start elsewhere"
@@ -188,7 +173,7 @@ def start_overlaps(
         world: obstacles and objects.
         lines: axes of the collision geom (`collision_lines`), shape (1, points, 2), m.
         half_width: half the width of the body, m.
-        allowed: depth up to which overlaps are omitted, m.
+        allowed: maximum depth of an overlap that is not reported, m.
     """
     import shapely
 
@@ -209,12 +194,7 @@ def start_overlaps(
 
 
 def check_start(plant: Plant, state: SnakeState, allowed: float = TOUCHING_M) -> None:
-    """Check that the body does not overlap an obstacle or object at the start.
-
-    Args:
-        plant: plant at the start of a run.
-        state: state of the plant.
-        allowed: maximum allowed overlap, m.
+    """Check that the body overlaps nothing by more than `allowed` (m) at the start.
 
     Raises:
         InputError: the body overlaps an obstacle or object.

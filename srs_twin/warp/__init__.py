@@ -1,4 +1,4 @@
-"""Twins on a GPU, simulated by MuJoCo Warp with the laws that the CPU twins use."""
+"""Twins on a GPU: MuJoCo Warp with the friction and chamber laws of the CPU twins."""
 
 import warp
 

@@ -1,8 +1,8 @@
 """`WarpBatch` simulates many twins together on a GPU with MuJoCo Warp.
 
-Tests also run it on the CPU. Engine, chambers and friction are those of `TwinSnake`, in
-single precision. The model of each distinct robot is built on the CPU and copied to the
-device, so no formula of the model is repeated here.
+Tests also use Warp on the CPU. Engine, chambers and friction have the same equations as
+in `TwinSnake`, in single precision. The model of each distinct robot is built on the
+CPU and copied to the device.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ from srs_twin.warp.kernels import GaitWave
 _INITIAL_LIFT = 1e-8
 """Height by which snakes are lifted at the start, m.
 
-Snakes at rest just touch the floor, so rounding would decide whether they have contact.
+Without the lift, rounding would decide whether a snake at rest touches the floor.
 """
 
 _MAX_START_DISTANCE = 16.0
 """Maximum distance of a start from the origin of the device coordinates, m.
 
 Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 1 µm at 16 m. A snake
-with 0.1 m/s travels 0.1 mm per step of 1 ms. The rounding error is therefore 1 % of the
-motion in a step at 16 m, and equals the motion at about 2 km.
+with 0.1 m/s travels 0.1 mm per step of 1 ms, so the rounding error at 16 m is 1 % of
+the motion.
 """
 
 
@@ -47,15 +47,15 @@ class WarpBatch(Claimable):
     All twins have equal numbers of connectors and equal control ticks.
 
     Attributes:
-        twins: twin of each run. It holds the run's settings, and runs with equal robots
-            share one twin.
+        twins: twin of each run, which holds the settings of the run. Runs with equal
+            robots share one twin.
         tick: control tick, s.
         state: latest state of every run. Each field has a leading axis of runs.
-        errors: error that ended each run, or None.
+        errors: error that ended each run, or None for runs that have not diverged.
         device: Warp device.
         origins: origin of each run's device coordinates in the world, shape (runs, 2),
-            m. A run that starts more than 16 m from the world's origin has its device
-            origin at the start, because of single precision.
+            m. If a run starts more than 16 m from the world's origin, the device origin
+            is at the start, because of single precision.
     """
 
     claiming_methods = (*Claimable.claiming_methods, "run", "follow", "command")
@@ -76,8 +76,9 @@ class WarpBatch(Claimable):
 
         Args:
             twins: twin of each run. Runs with equal robots may share one object.
-            device: Warp's device name, such as "cuda:0", or None for Warp's default.
-            deterministic: whether to sum in a fixed order, so that repeated runs are
+            device: Warp's device name, such as "cuda:0". The default is Warp's default
+                device.
+            deterministic: whether Warp sums in a fixed order, so that repeated runs are
                 bit-identical.
 
         Raises:
@@ -124,7 +125,7 @@ class WarpBatch(Claimable):
         return bool(wp.get_preferred_device().is_cuda)
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
-        """Refuse to be copied or pickled, because the states are on the device.
+        """Reject copying, because the states are on the device.
 
         Raises:
             InputError: always.
@@ -139,7 +140,7 @@ class WarpBatch(Claimable):
         return len(self.twins)
 
     def run(self, steps: int, *, gait: bool = False) -> None:
-        """Make time steps without observation. On a GPU each step is one CUDA graph.
+        """Compute time steps without observation, as CUDA graphs on a GPU.
 
         Args:
             steps: number of steps.
@@ -170,13 +171,14 @@ class WarpBatch(Claimable):
         seed: int = 0,
         worlds: Sequence[int] | None = None,
     ) -> SnakeState:
-        """Place straight snakes at rest with empty chambers.
+        """Reset to straight snakes at rest with empty chambers.
 
         Args:
             poses: centre of mass x, y (m) and mean heading (rad) of each run that is
-                reset, by default zero.
+                reset. The default is the origin.
             seed: random seed of the sensor noise.
-            worlds: indices of the runs to reset. None resets all runs and the time.
+            worlds: indices of the runs to reset. By default all runs and the time are
+                reset.
 
         Raises:
             InputError: the number of poses is wrong, or a start is too far from the
@@ -245,24 +247,22 @@ class WarpBatch(Claimable):
     def advance(self, valves: Any, samples: int) -> list[SnakeState | None]:
         """Advance all runs by one tick. See `TwinBatch.advance`.
 
-        Args:
-            valves: valve commands in an array or an object with the DLPack interface.
-            samples: number of equally spaced samples.
+        The valve commands are an array or an object with the DLPack interface.
         """
         self.command(valves)
         return self._run_observed(self._engine.steps, samples, gait=False)
 
     def command(self, valves: Any) -> None:
-        """Set the valve states for each tick from now on.
+        """Set the valve states for the following ticks.
 
         Args:
             valves: valve states −1 or 1, shape (runs, segments, 2) or (runs, slots,
-                segments, 2). A NumPy array is checked. Values of an int32 array on the
-                device (DLPack) are not checked.
+                segments, 2). The values of a NumPy array are checked. The values of an
+                int32 array on the device (DLPack) are not checked.
 
         Raises:
-            InputError: the shape or type is wrong, or a valve does not have a given
-                state.
+            InputError: the shape or type is wrong, or the valve layout does not allow a
+                given state.
         """
         shape = tuple(valves.shape)
         segments = self.twins[0].spec.segments
@@ -296,7 +296,7 @@ class WarpBatch(Claimable):
     def play(
         self, schedules: Sequence[Schedule | None], samples: int
     ) -> list[SnakeState | None]:
-        """Follow schedules without feedback. See `TwinBatch.play`."""
+        """See `TwinBatch.play`."""
         check_one_per_run("schedules", schedules, len(self))
         if not any(schedules):
             return [None] * len(self)
@@ -337,7 +337,7 @@ class WarpBatch(Claimable):
         return [SnakeState.history(pieces) if pieces else None for pieces in histories]
 
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
-        """Follow the gaits of `set_gaits` for a duration (s).
+        """Simulate the gaits of `set_gaits` for a duration (s).
 
         The samples are equally spaced, and the last sample is at the end.
         """
@@ -361,11 +361,11 @@ class WarpBatch(Claimable):
         }
 
     def openings(self) -> np.ndarray:
-        """Return how often each inlet has opened, shape (runs, segments, 2)."""
+        """Return the number of openings of each inlet, shape (runs, segments, 2)."""
         return np.asarray(self._engine.structs["chambers"].openings.numpy())
 
     def describe(self) -> dict[str, object]:
-        """Return the settings of the engine for the provenance of a run."""
+        """Return the settings of the device engine that a recording stores."""
         return {"engine": "warp", "device": self.device.name}
 
     def _run_observed(
@@ -402,7 +402,6 @@ class WarpBatch(Claimable):
         return replace(history.at(-1), time=self._time - self._begun)
 
     def _history_of_run(self, together: SnakeState, k: int) -> SnakeState | None:
-        """Return the history of run k until it diverges, and store its error."""
         history = SnakeState(
             together.time - self._begun[k],
             *(getattr(together, f.name)[:, k] for f in fields(SnakeState)[1:]),
@@ -429,10 +428,8 @@ class WarpBatch(Claimable):
     def _history(
         self, rows: list[Any], times: np.ndarray, steps: np.ndarray
     ) -> SnakeState:
-        """Return the history of all runs, with axes of samples and runs.
-
-        Forces are averaged over the number of time steps before each sample, `steps`.
-        """
+        # The result has axes of samples and runs. `steps` is the number of time steps
+        # before each sample, over which forces are averaged.
         table = np.stack([row.numpy() for row in rows]).astype(float)
         shape = table.shape[:2]
         widths = self._engine.widths
@@ -488,11 +485,8 @@ class WarpBatch(Claimable):
         free: np.ndarray,
         free_rate: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the moments of the segments (N·m) and their stored energy (J).
-
-        All arguments have leading axes of samples and runs, with angles in rad. Rest
-        bends are not included in `free`.
-        """
+        # Moments of the segments (N·m) and stored energy (J). All arguments have
+        # leading axes of samples and runs. `free` excludes the rest bends.
         torque = np.empty_like(bend)
         stored = np.empty(bend.shape[:2])
         for number, twin in enumerate(self._robots):
@@ -514,10 +508,7 @@ class WarpBatch(Claimable):
 
 
 def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Rotate, translate and slightly lift the positions of snakes.
-
-    Each row of `places` contains a translation x, y (m) and a rotation (rad).
-    """
+    # Each row of `places` contains a translation x, y (m) and a rotation (rad).
     moved = qpos.copy()
     yaw = places[:, 2]
     c = np.cos(yaw)
@@ -556,7 +547,7 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
     same = settings.keys() - {"robot", "robot_digest", "supply_pa"}
     same -= (
         set() if twin.has_contact or first.has_contact else {"world"}
-    )  # Goals and bounds do not affect the motion.
+    )  # goals and bounds do not affect the motion
     unsupported |= {
         f"runs that differ in {name}": settings[name] != first_settings[name]
         for name in sorted(same)

@@ -34,7 +34,7 @@ from srs_twin.warp.translation import (
 )
 
 _CAPACITY_FACTOR = 4
-"""Ratio of the capacity for contacts and constraint rows to their number at rest."""
+"""Capacity for contacts and constraint rows, relative to their number at rest."""
 
 _UNUSED_FIELDS = ("dof_length",)
 """Model fields that may differ between runs, because only sleeping bodies use them."""
@@ -46,15 +46,15 @@ _AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
 class DeviceEngine:
-    """Twins of a batch on a device, one per world.
+    """Twins of a batch on a device, one twin per world.
 
     Attributes:
-        loaded: whether the twins have the loaded contact model.
-        slots: valve slots per time step.
-        steps: time steps per control tick.
+        loaded: whether the twins have loaded contact.
+        slots: number of valve slots per time step.
+        steps: number of time steps per control tick.
         data: MuJoCo Warp's data of all worlds.
         structs: structs of all worlds, keyed by the names in `build_kernels`.
-        count: array that contains the number of time steps since the reset.
+        count: device array with the number of time steps since the reset.
         widths: number of columns of each part of an observation (kernel `observe`).
     """
 
@@ -69,9 +69,9 @@ class DeviceEngine:
 
         Args:
             robots: distinct twins.
-            robot_of_run: twin index of each run.
+            robot_of_run: index of each run's twin.
             device: Warp device.
-            deterministic: whether to sum in a fixed order, so that repeated runs are
+            deterministic: whether Warp sums in a fixed order, so that repeated runs are
                 bit-identical.
 
         Raises:
@@ -85,7 +85,7 @@ class DeviceEngine:
         self.loaded = isinstance(robots[0].contact, LoadedContact)
         models = [twin.physics.model for twin in robots]
         raw = copy.copy(models[0])
-        raw.opt.disableflags &= ~_AUTORESET  # MuJoCo Warp supports no other value
+        raw.opt.disableflags &= ~_AUTORESET  # MuJoCo Warp does not support this flag
         raw.opt.solver = mujoco.mjtSolver.mjSOL_NEWTON
         raw.opt.iterations = _MAX_ITERATIONS
         data = mujoco.MjData(raw)
@@ -93,7 +93,7 @@ class DeviceEngine:
         mujoco.mj_forward(raw, data)
         capacity = {
             "nconmax": _CAPACITY_FACTOR * max(data.ncon, 8),
-            # A contact that just touches the floor has no constraint row yet.
+            # At rest, contacts that just touch the floor have no constraint rows.
             "njmax": _CAPACITY_FACTOR * max(data.nefc, data.ncon, 8),
         }
         tick = robots[0].tick
@@ -140,7 +140,7 @@ class DeviceEngine:
             for name in ("contacts", "sparsity", "contact_state", "workspace"):
                 records[name] = [solve[name] for solve in solves]
         structs = {name: warp_struct(values[0]) for name, values in records.items()}
-        # All robots share a single record, or each robot has its own.
+        # `values` has a single record for all robots, or one record per robot.
         self.structs = {
             name: stack_records(
                 structs[name],
@@ -205,7 +205,7 @@ class DeviceEngine:
         }
 
     def _view(self, name: str) -> wp.array:
-        """View an array of vectors or matrices as an array of scalars."""
+        # The view of an array of vectors or matrices is an array of scalars.
         array = getattr(self.data, name)
         size = wp.types.type_size(array.dtype)
         if size == 1:
@@ -275,10 +275,10 @@ class DeviceEngine:
         """Set worlds to rest with empty chambers.
 
         Args:
-            chosen: world indices.
-            qpos: positions, one row per chosen world.
-            contacts: loaded contact states, one per chosen world, or empty without
-                loaded contacts.
+            chosen: indices of the worlds.
+            qpos: generalised positions, with one row per chosen world.
+            contacts: contact states, one per chosen world. Without loaded contact the
+                sequence is empty.
         """
         self._set(self.data.qpos, chosen, qpos)
         for array in (
@@ -332,7 +332,7 @@ class DeviceEngine:
             getattr(self.structs["relaxation"], name).assign(rows)
 
     def run(self, steps: int, *, gait: bool = False) -> None:
-        """Make time steps without observation. On a GPU each step is one CUDA graph.
+        """Compute time steps without observation, as CUDA graphs on a GPU.
 
         Args:
             steps: number of steps.
@@ -353,7 +353,7 @@ class DeviceEngine:
                 wp.capture_launch(self._graphs[gait])
 
     def observe(self) -> Any:
-        """Return an observation, one row per world, and reset the accumulators."""
+        """Return an observation with one row per world, and reset the accumulators."""
         data = self.data
         model = self._model
         out = wp.zeros(
@@ -372,11 +372,8 @@ class DeviceEngine:
 
 
 def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None:
-    """Give each world its own values of the model fields in which worlds differ.
-
-    Raises:
-        InputError: the models differ in a field that the engine shares between worlds.
-    """
+    # Fields in which the models differ get one value per world, if the engine allows
+    # it.
     distinct = {id(world_model): world_model for world_model in models}
     if len(distinct) == 1:
         return

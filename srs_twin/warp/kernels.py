@@ -1,11 +1,11 @@
 """Warp kernels for chambers, loaded contacts and sums of forces.
 
-The kernels run before and after the steps of MuJoCo Warp. A kernel has one thread per
-world, or one per world and segment. The struct of one world is a view of the struct of
-all worlds.
+The kernels are executed before and after the steps of MuJoCo Warp. A kernel has one
+thread per world, or one thread per world and segment. The struct of a single world is a
+view of the struct of all worlds.
 """
 
-# No `from __future__ import annotations`: Warp needs the types themselves.
+# Without `from __future__ import annotations`, because Warp needs types, not strings.
 from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -26,8 +26,8 @@ class StepSettings(NamedTuple):
         slot: duration of a valve slot, s.
         slots: number of valve slots per time step.
         tick: number of time steps per tick.
-        mean_control: whether the mean control over a step drives the bodies, instead of
-            the control at the beginning of the step.
+        mean_control: whether the bodies are driven by the mean control over a step. By
+            default the bodies are driven by the control at the beginning of the step.
     """
 
     h: float
@@ -42,7 +42,8 @@ class ChamberState(NamedTuple):
 
     Attributes:
         pressure: gauge pressure, shape (segments, 2), Pa.
-        linear: linear bend x, shape (segments,), rad.
+        linear: linear bend x, which is the input of the bend law, shape (segments,),
+            rad.
         bend, bend_rate: free bend without the rest bend (rad) and its derivative
             (rad/s), shape (segments,).
         valves: valve states of the latest slot, shape (segments, 2).
@@ -88,12 +89,13 @@ class BodyViews(NamedTuple):
 
 
 class Accumulators(NamedTuple):
-    """Quantities of one world that are summed between samples.
+    """Forces of one world that are summed between samples.
 
     Attributes:
         mid_qpos: qpos in the middle of the step, shape (nq,).
-        step_force, force_sum: forces on wheels and collision geoms in the latest step, and the
-            sum of these forces since the latest sample, shape (contacts, 3), N.
+        step_force: forces on wheels and collision geoms in the latest step, shape
+            (contacts, 3), N.
+        force_sum: sum of `step_force` since the latest sample, shape (contacts, 3), N.
         obstacle_sum: sum of the normal forces exerted by obstacles since the latest
             sample, shape (collision geoms, 3), N.
     """
@@ -105,10 +107,7 @@ class Accumulators(NamedTuple):
 
 
 _OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
-"""Options of the kernels.
-
-Each kernel is compiled separately, because its constants depend on the batch.
-"""
+"""Options of the kernels. Constants depend on the batch, so each kernel is a module."""
 
 Kernels = dict[str, Any]
 """Kernels, keyed by name."""
@@ -121,7 +120,7 @@ def build_kernels(
 
     Args:
         structs: `relaxation`, `chambers`, `wave`, `accumulators`, `addresses` and
-            `bodies`, and for loaded contacts `engine`, `contacts`, `sparsity`,
+            `bodies`. Loaded contacts also need `engine`, `contacts`, `sparsity`,
             `contact_state` and `workspace`.
         settings: constants for all worlds.
     """
@@ -170,13 +169,13 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
             time = (wp.float64(count[0] * SLOTS + s) + wp.float64(0.5)) * wp.float64(
                 SLOT
             )
-            # Double precision keeps the phase accurate in long runs.
+            # In double precision the phase remains accurate in long runs.
             turns = wp.float64(gait.frequency) * time
             angle = wp.float64(6.283185307179586) * (
                 turns - wp.floor(turns)
             ) - wp.float64(gait.lag[j])
             value = wp.sin(angle) + wp.float64(gait.offset)
-            # The margin prevents rounding from delaying a switch by one slot.
+            # Without the margin, rounding could delay a valve event by one slot.
             edge = wp.float64(gait.rest) - wp.float64(1e-9)
             out[i, s, j, 0] = 2 * int(value >= edge) - 1
             out[i, s, j, 1] = 2 * int(value < -edge) - 1
@@ -210,8 +209,8 @@ def _chamber_kernel(
         law = relaxation_of(relaxations, i)
         air = chambers_of(all_chambers, i)
         pressure = air.pressure[j]
-        # With this drive, a segment with the damping time c/k follows the free bend
-        # without lag. The values are those at the beginning of the step.
+        # With this drive, the bend of a segment with the damping time c/k equals the
+        # free bend without lag. The free bend is at the beginning of the step.
         driven = air.bend[j] + law.damping_time * air.bend_rate[j]
         bend = air.bend[j] + law.bias[j]
         for s in range(SLOTS):
@@ -259,10 +258,7 @@ def _accumulation_kernel(
         energy_loss: wp.array(dtype=wp.float64),
         internal_loss: wp.array(dtype=wp.float64),
     ):
-        """Add the forces and energy losses of a step.
-
-        With a preloaded contact, the engine's sensors provide the forces.
-        """
+        # With a preloaded contact, the engine's sensors measure the forces.
         i = wp.tid()
         air = chambers_of(all_chambers, i)
         sums = accumulators_of(all_accumulators, i)
@@ -303,7 +299,7 @@ def _observation_kernel(
         internal_loss: wp.array(dtype=wp.float64),
         out: wp.array2d(dtype=float),
     ):
-        """Write each world's observation into a row, and reset the accumulators."""
+        # One row per world.
         i = wp.tid()
         body = bodies_of(bodies, i)
         sums = accumulators_of(all_accumulators, i)
@@ -320,7 +316,7 @@ def _observation_kernel(
 
 
 def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
-    """Advance the chambers of segment j over a valve slot, and return its bend, rad.
+    """Advance the chambers of segment j by a valve slot, and return the new bend, rad.
 
     The argument `before` is the bend at the beginning of the slot.
     """
@@ -332,7 +328,7 @@ def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
     after, _, _ = apply_bend_law(x, law)
     after += law.bias[j]
     content = filling_content(state, plus, minus, after, law, AMBIENT_PA)
-    # The supply delivers the increase of the content of filling chambers.
+    # The supply delivers the increase of the amount of air in chambers that fill.
     air.drawn[j] = air.drawn[j] + law.worth * (content - content_before)
     pressure[0] = plus
     pressure[1] = minus
@@ -362,9 +358,10 @@ def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
 
 
 def preloaded_power(sums, at, sensors):  # type: ignore[no-untyped-def]
-    """Return the power that the floor takes (W), and read the wheel forces.
+    """Return the power dissipated by the floor (W), and read the wheel forces.
 
-    The force of the previous step acts with the velocity that the sensors report now.
+    The sensors report velocities one step later than forces, so the velocities are
+    multiplied by the forces of the previous step.
     """
     power = float(0.0)
     for w in range(at.floor_force.shape[0]):
@@ -376,7 +373,7 @@ def preloaded_power(sums, at, sensors):  # type: ignore[no-untyped-def]
 
 
 def external_power(at, sensors):  # type: ignore[no-untyped-def]
-    """Return the power that external forces other than wheel forces take, W."""
+    """Return the power dissipated by external forces other than wheel forces, W."""
     power = float(0.0)
     for w in range(at.external_force.shape[0]):
         power -= sensors[at.external_force[w]] * sensors[at.external_velocity[w]]
@@ -384,7 +381,7 @@ def external_power(at, sensors):  # type: ignore[no-untyped-def]
 
 
 def add_forces(sums, at, sensors):  # type: ignore[no-untyped-def]
-    """Add the forces of the step to the sums."""
+    """Add the forces of the latest step to the sums."""
     for w in range(sums.step_force.shape[0]):
         for k in range(3):
             sums.force_sum[w, k] = sums.force_sum[w, k] + sums.step_force[w, k]
@@ -395,7 +392,7 @@ def add_forces(sums, at, sensors):  # type: ignore[no-untyped-def]
 
 
 def write_bodies(body, at, row):  # type: ignore[no-untyped-def]
-    """Write the state of the bodies into a row and return the next column."""
+    """Write the state of the bodies to a row, and return the next column."""
     k = int(0)
     for n in range(body.qpos.shape[0]):
         row[k] = body.qpos[n]
@@ -418,7 +415,7 @@ def write_bodies(body, at, row):  # type: ignore[no-untyped-def]
 
 
 def write_chambers(air, row, begin):  # type: ignore[no-untyped-def]
-    """Write the state of the chambers into a row and return the next column."""
+    """Write the state of the chambers to a row, and return the next column."""
     k = int(begin)
     for j in range(air.linear.shape[0]):
         for side in range(2):
@@ -432,7 +429,7 @@ def write_chambers(air, row, begin):  # type: ignore[no-untyped-def]
 
 
 def move_sums(sums, row, begin):  # type: ignore[no-untyped-def]
-    """Move sums of forces into a row, reset the sums, and return the next column."""
+    """Write the sums of forces to a row, reset the sums, and return the next column."""
     k = int(begin)
     for w in range(sums.shape[0]):
         for n in range(3):
@@ -459,9 +456,9 @@ _PARTS = (
 def integrate_position(
     qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float
 ):
-    """Advance qpos by qvel over the time h.
+    """Integrate the positions over the time h (s) for constant velocities.
 
-    The free joint comes first, followed by the hinges.
+    The coordinates of the free joint precede the coordinates of the hinges.
     """
     for k in range(3):
         qpos[k] = qpos[k] + h * qvel[k]
@@ -519,7 +516,7 @@ def _middle_kernels(
         all_accumulators: AllAccumulators,
         bias: wp.array2d(dtype=float),
     ):
-        """Take v̂ from the engine's step and restore the positions at mid-step."""
+        # Store the engine's velocity as v̂, and restore the positions at mid-step.
         i = wp.tid()
         engine = engine_of(engines, i)
         workspace = workspace_of(workspaces, i)

@@ -1,10 +1,10 @@
 """Translation of numba kernels and their records for Warp.
 
-Warp needs argument types, single precision, and the Warp versions of called functions
-under the functions' names. A function in the common subset of both compilers is copied
-with these changes. Its tolerances are replaced by tolerances for single precision. A
-record is a named tuple of arrays, numbers and further records. It becomes a Warp struct
-of one world and a Warp struct of all worlds.
+Warp functions require argument types, single precision and Warp versions of the called
+functions. A function that both compilers accept is copied with these changes, and
+tolerances for single precision replace its tolerances. A record is a named tuple of
+arrays, numbers and further records. The Warp versions of a record are a struct of one
+world and a struct of all worlds.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from srs_twin.plants.twin import friction_solve, spatial_algebra, stick_slip
 from srs_twin.pneumatics import chambers, lag
 
 _TOLERANCES = {
-    "_RIM_TOLERANCE": 1e-6,  # relative, of the rim speed (`stick_slip`)
-    # (kg·m/s)², of the squared residual (`friction_solve`)
+    "_RIM_TOLERANCE": 1e-6,  # Relative tolerance of the rim speed (`stick_slip`).
+    # Tolerance of the squared residual (`friction_solve`), (kg·m/s)².
     "_ABSOLUTE_TOLERANCE": 1e-15,
 }
 """Single-precision values of module constants in translated functions."""
@@ -35,7 +35,7 @@ def as_warp_functions(
     """Return the Warp versions of functions by name, together with `translated`.
 
     Args:
-        functions: functions compiled by numba. Callees come before their callers.
+        functions: functions compiled by numba. Callees precede their callers.
         **translated: Warp functions that the functions call, keyed by name.
     """
     namespace: dict[str, Any] = _TOLERANCES | {"Traction": _TRACTION} | translated
@@ -80,7 +80,7 @@ _FRICTION_SOLVE = (
     "_assemble",
     "_line_search",
 )
-"""Functions of `friction_solve`, ordered so that callees come before their callers."""
+"""Functions of `friction_solve`, in an order in which callees precede callers."""
 
 _FRICTION_STEP = (
     "_newton",
@@ -89,7 +89,7 @@ _FRICTION_STEP = (
     "solve_friction",
     "store_friction",
 )
-"""Functions of `friction_solve` that use the Newton step. Callees come first."""
+"""Functions of `friction_solve` that use the Newton step. Callees precede callers."""
 
 _OBJECT_FUNCTIONS = (
     "apply_object_friction",
@@ -98,11 +98,10 @@ _OBJECT_FUNCTIONS = (
     "add_object_jacobian",
     "couple_objects",
 )
-"""Functions of the friction solve that do nothing without movable objects."""
+"""Functions of the friction solve that have no effect without movable objects."""
 
 
 def _no_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Do nothing."""
     return
 
 
@@ -136,10 +135,10 @@ class WarpStruct(NamedTuple):
     """Warp versions of a record.
 
     Attributes:
-        single: struct of one world, the argument of translated functions.
+        single: struct of one world, which is the argument of translated functions.
         batched: struct of all worlds, whose fields have a leading axis of worlds.
-        select: Warp function that maps a batched struct and an index to the struct of
-            one world.
+        select: Warp function that returns the struct of one world from a batched struct
+            and an index.
         inner: Warp versions of the fields that are records, keyed by name.
     """
 

@@ -1,8 +1,8 @@
-"""AnalyticalSnake, the dissertation's planar model and its variants as a plant.
+"""Plant `AnalyticalSnake` with the dissertation's planar model and its variants.
 
-A `Body` holds the mechanics of the model. `bodies` defines planar bodies, and
-`quasistatic` defines a body whose segments bend in two directions. A planar body with
-skin is divided into `cells`.
+The module `bodies` defines the mechanics of planar bodies. The module `quasistatic`
+defines a body whose segments bend in two directions. Planar bodies with skin are
+divided into `cells`.
 """
 
 from __future__ import annotations
@@ -58,18 +58,19 @@ from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
 # Maximum interval between exchanges of bends and pressures for point masses, at a time
-# unit of 1, s. With 0.25 ms the pressures oscillate below ambient pressure, while half
-# of this interval does not change the results.
+# unit of 1, s. With an interval of 0.25 ms the pressures oscillate below ambient
+# pressure. Half of the chosen interval gives the same results.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
 class AnalyticalSnake(PneumaticPlant):
     """Planar model of the dissertation (Section 3.1) and its variants.
 
-    Masses on arcs of constant curvature move under the friction of the floor, by Eq. 11
-    summed over the body (E22). The bends follow Eq. 14. In the model `simplified`,
-    chords keep the length of the straight segment. In the model `compliant`, load and
-    inertia deflect the bends.
+    The snake consists of masses on arcs of constant curvature, which move under the
+    friction of the floor. The equation of motion is Eq. 11, summed over the body (E22).
+    The bends are given by Eq. 14. In the model `simplified`, each chord has the length
+    of the straight segment. In the model `compliant`, load and inertia deflect the
+    bends.
 
     Attributes:
         options: assumptions and numerical settings.
@@ -106,8 +107,8 @@ class AnalyticalSnake(PneumaticPlant):
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
             sensor: curvature sensor, which is "ideal", "hall" with its defaults, or a
                 `Sensor` object.
-            world: slope of the floor and obstacles, or None for a level floor without
-                obstacles.
+            world: slope of the floor and obstacles. Without `world`, the floor is level
+                and has no obstacles.
             **options: fields of `AnalyticalOptions`, such as model="compliant" or
                 friction="wheel".
 
@@ -165,12 +166,7 @@ class AnalyticalSnake(PneumaticPlant):
         )
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Lay the snake straight and at rest with empty chambers.
-
-        Args:
-            pose: centre of mass x, y (m) and mean heading (rad).
-            seed: random seed of the sensor noise.
-        """
+        """See `Plant.reset`."""
         self.pneumatics.reset()
         self._ticks = 0
         self.seed = seed
@@ -180,7 +176,7 @@ class AnalyticalSnake(PneumaticPlant):
     def set_state(
         self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0
     ) -> SnakeState:
-        """See `Plant.place`."""
+        """See `Plant.set_state`."""
         check_initial_state(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
         self.reset(pose=(x, y, float(snake.heading)), seed=seed)
@@ -202,7 +198,6 @@ class AnalyticalSnake(PneumaticPlant):
         return self.state
 
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """See `PneumaticPlant._simulate`."""
         begun = self._ticks * self.tick
         check_before_step(
             self.name, begun + self.timestep, self.body.state, self.body.velocity
@@ -226,15 +221,8 @@ class AnalyticalSnake(PneumaticPlant):
     def _advance(
         self, schedule: Schedule, steps: TimeSteps
     ) -> tuple[int, Motion, Trace]:
-        """Advance chambers and body.
-
-        Chambers whose pressures depend on compliant bends are advanced alternately with
-        the body, one or two steps at a time.
-
-        Returns:
-            The number of completed steps, and motion and chamber trace at the reached
-            samples.
-        """
+        # The pressures may depend on compliant bends, so chambers and body are advanced
+        # alternately in chunks of one or two steps.
         motions = []
         traces = []
         done = 0
@@ -267,10 +255,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def jumps(self) -> int:
-        """Number of jumps between resting poses since `reset`.
-
-        Only the model "quasistatic" can jump.
-        """
+        """Number of jumps between resting poses of the model "quasistatic"."""
         return self.body.jumps
 
     def describe(self) -> dict[str, Any]:
@@ -310,8 +295,8 @@ class AnalyticalSnake(PneumaticPlant):
         inertia = self._connector_inertia(cells.mass)
         solid = BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen)
         if isinstance(cells, Cells):
-            # The drag of the floor belongs to one connector. On a divided body it is
-            # distributed over all points.
+            # The law states the drag of one connector. On a divided body the total drag
+            # is distributed over all points.
             drag = floor.drag * self.spec.geometry.connectors / len(cells.mass)
             floor = floor._replace(drag=drag)
         if options.base == "clamped":
@@ -337,10 +322,6 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def _coupling_step(self) -> float:
-        """Maximum interval between exchanges of bends and pressures, s.
-
-        Point masses need a shorter interval than connectors with inertia.
-        """
         step = self.pneumatics.coupling_step_s
         if not self.body.solid.inertia.all():
             step = min(step, _POINT_MASS_COUPLING_STEP * self.spec.scale.time)
@@ -350,7 +331,7 @@ class AnalyticalSnake(PneumaticPlant):
         inertia = np.zeros_like(mass)
         geometry = self.spec.geometry
         if self.options.inertia == "lumped":
-            segments = np.full(len(mass), 2.0)  # a massless point has no inertia
+            segments = np.full(len(mass), 2.0)  # number of adjoining segments
             segments[[0, -1]] = 1.0
             inertia = segments * mass * geometry.pitch**2 / 3
         elif self.options.inertia == "connector" and self.spec.skin is not None:
@@ -364,7 +345,8 @@ class AnalyticalSnake(PneumaticPlant):
 
         Args:
             schedule: valve commands.
-            samples: number of samples; a step ends at each of them.
+            samples: number of equally spaced samples. Each sample is at the end of a
+                step.
         """
         longest = self.timestep
         if self._coupled:

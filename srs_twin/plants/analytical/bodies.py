@@ -1,20 +1,19 @@
 r"""Bodies of the planar analytical models: connectors on arcs of constant curvature.
 
-There are three kinds of bodies. The bends of `PrescribedBends` follow the chambers
-regardless of load (models `complete` and `simplified`). `ClampedBends` is a chain held
-at its head. The bends of `CompliantBends` have stiffness and damping (model
-`compliant`).
+In `PrescribedBends` the chambers determine the bends regardless of load (models
+`complete` and `simplified`). `ClampedBends` is a chain with a clamped head. In
+`CompliantBends` the bends have stiffness and damping (model `compliant`).
 
-The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. Only the
-clamp touches the chain, so its motion follows from the bends alone. The recursive
-Newton–Euler algorithm then gives the moments of the segments. First it computes the
-acceleration a_j of each connector j from head to tail,
+The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. No floor
+or obstacle acts on the chain, so the bends alone determine its motion. The recursive
+Newton–Euler algorithm computes the moments of the segments in two loops. The loop from
+head to tail computes the acceleration a_j of each connector j,
 
-$$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi), $$
+$$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi). $$
 
-where chord j has the length L, the direction ψ, and the unit vectors e(ψ) along it and
-e_⊥(ψ) normal to it. Then it sums forces and moments from tail to head. The moment T_j
-of segment j is the generalised force of the bend q_j.
+Here chord j has the length L, the direction ψ, the unit vector e(ψ) along the chord and
+the unit vector e_⊥(ψ) normal to the chord. The loop from tail to head sums forces and
+moments. The moment T_j of segment j is the generalised force of the bend q_j.
 """
 
 from __future__ import annotations
@@ -60,8 +59,8 @@ class Motion(NamedTuple):
         velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw
             rate (rad/s) and, for compliant bends, bend rates (rad/s), shape (samples, 3
             or more).
-        bend, bend_rate: bends (rad) and bend rates (rad/s) of the segments, or of the
-            cells of a body with skin, shape (samples, cells).
+        bend, bend_rate: bends (rad) and bend rates (rad/s) of the segments, shape
+            (samples, segments). On a body with skin, each cell has a column.
         torque: net moment of each segment, shape (samples, segments), N·m.
     """
 
@@ -73,16 +72,16 @@ class Motion(NamedTuple):
 
 
 class Body(Stateful, ABC):
-    """Abstract mechanics of an analytical model, driven by the chambers.
+    """Abstract base class for the mechanics of an analytical model.
 
     Attributes:
-        state: current state with the indices of `kernels`. Compliant bends append
+        state: current state with the indices of `kernels`. `CompliantBends` adds
             further entries.
         velocity: current velocities, in the format of `Motion.velocities`.
         solid: constants of the body for the kernels.
         floor: friction parameters of the floor for the kernels.
         cells: division of the segments.
-        obstacles: obstacles that the body can touch, or None.
+        obstacles: obstacles that the body can touch, or None if contact is disabled.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("state", "velocity")
@@ -92,7 +91,7 @@ class Body(Stateful, ABC):
     obstacles: Obstacles | None = None
 
     compliant = False
-    """Whether the bends are degrees of freedom; otherwise they equal the free bends."""
+    """Whether load and inertia deflect the bends from the free bends."""
 
     def __init__(
         self,
@@ -101,10 +100,7 @@ class Body(Stateful, ABC):
         cells: LumpedSegments,
         bends: int = 0,
     ) -> None:
-        """Set the constants of the body.
-
-        `bends` counts the bends that are degrees of freedom.
-        """
+        """Set the constants. `bends` is the number of compliant bends."""
         self.solid = solid
         self.floor = floor
         self.cells = cells
@@ -116,15 +112,11 @@ class Body(Stateful, ABC):
         return 0
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Return bends (rad) and bend rates (rad/s), or None if they are prescribed."""
+        """Return bends (rad) and rates (rad/s), or (None, None) if prescribed."""
         return None, None
 
     def reset(self, pose: Pose) -> None:
-        """Lay the body straight and at rest.
-
-        Args:
-            pose: centre of mass x, y (m) and mean heading (rad).
-        """
+        """Reset to a straight body at rest with a given pose of its centre of mass."""
         self.state, self.velocity = map(np.zeros, self._shapes)
         self.state[:3] = pose
 
@@ -174,14 +166,15 @@ class Body(Stateful, ABC):
 
         Args:
             steps: lengths of the steps, shape (steps,), s.
-            trace: pressures and free bends of the chambers at the start and the two stages of
-                each step, 1 + 2 · steps rows.
-            sample_steps: number of steps before each sample, ascending, shape (samples,).
+            trace: pressures and free bends of the chambers at the start and the two
+                stages of each step, 1 + 2 · steps rows.
+            sample_steps: number of steps before each sample, ascending, shape
+                (samples,).
 
         Returns:
-            The number of completed steps, which is smaller than requested after a
-            failure. States and velocities at the reached samples follow in the layout
-            of `Motion`.
+            The number of completed steps, and the states and velocities at the samples
+            in the layout of `Motion`. If a step fails, the later steps are not
+            computed.
         """
 
     def stored(self, bend: np.ndarray, free: np.ndarray) -> float | np.ndarray:
@@ -197,11 +190,11 @@ class Body(Stateful, ABC):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """Return the motion at the times of the rows of the trace."""
+        """Return the motion from states, velocities and chamber states."""
 
 
 class PrescribedBends(Body):
-    """Body of models `complete` and `simplified`, whose bends follow Eq. 14."""
+    """Body of the models `complete` and `simplified`, with the bends of Eq. 14."""
 
     state_attributes = ("_state_rate",)
 
@@ -242,14 +235,14 @@ class PrescribedBends(Body):
 
 
 class ClampedBends(Body):
-    """Chain that is held at its head in the air. See the module docstring."""
+    """Chain with a clamped head in the air. See the module docstring."""
 
     state_attributes = ("_head_pose",)
 
     def __init__(
         self, solid: BodyParameters, floor: FloorFriction, cells: LumpedSegments
     ) -> None:
-        # The chain hangs in the air, without friction.
+        # A chain in the air has no friction.
         super().__init__(
             solid, floor._replace(mu_t=0.0, mu_back=0.0, mu_n=0.0, drag=0.0), cells
         )
@@ -266,19 +259,19 @@ class ClampedBends(Body):
     def set_state(
         self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """See `Body.place`. A clamped chain can only start at rest."""
+        """See `Body.set_state`. A clamped chain can only start at rest."""
         raise InputError("a snake that is clamped at its head can only start at rest")
 
     def move(
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
-        """See `Body.move`. `motion` computes the states."""
+        """See `Body.move`. The method `motion` computes the states."""
         return len(steps), *self._allocate(len(sample_steps))
 
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`. The motion is computed from the bends."""
+        """See `Body.motion`. The motion is computed from the bends alone."""
         trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
@@ -288,10 +281,8 @@ class ClampedBends(Body):
 
 
 class _Chain(NamedTuple):
-    """Connectors of a chain in the world frame, relative to the head connector.
-
-    `lever` is the velocity of all connectors behind a segment per unit bend rate, m.
-    """
+    # Positions are in the world frame, relative to the head connector. `lever` is the
+    # velocity of all connectors behind a segment per unit of its bend rate (m).
 
     position: np.ndarray
     acceleration: np.ndarray
@@ -310,16 +301,16 @@ class _Centre(NamedTuple):
 
 @allocating
 def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: ignore[no-untyped-def]
-    """Compute states, velocities and moments of a chain that is held at its head.
+    """Compute states, velocities and moments of a chain with a clamped head.
 
     Args:
-        trace: trace of the chambers, whose free bends are the bends of the chain.
+        trace: chamber states. The bends of the chain equal the free bends.
         solid: constants of the chain.
         head: pose of the head: x, y (m) and heading (rad).
         states: output for pose and velocity of the centre of mass in the world frame,
             with the indices of `kernels`.
-        velocities: output for the velocity in the mean-heading frame and the mean yaw
-            rate, shape (samples, 3).
+        velocities: output for the velocity in the mean-heading frame (m/s) and the mean
+            yaw rate (rad/s), shape (samples, 3).
         torque: output for net moments of the segments, shape (samples, segments), N·m.
     """
     n = solid.mass.shape[0]
@@ -344,12 +335,9 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
 
 @inlined
 def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-untyped-def]
-    """Fill a chain from head to tail at row k of a trace.
-
-    The head stays at the origin with the heading `heading` (rad). `total` is the mass
-    of the chain, kg. The result is the motion of the centre of mass and of the mean
-    heading.
-    """
+    # The head stays at the origin with the heading `heading` (rad). `total` is the mass
+    # of the chain (kg). The result is the motion of the centre of mass and of the mean
+    # heading.
     n = solid.mass.shape[0]
     position = chain.position
     acceleration = chain.acceleration
@@ -383,7 +371,7 @@ def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-unty
         v_y = v_y - chord_rate * s - span * chord_spin * c
         acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + lateral * s
         acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - lateral * c
-        # A bend shortens the chord and rotates it by half of the bend.
+        # A bend shortens the chord and rotates the chord by half of the bend.
         chain.lever[j, 0] = -chord.derivative * c - span / 2 * s
         chain.lever[j, 1] = -chord.derivative * s + span / 2 * c
         fraction = solid.mass[j + 1] / total
@@ -414,12 +402,12 @@ def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
 
 
 class CompliantBends(Body):
-    """Body of the model `compliant`, with masses on springs and dampers.
+    """Body of the model `compliant`, whose segments are springs and dampers.
 
     A segment with the bend q and the free bend q_f exerts the moment k (q_f − q) + c
-    (q̇_f − q̇). Here k is the stiffness and c = k · damping_time the damping. A
-    massless segment without load keeps its free bend, which obeys Eq. 14, while inertia
-    and friction deflect the segment.
+    (q̇_f − q̇), where k is the stiffness and c = k · damping_time the damping. Without
+    mass and load, the bend of a segment equals the free bend, which obeys Eq. 14.
+    Inertia and friction deflect the segment from the free bend.
     """
 
     state_attributes = ("_sampled", "_contact_loads")
@@ -448,7 +436,8 @@ class CompliantBends(Body):
             compliant_kernels.BENDS + self._bends,
             compliant_kernels.BENDS + 2 * self._bends,
         )
-        # The impulses of the obstacles on each point and the time follow the momenta.
+        # The momenta are followed by the obstacles' impulses on each point and the
+        # time.
         self._impulses = slice(self._momenta.stop, None)
         count = 0 if obstacles is None else obstacles.force.size + 1
         self._shapes = self._momenta.stop + count, self._shapes[1]
@@ -470,7 +459,7 @@ class CompliantBends(Body):
     def set_state(
         self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """See `Body.place`."""
+        """See `Body.set_state`."""
         self.state[kernels.HEADING] -= self.cells.lead(self.cells.split(self._bias))
         super().set_state(velocity, bend, rate)
         bend = self.cells.split(bend)

@@ -1,17 +1,17 @@
-"""Cells into which analytical models divide segments with skin or among obstacles.
+"""Division of segments into cells, for bodies with skin or among obstacles.
 
-A segment of constant curvature with the bend q is represented by a chain of cells. Cell
-c is an arc with the bend s_c q, where s_c is the fraction of the bend in the cell. The
-masses and contact points of the body are at the ends of the cells, as in the
-trapezoidal rule along the arcs. The kernels then treat the cells as a longer chain.
-Averaged over all contact points, the mean heading differs from the mean over the
-connectors by a linear function of the bends.
+A segment of constant curvature with the bend q is divided into a chain of arcs, which
+are called cells. Cell c has the bend s_c q, where s_c is the cell's fraction of the
+bend. The masses and contact points of the body are at the ends of the cells. The masses
+have the weights of the trapezoidal rule along the arcs. The kernels treat the cells as
+the segments of a longer chain. The mean heading over all contact points differs from
+the mean heading over the connectors by a linear function of the bends.
 
-The moment T_j of a segment does the work T_j δq_j, so T_j = Σ s_c T_c holds for
-prescribed bends, where T_c is the moment of cell c. In the `compliant` model the bends
-of the cells are degrees of freedom. A cell has the stiffness k/s_c and the damping
-c/s_c, so that the cells in series have the segment's stiffness k and damping c. Cells
-of the rigid gap are far stiffer.
+For prescribed bends, the moment of a segment is T_j = Σ s_c T_c, where T_c is the
+moment of cell c. This sum follows from the virtual work T_j δq_j. In the `compliant`
+model the bends of the cells are degrees of freedom. A cell has the stiffness k/s_c and
+the damping c/s_c, so that the cells in series have the segment's stiffness k and
+damping c. Cells of the rigid gap are far stiffer.
 
 A body on wheels among obstacles is divided as well, because a load between two
 connectors bends a segment unevenly. The masses and wheels of such a body stay at the
@@ -28,19 +28,19 @@ from srs_twin.compute.arrays import Array
 from srs_twin.robot.spec import Geometry, RobotSpec
 
 _RIGID_RATIO = 1e6
-"""Ratio of the stiffness of a cell in the rigid gap to the segment's stiffness.
+"""Ratio of a cell's stiffness in the rigid gap to the stiffness of the segment.
 
-The bend of such a cell stays below a microradian.
+With this ratio the bend of a cell in the gap stays below a microradian.
 """
 
 
 class Discretisation(NamedTuple):
-    """Cells of each segment: arcs of constant curvature between contact points.
+    """Division of each segment into cells, which are arcs between contact points.
 
     Attributes:
         length: lengths of the cells, head first, shape (cells,), m.
-        fraction: fraction of the segment's bend in each cell, 0 in the rigid gap, shape
-            (cells,), dimensionless.
+        fraction: fraction s_c of the segment's bend in each cell, shape (cells,). The
+            fraction is 0 in the rigid gap.
     """
 
     length: Array
@@ -50,7 +50,7 @@ class Discretisation(NamedTuple):
     def of(cls, geometry: Geometry, points: int) -> Discretisation:
         """Return a division into at least `points` cells of about equal length.
 
-        Ends of the arc are also ends of cells.
+        The ends of the segment's arc are also ends of cells.
         """
         half_gap = geometry.rigid_gap / 2
         arc = geometry.segment_length
@@ -79,8 +79,8 @@ class LumpedSegments:
         mass: mass at each connector or end of a cell, shape (points,), kg.
         length: length of each segment's arc or of each cell, shape (cells,), m.
         gap: length of the straight part that belongs to each arc, m.
-        inverse_fraction: inverse fraction 1/s_c of each cell, dimensionless, shape
-            (segments, cells per segment) for divided segments.
+        inverse_fraction: inverse 1/s_c of each cell's fraction of the bend, shape
+            (segments, cells per segment), or 1 for segments without cells.
     """
 
     inverse_fraction: float | Array = 1.0
@@ -93,7 +93,7 @@ class LumpedSegments:
 
     @property
     def com_behind_head(self) -> float:
-        """Distance of a straight body's centre of mass behind the head connector, m."""
+        """Distance of the straight body's centre of mass from the head connector, m."""
         pitch = self.spec.geometry.pitch
         return (
             pitch
@@ -110,15 +110,11 @@ class LumpedSegments:
         return bend
 
     def moments(self, torque: Array) -> Array:
-        """Return the moments of the segments from the moments of prescribed cells."""
+        """Return the moments of the segments from the moments T_c of the cells."""
         return torque
 
     def lead(self, bend: Array) -> float:
-        """Return the mean heading over all points minus the mean over connectors, rad.
-
-        Args:
-            bend: bends of the cells (rad), or their rates (rad/s), shape (cells,).
-        """
+        """Return the mean heading of the points relative to the connectors, rad."""
         return 0.0
 
     def at_connectors(self, values: Array) -> Array:
@@ -131,17 +127,13 @@ class LumpedSegments:
 
 
 class Cells(LumpedSegments):
-    """Segments that are divided into cells.
-
-    Attributes:
-        points_per_segment: number of cells of each segment.
-    """
+    """Segments that are divided into `points_per_segment` cells each."""
 
     def __init__(self, spec: RobotSpec, cells: Discretisation, mass: Array) -> None:
-        """Divide all segments.
+        """Divide all segments of a robot.
 
         Args:
-            spec: the robot.
+            spec: robot whose body is divided.
             cells: cells of each segment.
             mass: masses at the ends of all cells, shape (points,), kg.
         """
@@ -199,11 +191,7 @@ class Cells(LumpedSegments):
         return shared
 
     def obstacle_force(self, force: Array) -> Array:
-        """Return the forces on each connector and the adjoining halves of its segments.
-
-        Args:
-            force: forces on all points, shape (samples, points, 2), N.
-        """
+        """Return the forces on each connector and the adjoining half segments, N."""
         stations = self._behind_head / self.spec.geometry.pitch
         distance = np.abs(np.arange(self.spec.geometry.connectors)[:, None] - stations)
         weights = np.clip(0.5 + (0.5 - distance) / _MIDDLE, 0.0, 1.0)
@@ -212,9 +200,9 @@ class Cells(LumpedSegments):
 
 
 _MIDDLE = 1e-6
-"""Ratio of the transition between a segment's halves to the segment's length.
+"""Width of the transition between a segment's halves, as a fraction of the segment.
 
-Points in the transition count for both halves.
+A force within the transition is divided between the two halves.
 """
 
 

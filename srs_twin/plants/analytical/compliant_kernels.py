@@ -1,47 +1,48 @@
 r"""Compiled kernel of the `compliant` analytical model.
 
-**Equations.** Kinematics and floor are as in the model `complete` (`kernels`), but the
-bends q are unknown. The velocities u contain the velocity v_c of the centre of mass in
-the frame of the mean heading, the yaw rate θ̇ of this frame, and the bend rates q̇. The
-velocities of connector i along and across its heading, and its yaw rate, are linear in
-u. The rows R_{t,i} and R_{n,i} and the whole matrix R_i(q) give them. With the momenta
-p, Hamilton's form of Lagrange's equations is
+**Equations.** Kinematics and floor are the same as in the model `complete` (`kernels`),
+but the bends q are unknown. The velocities u contain the velocity v_c of the centre of
+mass in the frame of the mean heading, the yaw rate θ̇ of this frame, and the bend rates
+q̇. The velocities of connector i along and across its heading are R_{t,i} u and R_{n,i}
+u. The matrix R_i(q) contains both rows and a third row for the yaw rate. With the
+momenta p, Hamilton's equations are
 
 $$ p = M(q)\,u, \quad M = \sum m_i \bigl(R_{t,i}^T R_{t,i} + R_{n,i}^T R_{n,i}\bigr), \qquad
-   \dot p_q = \frac{\partial T}{\partial q} + \tau - k q - c \dot q + \sum R_i^T f_i, $$
+   \dot p_q = \frac{\partial T}{\partial q} + \tau - k q - c \dot q + \sum R_i^T f_i. $$
 
 Here m_i is the mass of a connector, T the kinetic energy, k the stiffness, c the
-damping, and f_i the friction force and moment on a connector. The air exerts the moment
-τ = k G (p⁺ − p⁻), where G is the gain and p⁺, p⁻ are the chamber pressures. The first
-three momenta are the linear momentum and the angular momentum L, as in `complete`. Only
-the floor changes these three momenta, so the scheme conserves them exactly without
+damping, and f_i the friction force and moment on a connector. The compressed air exerts
+the moment τ = k G (p⁺ − p⁻), where G is the gain and p⁺, p⁻ are the chamber pressures.
+The first three momenta are the linear momentum and the angular momentum L, as in
+`complete`. Only the floor changes these momenta, so they are conserved exactly without
 friction. The equations contain no acceleration.
 
-**Integration.** SDIRK2 is used as in `kernels`. A stage is solved for u by Newton's
-method. Newton's matrix contains friction, stiffness, damping and, as an antisymmetric
-part, the gyroscopic forces. The matrix neglects the changes of friction and M with q,
-which are of order γ² h² for a step h. The antisymmetric part is necessary: in the
-straight shape, alternating rotations of connectors move no point mass, so M is singular
-and only damping resists this motion. Friction has a convex potential, whose derivative
-along a Newton step shows whether the step was too long.
+**Integration.** The SDIRK2 method of `kernels` is used. At each stage, the Newton
+method solves for u. The Newton matrix contains friction, stiffness, damping and the
+antisymmetric matrix of the gyroscopic forces. The Newton matrix neglects the changes of
+friction and M with q, which are of order γ² h² for a step h. The gyroscopic forces are
+necessary in the straight shape, where alternating rotations of the connectors move no
+point mass. M is then singular, and only damping resists such rotations. Friction has a
+convex potential, whose derivative along a Newton step shows whether the step was too
+long.
 
 **Linear cost.** The cost of a solve is proportional to the number of segments. Let z
 contain the velocity of a connector, its spin ω, and the rate of change of its velocity
 at constant u, all relative to the mean-heading frame. Across segment j, z changes
 according to
 
-$$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j, $$
+$$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j. $$
 
-with coefficients τ_j and t_j that depend on the bend. Newton's matrix is the sum of Zᵀ
-B Z over the connectors, where Z maps u to z. The matrix B of a connector contains its
-mass m, the derivatives of friction and, between velocities and rates, ± a m with a = γ
-h. The system is solved like an articulated body. A pass from tail to head eliminates
-each bend from the matrix of the body part behind it, and a pass from head to tail
-substitutes the bends.
+The coefficients τ_j and t_j depend on the bend. The Newton matrix is the sum of Zᵀ B Z
+over the connectors, where Z maps u to z. The matrix B of a connector contains the mass
+m, the derivatives of friction and, between velocities and rates, ± a m with a = γ h.
+The linear system is solved by the articulated-body algorithm. A loop from tail to head
+eliminates each bend from the Newton matrix of the body behind the segment. A loop from
+head to tail substitutes the bends.
 
-The vector z of the head is unknown at first. Rates must be relative to the centre of
+The vector z of the head is initially unknown. Rates must be relative to the centre of
 mass, which gives the constraint Σ m ż = 0. The two Lagrange multipliers of this
-constraint are propagated with z and are equal to v_c.
+constraint are propagated together with z and are equal to v_c.
 """
 
 from __future__ import annotations
@@ -115,13 +116,12 @@ from srs_twin.plants.analytical.obstacles import (
 from srs_twin.robot.spec import GRAVITY
 
 BENDS = STATES
-"""Index of the first bend in the state, where bends precede their momenta."""
+"""Index of the first bend in the state. The momenta of the bends follow the bends."""
 
 _NEWTON_STEPS = 1000
-"""Maximum number of Newton iterations. A body at rest on a slope needs many.
-"""
+"""Maximum number of Newton iterations, which bodies at rest on a slope approach."""
 _NEWTON_TOLERANCE = 1e-9
-"""Tolerance of velocities in Newton's method, at a time unit of 1, m/s."""
+"""Tolerance of velocities in the Newton method, at a time unit of 1, m/s."""
 _NEWTON_ARM = 0.1
 """Lever arm that converts rates into velocities, at a length unit of 1, m."""
 _MOST_PASSES = 10
@@ -129,11 +129,11 @@ _MOST_PASSES = 10
 _LOAD_TOLERANCE = 1e-4
 """Tolerance of the obstacles' normal forces, relative to the weight of the body."""
 _MARGIN = SPEED_LIMIT / 10
-"""Additional speed for which the search for near obstacles allows, m/s."""
+"""Margin on the speed of the body in the search for nearby obstacles, m/s."""
 
-# Columns of a link, which holds the coefficients that propagate z over a segment. The
-# coefficients τ multiply the spin, and t the bend rate. The change of the spin itself
-# has the implicit coefficients 0 and −1.
+# Columns of `WorkArrays.links`, the coefficients τ and t that propagate z over a
+# segment. Coefficients τ multiply the spin, and coefficients t the bend rate. The
+# coefficients of the spin component of z are constant, 0 and −1, and are not stored.
 _SPIN_X = 0
 _SPIN_Y = 1
 _SPIN_X_RATE = 2
@@ -144,11 +144,11 @@ _BEND_X_RATE = 6
 _BEND_Y_RATE = 7
 _LINK_COLUMNS = 8
 
-# Rows and columns of Newton's matrix.
-_X = 0  # velocity, m/s
+# Rows and columns of the Newton matrix.
+_X = 0  # Velocity, m/s.
 _Y = 1
-_M = 2  # spin, rad/s
-_X_RATE = 3  # rate of the velocity, m/s²
+_M = 2  # Spin, rad/s.
+_X_RATE = 3  # Rate of the velocity, m/s².
 _Y_RATE = 4
 _MULTIPLIER_X = 5
 _MULTIPLIER_Y = 6
@@ -165,7 +165,7 @@ class CompliantModel(NamedTuple):
         stiffness, damping: stiffness k (N·m/rad) and damping c (N·m·s/rad) of each
             cell, shape (cells,). An undivided segment is one cell.
         floor: friction parameters of the floor.
-        obstacles: obstacles that the body can touch, or None.
+        obstacles: obstacles that the body can touch, or None if contact is disabled.
     """
 
     solid: BodyParameters
@@ -184,7 +184,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model, where springs are numbers or (segments, cells) arrays."""
+        """Return the model. Stiffness and damping may be arrays (segments, cells)."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells
@@ -199,19 +199,18 @@ class CompliantModel(NamedTuple):
 
 @kernel_only
 def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
-    """Fill the coefficients τ and t that propagate z from a connector to the next."""
     for j in range(q.shape[0]):
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, j + 1])
-        # The heading of a chord differs by half a bend from the heading of its front
-        # end.
+        # The heading of a chord differs by half a bend from the heading of the
+        # segment's front end.
         chord = chord_terms(q[j], solid, j)
         derivative = chord.derivative
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
         chord_rate = derivative * u[3 + j]
-        # The bend coefficients of the link change at the rates −forth along and −aside
-        # across the chord, whose direction is (c, s).
+        # The chord has the direction (c, s). The coefficients t change at the rate
+        # −forth along the chord and at the rate −aside across the chord.
         forward = chord.curvature * u[3 + j] + 0.5 * span * spin
         lateral = derivative * spin - 0.5 * chord_rate
         link = links[j]
@@ -227,15 +226,8 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
-    """Fill momentum, friction and the symmetric part of Newton's matrix.
-
-    The columns of `loads`, shape (N, LOAD_COLUMNS), are named in `kinematics`. `a` is
-    the implicit step γ h, s.
-
-    Returns:
-        Force of the floor (x, y), its moment about the centre of mass, and the
-        dissipated power, W.
-    """
+    # The columns of `loads` are named in `kinematics`. The result is the force of the
+    # floor (x, y), its moment about the centre of mass, and the dissipated power (W).
     fx = fy = moment = power = 0.0
     for i in range(solid.mass.shape[0]):
         mass = solid.mass[i]
@@ -285,7 +277,7 @@ def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
 
 @compiled
 def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untyped-def]
-    """Fill momenta and forces of Lagrange's equations, and the input of `solve`.
+    """Compute momenta and forces of Lagrange's equations, and the input of `solve`.
 
     All quantities are expressed in the frame of the mean heading.
 
@@ -293,7 +285,7 @@ def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untype
         q: bends, shape (segments,), rad.
         u: velocity of the centre of mass (m/s), yaw rate and bend rates (rad/s), shape
             (3 + segments,).
-        moment: moment k q_f + c q̇_f of the free bend q_f on each segment, shape
+        moment: moment k q_f + c q̇_f on each segment due to its free bend q_f, shape
             (segments,), N·m.
         a: implicit step γ h for `solve`, s.
         model: constants, a `CompliantModel`, whose obstacles hold the pose of the body.
@@ -301,7 +293,7 @@ def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untype
         workspace: work arrays, a `WorkArrays`.
 
     Returns:
-        Power that floor and obstacles take from the body, W.
+        Power dissipated by the floor and the obstacles, W.
     """
     solid = model.solid
     body = workspace.body
@@ -328,7 +320,6 @@ def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untype
 
 @kernel_only
 def _sum_behind(q, u, moment, model, workspace):  # type: ignore[no-untyped-def]
-    """Fill momenta and forces of the bends, which follow the first three components."""
     mass = model.solid.mass
     n = mass.shape[0]
     momentum = workspace.momentum
@@ -336,14 +327,14 @@ def _sum_behind(q, u, moment, model, workspace):  # type: ignore[no-untyped-def]
     fx = force[0]
     fy = force[1]
     floor_moment = force[2]
-    # The sums extend over all connectors behind a segment. Moments refer to the
-    # connector at the front end of the segment. The sums px, py and pm are momenta, and
-    # x, y and m are forces and a moment.
+    # The sums are over all connectors behind a segment. Moments are about the connector
+    # at the front end of the segment. The sums px, py and pm are momenta, x and y are
+    # forces, and m is a moment.
     px = py = pm = x = y = m = 0.0
     for j in range(n - 2, -1, -1):
         load = workspace.loads[j + 1]
         link = workspace.links[j]
-        # At a constant mean heading, a bend turns the head by this fraction of the
+        # If the mean heading is constant, the head rotates by `fraction` times the
         # bend.
         fraction = (n - 1 - j) / n
         mass_fraction = mass[j + 1] / model.solid.weight
@@ -419,13 +410,13 @@ def _by_spin(link, row):  # type: ignore[no-untyped-def]
 
 @compiled
 def solve(a, model, workspace):  # type: ignore[no-untyped-def]
-    """Solve Newton's linear system at the point of the preceding `balance`.
+    """Solve the linear system of the Newton method after a call of `balance`.
 
     Args:
         a: implicit step γ h, positive, s.
         model: constants, a `CompliantModel`.
-        workspace: work arrays filled by `balance`, with the residual. The solution is stored
-            in `workspace.step`.
+        workspace: work arrays after `balance`, with the residual. The solution is
+            written to `workspace.step`.
     """
     mass = model.solid.mass
     loads = workspace.loads
@@ -492,7 +483,7 @@ class _HeadSolution(NamedTuple):
 
 @kernel_only
 def _substitute_bends(head, workspace):  # type: ignore[no-untyped-def]
-    """Fill the Newton step from head to tail, where the multipliers equal v_c."""
+    # The Newton step is computed from head to tail. The multipliers equal v_c.
     step = workspace.step
     n = workspace.loads.shape[0]
     step[0] = head.multiplier_x
@@ -554,22 +545,22 @@ class WorkArrays(NamedTuple):
 
     Attributes:
         body: posed body (`kinematics`), shape (ROWS, N).
-        links: coefficients of the propagation (`_fill_propagation`), shape (segments,
+        links: coefficients that propagate z over a segment, shape (segments,
             _LINK_COLUMNS).
-        loads: momenta, friction and mass matrices of the connectors (`_fill_loads`),
-            shape (N, LOAD_COLUMNS).
+        loads: momenta, friction and mass matrices of the connectors, shape (N,
+            LOAD_COLUMNS).
         pivots: eliminated rows of the bends, with the right-hand side last, shape
             (segments, _UNKNOWNS + 1).
-        matrix: Newton's matrix of the body part behind a connector, with the right-hand
-            side last, shape (_UNKNOWNS, _UNKNOWNS + 1).
+        matrix: Newton matrix of the body behind a connector, with the right-hand side
+            last, shape (_UNKNOWNS, _UNKNOWNS + 1).
         bend, moment: bends (rad) and moments of the free bends (N·m) at a stage, shape
             (segments,).
         momentum, force: momenta p and their rates dp/dt, shape (3 + segments,).
         residual, step: residual of a stage, and Newton step, shape (3 + segments,).
-        last, drift: velocities before a stage, and their rates of change between
-            stages, shape (3 + segments,).
-        rate, known: rates f(Y) of the state, and known part of Y, at a stage, shape
-            (state,).
+        last, drift: velocities before a stage, and time derivatives of the velocities
+            between stages, shape (3 + segments,).
+        rate, known: time derivative f(Y) of the state at a stage, and known part of Y,
+            shape (state,).
     """
 
     body: np.ndarray
@@ -590,7 +581,7 @@ class WorkArrays(NamedTuple):
 
     @classmethod
     def of(cls, n: int, states: int = 0) -> WorkArrays:
-        """Return arrays for n connectors and states with `states` entries."""
+        """Allocate arrays for n connectors and states with `states` entries."""
         shapes = [
             (ROWS, n),
             (n - 1, _LINK_COLUMNS),
@@ -606,7 +597,7 @@ class WorkArrays(NamedTuple):
 
 @kernel_only
 def _residual(known, a, u, weight, floor, workspace):  # type: ignore[no-untyped-def]
-    """Fill the residual p(u) − p_known − a dp/dt in the mean-heading frame."""
+    # The residual is p(u) − p_known − a dp/dt in the mean-heading frame.
     momentum = workspace.momentum
     force = workspace.force
     out = workspace.residual
@@ -643,12 +634,10 @@ def _begin_stage(bend, rate, model, workspace):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _stage(a, free, row, model, floor, u, workspace):  # type: ignore[no-untyped-def]
-    """Solve one implicit stage Y = known + a f(Y), and return whether it converged.
-
-    In place of the bends, the state Y contains their deviations from the free bends,
-    which are known exactly. `workspace.known` holds the known part of Y, and `workspace.rate`
-    receives f(Y). `u` holds a guess of the velocities, which the solution replaces.
-    """
+    # Solves Y = known + a f(Y) and returns whether the Newton method converged. Y
+    # contains the deviations of the bends from the free bends, because the free bends
+    # are known exactly. `u` holds the first guess of the velocities, which the solution
+    # replaces.
     known = workspace.known
     q = workspace.bend
     residual = workspace.residual
@@ -659,8 +648,8 @@ def _stage(a, free, row, model, floor, u, workspace):  # type: ignore[no-untyped
     size = u.shape[0]
     weight = model.solid.weight
     _begin_stage(bend, bend_rate, model, workspace)
-    step_fraction = 0.0  # fraction of the latest Newton step that has been made
-    derivative_before = 0.0  # derivative of the potential at the start of that step
+    step_fraction = 0.0  # Executed fraction of the latest Newton step.
+    derivative_before = 0.0  # Derivative of the potential at the start of that step.
     converged = False
     passes = 0
     power = 0.0
@@ -704,10 +693,7 @@ def _stage(a, free, row, model, floor, u, workspace):  # type: ignore[no-untyped
 
 @inlined
 def _fill_rates(a, power, free, row, model, floor, u, workspace):  # type: ignore[no-untyped-def]
-    """Fill the rates of the state.
-
-    Floor and obstacles take `power` (W) from the body.
-    """
+    # `power` is the power dissipated by floor and obstacles (W).
     known = workspace.known
     force = workspace.force
     k = workspace.rate
@@ -736,10 +722,11 @@ class CompliantState(NamedTuple):
     """State of a body with compliant bends.
 
     Attributes:
-        state: state of `kernels`, followed by bends (rad) and their momenta (kg·m²/s). With
-            obstacles, the impulses on each point (N·s) and the time (s) follow.
-        velocity: velocities in the layout of `balance`, kept between calls as first
-            guesses.
+        state: state of `kernels`, followed by bends (rad) and the momenta of the bends
+            (kg·m²/s). With obstacles, the state also contains the impulses on each
+            point (N·s) and the time (s).
+        velocity: velocities in the layout of `balance`, from which the next solution
+            starts.
     """
 
     state: np.ndarray
@@ -761,8 +748,8 @@ def advance(now, steps, free, marks, model, samples, workspace):  # type: ignore
     Args:
         now: state of the body, a `CompliantState`, changed in place.
         steps: lengths of the steps, shape (steps,), s.
-        free: free bends and their rates at the start and at the two stages of each step, a
-            `Bends` of shape (1 + 2 · steps, segments).
+        free: free bends and their rates at the start and at the two stages of each
+            step, a `Bends` of shape (1 + 2 · steps, segments).
         marks: number of steps before each sample, ascending, shape (samples,).
         model: constants, a `CompliantModel`.
         samples: output for states and velocities, a `Samples`.
@@ -790,8 +777,8 @@ def advance(now, steps, free, marks, model, samples, workspace):  # type: ignore
         for j in range(size - 3):
             known[BENDS + j] -= free.bend[2 * i, j]
         for stage in range(2):
-            # Linear extrapolation of the velocities between stages saves half of the
-            # Newton iterations.
+            # The Newton method starts from velocities that are extrapolated linearly
+            # between stages, which saves half of the iterations.
             lead, rest = (a, h - a) if stage == 0 else (h - a, a)
             for j in range(size):
                 last[j] = u[j]

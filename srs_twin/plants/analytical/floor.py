@@ -1,30 +1,31 @@
-r"""Compiled friction on the connectors of a moving body, with its derivatives.
+r"""Compiled functions for the friction on connectors and the derivatives of friction.
 
-**Coasting.** All connectors of a straight body that slides without rotation (`slide`)
-move equally. The body therefore moves like a point, and the mass cancels:
+**Coasting.** In `slide`, a straight body slides without rotation, and all connectors
+have the same velocity. The body therefore moves like a point. Its mass cancels from the
+equation of motion
 
-$$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}, $$
+$$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}. $$
 
 Here f is the friction law with the coefficients μ_t along and μ_n across the heading,
 for a load equal to gravity per unit mass. Wheel w has the radius R and the moment of
 inertia I_w about its axle, and M is the mass of the robot. The spin of the wheels adds
-the relative inertia s along the heading, which lengthens the stopping distance by the
+the relative inertia s along the heading, which increases the stopping distance by the
 factor 1 + s. No other force acts, so neither component of the velocity v changes its
-sign. Each component is integrated by the midpoint rule until it is 0, and then stays 0.
-Positions are smooth functions of the velocities and coefficients, as a fit requires.
+sign. The midpoint rule integrates each component until the component is 0. Positions
+are smooth functions of the velocities and coefficients, as fits require.
 
 **Instantaneous loads.** A connector of weight W has two wheels at the distance a on
 either side of its centre line, and its centre of mass is at the height h. A lateral
-force F_n increases the load of the outer wheel. The connector does not tip over. The
-law gives the lateral forces φ_L and φ_R per unit load of the left and right wheel, so
-the loads N_L and N_R are
+force F_n increases the load of the outer wheel. The connector is assumed not to tip
+over. The friction law gives the lateral forces φ_L and φ_R per unit load of the left
+and right wheel, so the loads N_L and N_R are
 
 $$ N_{L,R} = \tfrac W2 \mp k F_n, \qquad F_n = N_L φ_L + N_R φ_R
    = \frac W2\,\frac{φ_L + φ_R}{1 - k (φ_R - φ_L)}, \qquad k = \frac h{2a}. $$
 
-Negative loads are replaced by 0. Derivatives are computed at constant loads, which
-keeps them symmetric. This does not change the solution, but Newton's method needs a few
-more iterations.
+Negative loads are replaced by 0. Derivatives are computed at constant loads and are
+therefore symmetric. This simplification does not change the solution, but the Newton
+method needs a few more iterations.
 
 **Skin** has different coefficients for slip towards the tail and towards the head. The
 law `cosine` has no potential, so its derivatives are not symmetric. Skin and `cosine`
@@ -48,16 +49,16 @@ class FloorFriction(NamedTuple):
     """Friction parameters and inclination of the floor, for the kernels.
 
     Attributes:
-        case: tuple of None whose length is the index into `_CASES`. In numba the length
-            of a tuple is part of its type, so a kernel is compiled only for the
+        case: tuple of None whose length is the index into `_CASES`. The length of a
+            tuple is part of its numba type. A kernel is therefore compiled only for the
             contacts and the law of its floor.
-        track: distance of the two contacts of a connector from the centre line, m, or 0 for
-            one contact.
+        track: distance of the two contacts of a connector from the centre line, m. The
+            value 0 means one contact per connector.
         mu_t, mu_n: friction coefficients along and across the heading, dimensionless.
         slip: slip speed ε, m/s.
         drag: axial drag on each connector, N.
-        load_transfer: factor k, the load transferred between the wheels per lateral
-            force, dimensionless. Static loads have k = 0.
+        load_transfer: load k transferred between the wheels per unit lateral force,
+            dimensionless. Static loads have k = 0.
         mu_back: friction coefficient along the heading for slip towards the tail,
             dimensionless.
         gravity: component of gravity normal to the floor, m/s².
@@ -80,18 +81,20 @@ class FloorFriction(NamedTuple):
 
 
 class ContactTerms(NamedTuple):
-    """Force and moment of the contacts of a connector, and their derivatives.
+    """Force and moment of the contacts of a connector, with derivatives.
 
     In the names of derivatives, the first letter denotes the force or moment, and the
     second letter the velocity. The letters stand for the directions along (t), across
-    (n) and about the vertical (m). `mt` always equals `tm`. Friction is the gradient of
-    a potential, so the derivatives are symmetric, except under the law `cosine`.
+    (n) and about the vertical (m). The derivative `mt` is not stored, because `mt` =
+    `tm`. Friction is the gradient of a potential, so the derivatives are symmetric,
+    except under the law `cosine`.
 
     Attributes:
         t, n: forces along and across the heading, N.
         m: moment about the vertical, N·m.
         tt, tn, nt, nn: derivatives of forces with respect to velocities, N·s/m.
-        tm, nm, mn: mixed derivatives of forces and spin, or moment and velocity, N·s.
+        tm, nm, mn: derivatives of forces with respect to the spin, and of the moment
+            with respect to the lateral velocity, N·s.
         mm: derivative of the moment with respect to the spin, N·m·s.
     """
 
@@ -116,10 +119,8 @@ def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-un
 
 @kernel_only
 def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
-    """Return the terms of two contacts at the distance `arm` from the centre line.
-
-    `left` and `right` are results of a friction law, scaled by the factors `a` and `b`.
-    """
+    # `left` and `right` are results of a friction law, which are multiplied by `a` and
+    # `b`. `arm` is the distance of the two contacts from the centre line (m).
     a_t, a_n, a_tt, a_tn, a_nt, a_nn = left
     b_t, b_n, b_tt, b_tn, b_nt, b_nn = right
     return ContactTerms(
@@ -148,10 +149,8 @@ def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-u
 
 @inlined
 def _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # type: ignore[no-untyped-def]
-    """Return the terms of two contacts with instantaneous loads.
-
-    `v_a` and `v_b` are the velocities of the left and right contact along the heading.
-    """
+    # `v_a` and `v_b` are the velocities of the left and right contact along the
+    # heading.
     left = law(v_a, across, 1.0, mu_a, floor.mu_n, floor.slip)
     right = law(v_b, across, 1.0, mu_b, floor.mu_n, floor.slip)
     a_n = left[1]
@@ -199,12 +198,12 @@ def floor_friction(
 
     Args:
         law: friction law, one of `robot.friction.LAWS`.
-        track: distance of the two contacts from the centre line, m, or 0 for one
-            contact.
+        track: distance of the two contacts from the centre line, m. The value 0 means
+            one contact per connector.
         mu_t: friction coefficient along the heading, dimensionless.
         mu_n: friction coefficient across the heading, dimensionless.
         slip: slip speed ε, m/s.
-        load_transfer: load transferred between the wheels per lateral force,
+        load_transfer: load transferred between the wheels per unit lateral force,
             dimensionless.
         mu_back: friction coefficient for slip towards the tail, or None for wheels.
     """
@@ -237,13 +236,9 @@ def floor_friction(
 def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     """Return a floor on which a body at rest does not creep down a slope.
 
-    A contact under a regularised law yields to any force. On a slope the slip speed is
-    therefore reduced together with the speed of the body. A level floor is returned
-    unchanged.
-
-    Args:
-        floor: friction parameters of the floor.
-        speed: approximate maximum speed of the body, m/s.
+    Under a regularised friction law, any force moves a contact. On a slope, the slip
+    speed is therefore reduced in proportion to `speed`, the approximate maximum speed
+    of the body (m/s).
     """
     slip = floor.slip
     if floor.pull_x != 0.0 or floor.pull_y != 0.0:
@@ -269,7 +264,7 @@ def connector_friction(along, across, spin, weight, floor) -> Any:  # type: igno
 
     Args:
         along: velocity of the connector along its heading, m/s.
-        across: velocity across its heading, m/s.
+        across: velocity of the connector across its heading, m/s.
         spin: yaw rate, rad/s.
         weight: total normal load of the contacts, N.
         floor: friction parameters of the floor.
@@ -311,7 +306,7 @@ def _compile_connector_friction(along, across, spin, weight, floor):  # type: ig
 
 @kernel_only
 def derivatives_of_force(terms, c, s):  # type: ignore[no-untyped-def]
-    """Return the derivatives xx, xy, yx and yy of the force in the body frame.
+    """Return the force derivatives xx, xy, yx and yy in the body frame.
 
     `c` and `s` are the cosine and sine of the connector's heading.
     """
@@ -323,10 +318,9 @@ def derivatives_of_force(terms, c, s):  # type: ignore[no-untyped-def]
 
 
 class Twist(NamedTuple):
-    """Planar velocity or momentum in a frame.
+    """Planar velocity (m/s, rad/s) or momentum (kg·m/s, kg·m²/s).
 
-    It has two linear components and one about the vertical. The units are m/s and rad/s
-    for a velocity, and kg·m/s and kg·m²/s for a momentum.
+    The component `yaw` is the component about the vertical.
     """
 
     x: float
@@ -337,16 +331,16 @@ class Twist(NamedTuple):
 class BodyForces(NamedTuple):
     """Net force and moment of the floor on a body in its frame, with derivatives.
 
-    In names of derivatives such as `xy`, the first letter denotes the force and the
-    second letter the velocity. The letter z stands for the moment and for the yaw rate.
+    In the names of derivatives, the first letter denotes the force and the second
+    letter the velocity. The letter z stands for the moment and for the yaw rate.
 
     Attributes:
         x, y: force, N.
         moment: moment about the centre of mass, N·m.
         power: dissipated power, W.
         xx, xy, yx, yy: derivatives of the force with respect to the velocity, N·s/m.
-        xz, yz, zx, zy: derivatives between force and yaw rate, and between moment and
-            velocity, N·s.
+        xz, yz, zx, zy: derivatives of the force with respect to the yaw rate, and of
+            the moment with respect to the velocity, N·s.
         zz: derivative of the moment with respect to the yaw rate, N·m·s.
     """
 
@@ -387,8 +381,8 @@ def _symmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
         along = vx * c + vy * s
         across = vy * c - vx * s
         f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
-        # The lever arms of the forces are also the derivatives of the velocities along
-        # and across with respect to the yaw rate.
+        # The lever arms of the forces are equal to the derivatives of the velocities
+        # along and across with respect to the yaw rate.
         t_arm = px * s - py * c
         n_arm = px * c + py * s
         fx += f.t * c - f.n * s
@@ -480,7 +474,7 @@ def _compile_forces_and_derivatives(body, mass, u, floor):  # type: ignore[no-un
 
 @compiled
 def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
-    """Fill the floor's force along and across (N) and moment (N·m) on each connector.
+    """Compute the floor's force along and across (N) and moment (N·m) on connectors.
 
     Args:
         body: posed body, shape (ROWS, N).
@@ -504,14 +498,14 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         force[i, 2] = terms.m
 
 
-# Above this ratio of speed to slip speed, a law has its full force within 1e-4, even
-# for a friction ellipse with an axis ratio of 1:14.
+# At this ratio of speed to slip speed, the force of a law is within 1e-4 of its limit,
+# even for a friction ellipse with an axis ratio of 1:14.
 _SLIDING_RATIO = 1000.0
 
-_MIN_SLIP_SPEED = 1e-7  # minimum on a slope at a time unit of 1, m/s
-_COASTING_STEP = 5e-4  # maximum time step of `slide`, s
+_MIN_SLIP_SPEED = 1e-7  # Minimum slip speed on a slope at a time unit of 1, m/s.
+_COASTING_STEP = 5e-4  # Maximum time step of `slide`, s.
 _COASTING_SLIP_SPEED = (
-    1e-9  # slip speed of `slide`, m/s; small, because it only avoids 0/0
+    1e-9  # slip speed of `slide`, m/s, which only avoids a division by 0
 )
 
 

@@ -1,44 +1,46 @@
 r"""Compiled kernels of the models with prescribed bends (`complete`, `simplified`).
 
-**Forward dynamics.** Point masses m_i with the total mass M are at the connectors. The
-chambers prescribe the bends q(t), so the unknown is the pose of the body. Connector i
-is at r_i, and ρ_i(q) is its position relative to the centre of mass r_c, in the frame
-of the mean heading θ. Its heading relative to θ is φ_i(q). The velocity v of the centre
-of mass and the angular momentum L then obey
+**Forward dynamics.** The connectors have the masses m_i, the total mass M and the
+moments of inertia J_i, which are 0 for point masses. The chambers prescribe the bends
+q(t), so only the pose of the body is unknown. Connector i has the position r_i and the
+heading θ + φ_i(q), where θ is the mean heading. Let r_c be the centre of mass and
+ρ_i(q) the position r_i − r_c in the frame of the mean heading. The velocity v of the
+centre of mass and the angular momentum L obey
 
 $$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i, \qquad
-   L = I(q)\,\dot\theta + h(q, \dot q), $$
+   L = I(q)\,\dot\theta + h(q, \dot q). $$
 
-Here f_i is the friction force on a connector, n_i the yaw moment of its wheels, and J_i
-its moment of inertia, which is 0 for point masses. The body has the moment of inertia I
-= Σ m_i |ρ_i|² + J_i, and its bend rates contribute h = Σ m_i ρ_i × ρ̇_i + J_i φ̇_i to
-L. The equations are Eq. 11 multiplied by eᵀ, which cancels the segment torques. Because
-L is a state, the scheme does not need q̈, and jumps of q̈ at valve events do not reduce
-its order.
+Here f_i is the friction force on a connector and n_i the yaw moment of its wheels. The
+body has the moment of inertia I = Σ m_i |ρ_i|² + J_i. The bend rates contribute h = Σ
+m_i ρ_i × ρ̇_i + J_i φ̇_i to L. The equations are Eq. 11 multiplied by eᵀ, which
+eliminates the segment torques. Because L is a state, the scheme does not need q̈, and
+discontinuities of q̈ at valve events do not reduce the order of the scheme.
 
-Friction is stiff, so the velocities are treated implicitly, by the two-stage,
-second-order, L-stable SDIRK method of Alexander (1977). Each stage is solved for the
-three velocities by Newton's method. Friction has a convex potential, whose derivative
-along a Newton step shows whether the step was too long. `steps` chooses the lengths of
-the time steps.
+Friction is stiff, so the velocities are integrated by the two-stage, second-order,
+L-stable SDIRK method of Alexander (1977). At each stage, the Newton method solves for
+the three velocities. Friction has a convex potential, whose derivative along a Newton
+step shows whether the step was too long. The module `steps` chooses the lengths of the
+time steps.
 
-**Inverse dynamics.** The moments of the segments for given bends (`inverse_dynamics`)
-follow from the recursive Newton–Euler algorithm. From head to tail, it computes the
-linear and angular accelerations a_i and ε_i of the connectors, for a fixed head and a
-constant rate of the mean heading. The balance of forces and moments gives the linear
-and angular acceleration a and α of the whole body,
+**Inverse dynamics.** The function `inverse_dynamics` computes the moments of the
+segments from given bends by the recursive Newton–Euler algorithm. A loop from head to
+tail computes the linear accelerations a_i and the angular accelerations ε_i of the
+connectors, for a fixed head and a constant rate of the mean heading. The balance of
+forces and moments gives the linear acceleration a and the angular acceleration α of the
+whole body,
 
 $$ M a = \sum f_i - m_i a_i, \qquad
    I \alpha = \sum n_i - J_i \varepsilon_i + \rho_i \times (f_i - m_i a_i). $$
 
-From tail to head, it sums the loads on all connectors behind segment j to the force F_j
-and the moment N_j about the rear end of the segment. A massless segment has a chord of
-length L(q) with the derivative L', along the unit vector e in the direction of the mean
-heading of its ends. The segment does only the work T_j δq_j, so
+A loop from tail to head sums the loads on all connectors behind segment j. The sum
+consists of the force F_j and the moment N_j about the rear end of the segment. A
+massless segment has a chord of length L(q) with the derivative L'. The unit vector e
+along the chord has the mean heading of the segment's ends. The virtual work of the
+segment is T_j δq_j, so
 
 $$ T_j = -L'\, F_j \cdot e + \tfrac12 L\, e \times F_j - N_j. $$
 
-The result solves Eq. 11 for T at a cost linear in the number of segments.
+The moments T_j solve Eq. 11 at a cost linear in the number of segments.
 """
 
 from __future__ import annotations
@@ -93,14 +95,14 @@ class Bends(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """States and velocities at the samples, filled by a kernel, shape (samples, …)."""
+    """States and velocities that a kernel writes at the samples, shape (samples, …)."""
 
     states: np.ndarray
     velocities: np.ndarray
 
 
-# Columns of the array of chords.
-_DERIVATIVE_X = 0  # L' e, m/rad
+# Columns of `_InverseArrays.chords`.
+_DERIVATIVE_X = 0  # L' e, m/rad.
 _DERIVATIVE_Y = 1
 _SPAN_X = 2  # L e, m
 _SPAN_Y = 3
@@ -108,11 +110,8 @@ _CHORD_COLUMNS = 4
 
 
 class _InverseArrays(NamedTuple):
-    """Work arrays of the inverse dynamics.
-
-    `chords` holds L' e (m/rad) and L e (m) of each segment. `load` first holds the
-    accelerations of the connectors, and then the loads on them.
-    """
+    # `load` first holds the accelerations of the connectors, and then the loads on
+    # them.
 
     body: np.ndarray
     friction: np.ndarray
@@ -123,12 +122,12 @@ class _InverseArrays(NamedTuple):
 def inverse_dynamics(
     velocities: np.ndarray, trace: Trace, model: PrescribedModel, torque: np.ndarray
 ) -> None:
-    """Fill the net moments of the segments for prescribed bends.
+    """Compute the net moments of the segments for prescribed bends.
 
     Args:
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and
             yaw rate (rad/s), shape (samples, 3).
-        trace: trace of the chambers, whose free bends are the bends.
+        trace: chamber states. In this model the bends equal the free bends.
         model: constants of body and floor.
         torque: output for the moments, shape (samples, segments), N·m.
     """
@@ -153,11 +152,8 @@ def _inverse_dynamics(velocities, trace, model, torque, workspace):  # type: ign
 
 @kernel_only
 def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-untyped-def]
-    """Fill accelerations of the connectors, and the chords, from head to tail.
-
-    `workspace.load` gets the accelerations of positions relative to the head (m/s²) and of
-    headings (rad/s²) at row k of the trace. The rate `yaw` of the mean heading is constant.
-    """
+    # At a constant rate `yaw` of the mean heading, `workspace.load` receives the linear
+    # accelerations relative to the head (m/s²) and the angular accelerations (rad/s²).
     q = trace.bend[k]
     rate = trace.bend_rate[k]
     acceleration = trace.bend_acceleration[k]
@@ -174,7 +170,7 @@ def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-unt
     motion[0, 1] = y
     motion[0, 2] = alpha
     for j in range(n - 1):
-        # The heading of a chord differs by half a bend from the heading of either end.
+        # The heading of a chord differs by half a bend from the heading at either end.
         chord = chord_terms(q[j], solid, j)
         derivative = chord.derivative
         span = chord.span
@@ -205,11 +201,9 @@ def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-unt
 
 @kernel_only
 def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
-    """Convert the accelerations in `workspace.load` to forces (N) and moments (N·m).
-
-    The loads include the acceleration of the whole body. The result is the moment of
-    the loads about the centre of mass (N·m), or 0 if the friction moment acts.
-    """
+    # The accelerations in `workspace.load` become forces (N) and moments (N·m), which
+    # include the acceleration of the whole body. The result is the moment of the loads
+    # about the centre of mass (N·m), or 0 if the friction moment acts.
     solid = model.solid
     body = workspace.body
     friction = workspace.friction
@@ -226,7 +220,7 @@ def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
         s = body[SIN, i]
         x = body[X, i]
         y = body[Y, i]
-        # Friction is rotated from the frame of the connector to the mean-heading frame.
+        # Rotate friction from the frame of the connector to the mean-heading frame.
         floor_x = friction[i, 0] * c - friction[i, 1] * s
         floor_y = friction[i, 0] * s + friction[i, 1] * c
         load[i, 0] = mass[i] * load[i, 0] - floor_x
@@ -250,12 +244,9 @@ def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
-    """Fill the moments of the segments from tail to head.
-
-    `remainder` is the moment of the loads about the centre of mass (N·m). A bend turns
-    the whole body with the head, so that the mean heading stays constant, and the
-    remainder does work on this rotation.
-    """
+    # `remainder` is the moment of the loads about the centre of mass (N·m). A bend
+    # rotates the whole body, because the mean heading is constant, so the remainder
+    # does work.
     chords = workspace.chords
     load = workspace.load
     n = load.shape[0]
@@ -264,8 +255,8 @@ def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
         fx = fx + load[j + 1, 0]
         fy = fy + load[j + 1, 1]
         moment = moment + load[j + 1, 2]
-        # With the symbols of the module docstring, arm is L e × F and lengthening is L'
-        # F · e.
+        # In the symbols of the module docstring, arm is L e × F and lengthening L' F ·
+        # e.
         arm = chords[j, _SPAN_X] * fy - chords[j, _SPAN_Y] * fx
         lengthening = chords[j, _DERIVATIVE_X] * fx + chords[j, _DERIVATIVE_Y] * fy
         torque[j] = arm / 2 - lengthening - moment + (n - 1 - j) / n * remainder
@@ -276,35 +267,38 @@ GAMMA = 1 - math.sqrt(0.5)
 """Diagonal γ of the SDIRK2 method, whose stages are at γ h and h, dimensionless."""
 
 # Indices into the state.
-STATE_X = 0  # centre of mass, m
+STATE_X = 0  # Centre of mass, m.
 STATE_Y = 1
-HEADING = 2  # mean heading, rad
-STATE_VX = 3  # velocity of the centre of mass, world frame, m/s
+HEADING = 2  # Mean heading, rad.
+STATE_VX = 3  # Velocity of the centre of mass, world frame, m/s.
 STATE_VY = 4
-MOMENT = 5  # angular momentum L, kg·m²/s
-ENERGY_LOSS = 6  # energy lost to friction, and potential energy gained, J
+MOMENT = 5  # Angular momentum L, kg·m²/s.
+ENERGY_LOSS = 6  # Energy lost to friction, and potential energy gained, J.
 STATES = 7
 
 SPEED_LIMIT = 100.0
-"""Speed above which a state counts as diverged, m/s."""
+"""Speed above which a solution is rejected as diverged, m/s."""
 
-_NEWTON_STEPS = 100  # maximum number of Newton iterations of a stage
-_NEWTON_TOLERANCE = 1e-8  # tolerance of the velocities at a time unit of 1, m/s
+_NEWTON_STEPS = 100  # Maximum number of Newton iterations per stage.
+_NEWTON_TOLERANCE = 1e-8  # Tolerance of the velocities at a time unit of 1, m/s.
 _NEWTON_ARM = 0.1
 """Lever arm that converts a yaw rate to a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
-"""Magnitude of the ratio of derivatives that marks a Newton step as too long."""
+"""Minimum ratio of the derivatives after and before a Newton step that is too long."""
 
 
 @inlined
 def is_too_long(derivative_before, derivative_after):  # type: ignore[no-untyped-def]
-    """Return whether a Newton step overshot the minimum across a kink of friction."""
+    """Return whether a Newton step went beyond the minimum of the potential.
+
+    The derivative of the potential along the step then changes its sign.
+    """
     return derivative_after < -_OVERSHOOT * derivative_before
 
 
 @inlined
 def shorter_fraction(derivative_before, derivative_after):  # type: ignore[no-untyped-def]
-    """Return the fraction of a too long step at which the derivative is about 0."""
+    """Return the fraction of a Newton step at which the derivative is about 0."""
     return min(
         max(derivative_before / (derivative_before - derivative_after), 0.1), 0.7
     )
@@ -330,7 +324,7 @@ def _solve3(a, b, c, right):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
-    if abs(angle) > 0.1:  # rad; below this angle the neglected terms are below 1e-17
+    if abs(angle) > 0.1:  # rad; for smaller angles the neglected terms are below 1e-17
         dc = math.cos(angle)
         ds = math.sin(angle)
     else:
@@ -342,26 +336,31 @@ def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def copy(values, out):  # type: ignore[no-untyped-def]
-    """Copy one array into another.
-
-    The loop avoids the overlap check of numba's assignment to a slice.
-    """
+    """Copy an array without the overlap check of numba's assignment to a slice."""
     for j in range(out.shape[0]):
         out[j] = values[j]
 
 
 @inlined
 def is_slow(state):  # type: ignore[no-untyped-def]
-    """Return whether the velocity is plausible, which a NaN is not."""
+    """Return whether the velocity is below the speed limit and not NaN."""
     return abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT
 
 
 @inlined
 def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
-    """Copy state and velocity after `done` steps to all samples at this step.
+    """Copy state and velocity to all samples that follow step number `done`.
 
-    `marks` holds the number of steps before each sample, ascending. `mark` is the index
-    of the next sample, and the result is this index after the copy.
+    Args:
+        state: state after the step.
+        velocity: velocities after the step.
+        marks: number of steps before each sample, ascending.
+        done: number of completed steps.
+        mark: index of the next sample.
+        samples: output for states and velocities.
+
+    Returns:
+        The index of the next sample after the copy.
     """
     while mark < marks.shape[0] and marks[mark] == done:
         copy(state, samples.states[mark])
@@ -371,15 +370,15 @@ def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-unty
 
 
 class _StageEquation(NamedTuple):
-    """Stage equation for three velocities: momentum = known momentum + a · force.
+    """Equation of a stage, momentum = known momentum + a · force.
 
     Attributes:
         a: implicit step γ h, s.
         weight, inertia, moment: mass M (kg), moment of inertia I (kg·m²) and angular
-            momentum h of the bend rates (kg·m²/s).
-        known_x, known_y: known velocity of the centre of mass, with gravity, world
-            frame, m/s.
-        known_moment: known angular momentum, kg·m²/s.
+            momentum h due to the bend rates (kg·m²/s).
+        known_x, known_y: velocity of the centre of mass in the world frame, without the
+            change due to friction, m/s.
+        known_moment: angular momentum without the change due to friction, kg·m²/s.
         acts: 1 if the friction moment acts, otherwise 0.
     """
 
@@ -447,12 +446,9 @@ class _Heading(NamedTuple):
 
 @kernel_only
 def _stage(stage, a, bends, heading, model, workspace):  # type: ignore[no-untyped-def]
-    """Solve one implicit stage Y = known + a f(Y), and fill f(Y).
-
-    `workspace.after` holds the known part of the state Y. `workspace.guess` holds a guess of the
-    velocities, which the solution replaces. The result is whether Newton's method
-    converged.
-    """
+    # Solves Y = known + a f(Y) and returns whether the Newton method converged.
+    # `workspace.after` holds `known`, and `workspace.guess` the first guess of the
+    # velocities. The solution replaces the first guess.
     solid = model.solid
     floor = model.floor
     known = workspace.after
@@ -468,8 +464,8 @@ def _stage(stage, a, bends, heading, model, workspace):  # type: ignore[no-untyp
     )
     u = Twist(guess[0], guess[1], guess[2])
     step = Twist(0.0, 0.0, 0.0)
-    step_fraction = 0.0  # fraction of the latest Newton step that has been made
-    derivative_before = 0.0  # derivative of the potential at the start of that step
+    step_fraction = 0.0  # Executed fraction of the latest Newton step.
+    derivative_before = 0.0  # Derivative of the potential at the start of that step.
     converged = False
     power = 0.0
     # The mean heading at the end of the stage depends on the unknown yaw rate.
@@ -507,7 +503,7 @@ def _stage(stage, a, bends, heading, model, workspace):  # type: ignore[no-untyp
 
 @inlined
 def _fill_rates(equation, known, c, s, u, power, floor, k):  # type: ignore[no-untyped-def]
-    """Fill k = f(Y), which follows from the stage equation."""
+    # The stage equation Y = known + a k gives the rates k = f(Y).
     a = equation.a
     k[STATE_X] = u.x * c - u.y * s
     k[STATE_Y] = u.x * s + u.y * c
@@ -525,12 +521,12 @@ class StepArrays(NamedTuple):
 
     Attributes:
         body: posed body, shape (ROWS, N).
-        rates: rates of the state at the stages, shape (2, STATES).
+        rates: time derivatives of the state at the stages, shape (2, STATES).
         after: state at the end of a step, shape (STATES,).
         guess: velocity in the body frame (m/s) and yaw rate (rad/s) at the end of a
             step, shape (3,).
-        pace: rates of change of `guess`, for the first guesses of Newton's method, shape
-            (3,).
+        pace: time derivative of `guess`, from which the first guess of the Newton
+            method is extrapolated, shape (3,).
     """
 
     body: np.ndarray
@@ -541,25 +537,22 @@ class StepArrays(NamedTuple):
 
     @classmethod
     def of(cls, n: int) -> StepArrays:
-        """Return the arrays for n connectors."""
+        """Allocate the arrays for n connectors."""
         return cls(*map(np.zeros, [(ROWS, n), (2, STATES), (STATES,), (3,), (3,)]))
 
 
 @kernel_only
 def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
-    """Make one step of the SDIRK2 method.
+    """Compute one step of the SDIRK2 method, and return whether both stages converged.
 
     Args:
         state: state at the start, shape (STATES,).
         h: length of the step, s.
         bends: bends and rates at the two stages, shape (2, segments).
         model: constants of body and floor.
-        workspace: work arrays. `after` receives the state at the end, and `rates` the rates
-            at the stages. `guess` and `pace` are updated from the start to the end of
-            the step.
-
-    Returns:
-        Whether both stages converged.
+        workspace: work arrays. The state at the end is written to `after`, and the
+            derivatives at the stages to `rates`. The call replaces `guess` and `pace`
+            at the start of the step by the values at the end.
     """
     u = workspace.guess
     pace = workspace.pace
@@ -572,8 +565,8 @@ def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
     s = math.sin(state[HEADING])
     copy(state, after)
     for stage in range(2):
-        # Linear extrapolation of the velocities between stages saves half of the Newton
-        # iterations.
+        # The Newton method starts from velocities that are extrapolated linearly
+        # between stages, which saves half of the iterations.
         lead, rest = (a, between) if stage == 0 else (between, a)
         x = u[0]
         y = u[1]
@@ -614,7 +607,7 @@ def observe(
     solid: BodyParameters,
     floor: FloorFriction,
 ) -> Observation:
-    """Return the observable quantities of several states.
+    """Compute the observable quantities of several states.
 
     Args:
         states: states with the indices `STATE_X` to `ENERGY_LOSS`, shape (samples,
@@ -629,7 +622,7 @@ def observe(
     n = len(solid.mass)
     shapes = [(count, n, 2), (count, n), (count, n, 2), (count,)]
     out = Observation(*map(np.zeros, shapes))
-    # Contiguous arrays share one type, so the kernel is compiled once for all models.
+    # With contiguous arrays, the kernel is compiled only once for all models.
     bends = Bends(*map(np.ascontiguousarray, bends))
     body = np.zeros((ROWS, n))
     _observe(states, velocities, bends, solid, floor, out, body, np.zeros((n, 3)))

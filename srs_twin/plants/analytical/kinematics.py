@@ -1,7 +1,7 @@
-"""Compiled kinematics of the analytical models.
+"""Compiled kinematics of all analytical models.
 
-Positions and velocities of the connectors are in the frame of the mean heading,
-relative to the centre of mass. All analytical models share this module.
+Positions and velocities of the connectors are relative to the centre of mass, in the
+frame of the mean heading.
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ import numpy as np
 from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.robot import geometry
 
-# Rows of a posed body, an array of shape (ROWS, N) with one column per connector.
-COS = 0  # cosine of the connector's heading relative to the mean heading
-SIN = 1  # sine of the connector's heading relative to the mean heading
-SPIN = 2  # rate of the connector's heading relative to the mean heading, rad/s
-X = 3  # position, m
+# Rows of a posed body, which is an array of shape (ROWS, N) with one column per
+# connector.
+COS = 0  # Cosine of the connector's heading relative to the mean heading.
+SIN = 1  # Sine of the connector's heading relative to the mean heading.
+SPIN = 2  # Rate of the connector's heading relative to the mean heading, rad/s.
+X = 3  # Position, m.
 Y = 4
 VX = 5  # velocity, m/s
 VY = 6
 ROWS = 7
 
 # Columns of the load on a connector in the `compliant` model: momentum relative to the
-# centre of mass, force and moment, and Newton's matrix. Newton's matrix is the mass
-# minus γ h times the derivative of the force. The column XM is the entry of this
-# matrix for the force x and the spin.
+# centre of mass, force and moment, and the Newton matrix. The Newton matrix is the mass
+# minus γ h times the derivative of the force with respect to the velocity. In the names
+# of the matrix entries, M stands for the yaw rate.
 MOMENTUM_X = 0
 MOMENTUM_Y = 1
 MOMENTUM_YAW = 2
@@ -58,8 +59,8 @@ class BodyParameters(NamedTuple):
             masses, shape (N,), kg·m².
         length: length l of each segment, shape (segments,), m.
         gap: rigid gap L_o, m.
-        frozen: 1 to keep all chords at the length l + L_o (model `simplified`), or 0
-            for chords that shorten with the bend.
+        frozen: 1 if all chords have the length l + L_o (model `simplified`), or 0 if
+            the chords shorten with the bend.
         weight: total mass M, kg.
         pitch: mean distance between the connectors of the straight body, m.
     """
@@ -81,7 +82,7 @@ class BodyParameters(NamedTuple):
         gap: float,
         frozen: float = 0.0,
     ) -> BodyParameters:
-        """Return the constants. `length` may be one number for all segments."""
+        """Return the constants. `length` may be a single value for all segments."""
         lengths = np.full(len(mass) - 1, length)
         return cls(
             mass,
@@ -95,11 +96,11 @@ class BodyParameters(NamedTuple):
 
 
 class Chord(NamedTuple):
-    """Chord between the ends of a segment.
+    """Chord between the ends of a segment with the bend q.
 
     Attributes:
-        cos_half, sin_half: cosine and sine of half the bend, by which the chord turns from
-            either end.
+        cos_half, sin_half: cosine and sine of q/2, the angle between the chord and the
+            heading at either end.
         span: length L of the chord, m.
         derivative, curvature: derivatives dL/dq (m/rad) and d²L/dq² (m/rad²).
     """
@@ -113,10 +114,7 @@ class Chord(NamedTuple):
 
 @kernel_only
 def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
-    """Return the `Chord` of segment j for the bend q (rad).
-
-    Segments are counted from 0 at the head.
-    """
+    """Return the `Chord` of segment j (0 at the head) for the bend q (rad)."""
     half_turn = _half_turn(q)
     length = solid.length[j]
     span, derivative, curvature = _spans(half_turn, length, solid.gap)
@@ -132,11 +130,9 @@ def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_chords(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Fill the terms of single segments in a loop that the compiler can vectorise.
-
-    `out` serves as a buffer. The result is the heading of the head relative to the mean
-    heading (rad) and its rate (rad/s).
-    """
+    # A separate loop, which the compiler can vectorise. `out` serves as a buffer. The
+    # result is the heading of the head relative to the mean heading (rad), and its rate
+    # (rad/s).
     cosine = out[COS]
     sine = out[SIN]
     span = out[X]
@@ -164,7 +160,7 @@ class _Centre(NamedTuple):
 
 @compiled
 def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Fill a posed body and return I (kg·m²) and h (kg·m²/s) as defined in `kernels`.
+    """Compute a posed body, and return I (kg·m²) and h (kg·m²/s) of `kernels`.
 
     Args:
         q: bends, shape (segments,), rad.
@@ -174,7 +170,7 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
     """
     mass = solid.mass
     lead, lead_rate = _fill_chords(q, rate, solid, out)
-    # The loop runs from head to tail, in the frame of the head.
+    # The loop from head to tail computes positions in the frame of the head.
     c = 1.0
     s = 0.0
     spin = 0.0
@@ -182,8 +178,8 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
     total = cx = cy = cvx = cvy = 0.0
     for i in range(mass.shape[0]):
         if i > 0:
-            # The heading of a chord differs by half a bend from the heading of either
-            # end.
+            # The heading of a chord differs by half a bend from the heading at either
+            # end of the segment.
             half_c = out[COS, i]
             half_s = out[SIN, i]
             span = out[X, i]
@@ -215,11 +211,8 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-untyped-def]
-    """Transform a body from the head's frame to the mean-heading frame.
-
-    `lead` is the heading of the head relative to the mean heading (rad). The origin
-    moves to the centre of mass. The result is I (kg·m²) and h (kg·m²/s).
-    """
+    # `lead` is the heading of the head relative to the mean heading (rad). The
+    # transformation also moves the origin to the centre of mass.
     mass = solid.mass
     connector_inertia = solid.inertia
     cosine = out[COS]
@@ -229,8 +222,8 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     place_y = out[Y]
     rate_x = out[VX]
     rate_y = out[VY]
-    # In a long coil the head may lead by more than a full turn, so no series expansion
-    # is used.
+    # The head of a long coil may lead the mean heading by more than a full turn, so
+    # series expansions for small angles are not applicable.
     a = math.cos(lead)
     b = math.sin(lead)
     inertia = moment = 0.0

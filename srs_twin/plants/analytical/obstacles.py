@@ -1,37 +1,37 @@
 r"""Contact of the `compliant` model with obstacles.
 
 **Shapes.** At each point of the chain of `cells`, the body is a straight stretch along
-the heading, which reaches half way to the neighbouring points. A stretch has round ends
-and the half width w. An obstacle is a line segment with a radius, which represents a
-circle or one side of a polygon. A stretch and an obstacle touch at their closest
-points. The contact force acts on the stretch, so it changes force and moment at one
-point of the chain only.
+the heading of the point. The stretch reaches half way to the neighbouring points, and
+it has round ends and the half width w. An obstacle is a line segment with a radius,
+which represents a circle or one side of a polygon. A contact force acts on a single
+stretch, at the closest points of stretch and obstacle. The contact force therefore
+changes force and moment at only one point of the chain.
 
 **Law.** The normal force N and the friction f_t of a contact depend on the overlap δ
 and on the normal and tangential velocities v_n and v_t of the body at the contact. A
-positive v_n means that the body leaves the obstacle:
+positive v_n means that the body moves away from the obstacle:
 
 $$ N = k\,δ_+\,(1 - χ v_n)_+, \qquad
    f_t = -μ N \frac{v_t}{\sqrt{v_t^2 + ε^2}}. $$
 
-Here ( )₊ denotes the positive part, so N never pulls. The dissipation coefficient χ
-removes energy (Hunt and Crossley, 1975), μ is the friction coefficient and ε the slip
-speed. The stiffness is k = m/T², so that the robot of mass m would oscillate on it with
-the time constant T = `CONTACT_TIME_S`. The limit T → 0 is rigid contact. Force and
+Here ( )₊ denotes the positive part, so N is never negative. The dissipation coefficient
+χ removes energy (Hunt and Crossley, 1975), μ is the friction coefficient and ε the slip
+speed. The contact stiffness is k = m/T², where m is the mass of the robot and T =
+`CONTACT_TIME_S` is a time constant. In the limit T → 0 the contact is rigid. Force and
 stiffness are evaluated at the end of each implicit stage of length a = γ h, in which δ
-changes by −a v_n. The derivative
+changes by −a v_n. Stiff contacts therefore do not limit the time step. The Newton
+matrix contains the derivative
 
 $$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) $$
 
-therefore enters Newton's matrix, and stiff contacts do not limit the time step. Only
-the matrix neglects that the direction of the normal changes during a step.
+The Newton matrix neglects the change of the normal's direction during a step.
 
-Newton's method relies on a convex potential, which friction has only for constant
-normal forces. A stage is therefore solved a few times. Each solve computes friction
-from the normal forces of the previous solution.
+The Newton method relies on a convex potential. Friction has such a potential only if
+the normal forces are constant. Each stage is therefore solved repeatedly, with friction
+computed from the normal forces of the previous solution.
 
-The twin models obstacles independently, with rods between hinges, other shapes and
-MuJoCo's constraint forces.
+The twin has an independent contact model with rods between hinges, different shapes
+and MuJoCo's constraint forces.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ _RADIUS = 4
 _SHAPE_COLUMNS = 5
 
 # Entries of `Obstacles.pose`.
-_COM_X = 0  # centre of mass, m
+_COM_X = 0  # Centre of mass, m.
 _COM_Y = 1
 _COS = 2  # cosine of the mean heading
 _SIN = 3
@@ -98,18 +98,21 @@ class Obstacles(NamedTuple):
     """Obstacles and the work arrays of their contacts, for the kernels.
 
     Attributes:
-        shape: ends of a line segment and its radius, shape (obstacles, _SHAPE_COLUMNS), m.
-            The ends of a circle are equal.
-        stretch: reach of the body ahead of and behind each point, shape (points, 2), m.
-        half_width: half width w, m.
+        shape: start point (x, y), end point (x, y) and radius of each line segment,
+            shape (obstacles, _SHAPE_COLUMNS), m. The line segment of a circle has the
+            length 0.
+        stretch: length of the body ahead of and behind each point, shape (points, 2),
+            m.
+        half_width: half width w of the body, m.
         stiffness, loss: contact stiffness k (N/m) and dissipation coefficient χ (s/m).
         friction, slip: friction coefficient μ (dimensionless) and slip speed ε (m/s).
         pose: pose of the body at the end of a stage, shape (4,).
-        near: number of obstacles within reach of the body, followed by their indices.
+        near: number of obstacles within reach of the body, followed by the indices of
+            these obstacles.
         force: force of the obstacles on each point at the latest evaluation, world
             frame, shape (points, 2), N.
-        normal, load: normal forces at the latest evaluation and in the friction law, shape
-            (obstacles, points), N.
+        normal: normal forces at the latest evaluation, shape (obstacles, points), N.
+        load: normal forces that the friction law uses, shape (obstacles, points), N.
     """
 
     shape: np.ndarray
@@ -129,7 +132,7 @@ class Obstacles(NamedTuple):
 def make_obstacles(
     world: World, spec: RobotSpec, cells: LumpedSegments, slip: float
 ) -> Obstacles:
-    """Return the obstacles of a world for a slip speed (m/s)."""
+    """Return the obstacles of a world for friction with a slip speed (m/s)."""
     shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, _SHAPE_COLUMNS)
     half = np.broadcast_to(
         (np.asarray(cells.length) + cells.gap) / 2, len(cells.mass) - 1
@@ -163,7 +166,7 @@ def _shapes(world: World) -> Iterator[tuple[float, ...]]:
 
 @compiled_if(is_given)
 def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
-    """List the obstacles within `reach` (m) of the centre of mass, before a step."""
+    """List the obstacles within the distance `reach` (m) of the centre of mass."""
     near = obstacles.near
     near[0] = 0
     for k in range(obstacles.shape.shape[0]):
@@ -186,10 +189,13 @@ def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given)
 def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
-    """Store the pose at the end of a stage.
+    """Store the pose of the body at the end of an implicit stage.
 
-    `known` is the known part of the state, and the body moves with the velocities u for
-    the implicit step a (s).
+    Args:
+        obstacles: obstacles whose pose is set.
+        known: part of the stage equation that does not depend on the velocities.
+        a: implicit step γ h, s.
+        u: velocity in the frame of the mean heading (m/s) and yaw rate (rad/s).
     """
     heading = known[HEADING] + a * u[2]
     c = math.cos(heading)
@@ -234,11 +240,8 @@ class _Stretch(NamedTuple):
 
 
 class _Gap(NamedTuple):
-    """Gap between the axes of body and obstacle at their closest points.
-
-    `place` is the position on the body, along its heading from the point (m). (x, y) is
-    the vector from the obstacle to the body, m.
-    """
+    # `place` is the distance (m) of the closest point of the body from the chain point,
+    # along the heading. (x, y) is the vector from the obstacle to the body (m).
 
     place: float
     x: float
@@ -257,13 +260,9 @@ def _gap(stretch, line):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _closest(stretch, line):  # type: ignore[no-untyped-def]
-    """Return the closest points of a stretch and a line.
-
-    The first result is a distance along the heading (m), the second a fraction of the
-    line.
-    """
-    # u is the unit vector along the stretch, b is the vector along the line, and d
-    # points from the stretch to the line.
+    # The results are a distance along the stretch (m) and a fraction of the line. The
+    # unit vector u is along the stretch, the vector b is along the line, and the vector
+    # d points from the stretch to the line.
     px = stretch.x
     py = stretch.y
     ux = stretch.cos
@@ -278,7 +277,7 @@ def _closest(stretch, line):  # type: ignore[no-untyped-def]
     dy = line.y - py
     if size == 0.0:
         return min(max(dx * ux + dy * uy, lowest), highest), 0.0
-    # The determinant is 0 for parallel lines.
+    # The determinant is 0 if the stretch and the line are parallel.
     angle = size - mixed * mixed
     place = 0.5 * (lowest + highest)
     if angle > 1e-12 * size:
@@ -291,17 +290,10 @@ def _closest(stretch, line):  # type: ignore[no-untyped-def]
 
 
 class _Contact(NamedTuple):
-    """Contact of a point of the body with an obstacle, in the mean-heading frame.
-
-    Attributes:
-        n_x, n_y: normal away from the obstacle, dimensionless.
-        arm_x, arm_y: lever arm of the contact on the surface of the body about the point,
-            m.
-        normal, tangential: normal force and friction f_t, N.
-        normal_derivative, tangential_derivative: derivatives of N and f_t with respect to the normal
-            and tangential velocity, N·s/m.
-        power: power that the contact takes from the body, W.
-    """
+    # In the frame of the mean heading: the unit normal points away from the obstacle,
+    # and the lever arm (m) points from the chain point to the contact on the body's
+    # surface. The derivatives of N and f_t are with respect to v_n and v_t (N·s/m).
+    # `power` is the power dissipated by the contact (W).
 
     n_x: float
     n_y: float
@@ -316,12 +308,8 @@ class _Contact(NamedTuple):
 
 @inlined
 def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-untyped-def]
-    """Return the contact of a point with an obstacle.
-
-    The module docstring states the law. `a` is the implicit step γ h, s. `load` is the
-    normal force in the friction law, N. `reach` is the distance of the axes at which
-    body and obstacle touch, m. `velocity` is the `Twist` of the point.
-    """
+    # `load` is the normal force in the friction law (N), and `reach` is the distance
+    # between the axes of body and obstacle at first contact (m).
     distance = math.sqrt(gap.x * gap.x + gap.y * gap.y)
     n_x = gap.x / distance
     n_y = gap.y / distance
@@ -355,19 +343,18 @@ def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-unty
 
 @compiled_if(is_given, otherwise=(0.0, 0.0, 0.0, 0.0))
 def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
-    """Add the forces of near obstacles and their derivatives to the loads of points.
+    """Add the forces of nearby obstacles and their derivatives to the points' loads.
 
     Args:
-        obstacles: obstacles with the pose of the body, an `Obstacles` whose forces are
-            filled.
+        obstacles: `Obstacles` that contain the pose of the body and receive the forces.
         body: posed body, shape (ROWS, points).
         u: velocities as in `compliant_kernels.balance`, shape (3 + cells,).
         a: implicit step γ h, s.
-        loads: loads (`compliant_kernels._fill_loads`), changed in place.
+        loads: loads on the points, changed in place.
 
     Returns:
-        Force (x, y) and moment about the centre of mass in the frame of the mean
-        heading, and the power that the contacts take from the body, W.
+        Force (x, y; N) and moment about the centre of mass (N·m) in the frame of the
+        mean heading, and the power dissipated by the contacts, W.
     """
     o = obstacles
     cos = o.pose[_COS]
@@ -419,8 +406,8 @@ def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
     load[FORCE_X] += contact.normal * nx - contact.tangential * ny
     load[FORCE_Y] += contact.normal * ny + contact.tangential * nx
     load[FORCE_YAW] += contact.normal * n_m + contact.tangential * t_m
-    # Names such as n_x denote derivatives: of the normal (n) or tangential (t) force,
-    # with respect to the velocity (x, y) or the spin (s).
+    # Here n_x, n_y and n_s are the derivatives of the normal force with respect to the
+    # velocities x and y and the spin. t_x, t_y and t_s are the derivatives of friction.
     n_x = contact.normal_derivative * nx
     n_y = contact.normal_derivative * ny
     n_s = contact.normal_derivative * n_m
@@ -443,9 +430,10 @@ def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given, otherwise=False)
 def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
-    """Set the loads of friction to the latest normal forces.
+    """Store the latest normal forces for the friction law.
 
-    The result is whether a load changed by more than `scale` (N).
+    Returns:
+        True if a normal force changed by more than `scale` (N).
     """
     o = obstacles
     changed = False
@@ -459,16 +447,16 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given)
 def fill_rates(obstacles, model, free, free_rates, rates, workspace):  # type: ignore[no-untyped-def]
-    """Fill the rates of the impulses, of the time and of the energy column.
+    """Compute the rates of the impulses, the time and the energy column.
 
-    Without obstacles the energy column (`ENERGY_LOSS`) holds the losses, and the work
-    of the torques is the energy of the body plus these losses. The implicit method,
-    however, evaluates the stiff normal forces at the end of a stage, when an impact has
-    almost stopped the body. The integral of the losses would therefore miss the energy
-    that is dissipated in impacts. Among obstacles the column holds the work instead, as
-    the integral of the power of the air, Σ T_j q̇_f,j, which is smooth. T = k (q_f − q)
-    + c (q̇_f − q̇) is the torque of a whole segment with the bend q, the free bend q_f,
-    the stiffness k and the damping c.
+    Without obstacles, the energy column (`ENERGY_LOSS`) holds the losses, and the work
+    of the torques is the energy of the body plus these losses. With obstacles, the
+    integral of the losses would miss the energy dissipated in impacts. The implicit
+    method evaluates the stiff normal forces at the end of a stage, when an impact has
+    almost stopped the body. With obstacles, the column therefore holds the work of the
+    air. The rate of this work is Σ T_j q̇_f,j, which is smooth. T = k (q_f − q) + c
+    (q̇_f − q̇) is the torque of a whole segment with the bend q, the free bend q_f, the
+    stiffness k and the damping c.
 
     Args:
         obstacles: obstacles with the forces of the stage.
@@ -476,7 +464,8 @@ def fill_rates(obstacles, model, free, free_rates, rates, workspace):  # type: i
         free: free bends of the cells, rad.
         free_rates: rates of the free bends, rad/s.
         rates: rates of the bends, rad/s.
-        workspace: work arrays with the bends. The rates of the state in `rate` are filled.
+        workspace: work arrays with the bends. The output is written to its field
+            `rate`.
     """
     k = workspace.rate
     q = workspace.bend

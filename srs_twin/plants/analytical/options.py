@@ -1,4 +1,4 @@
-"""Options of the analytical models: physical assumptions and numerical settings."""
+"""Physical assumptions and numerical settings of the analytical models."""
 
 from __future__ import annotations
 
@@ -21,28 +21,22 @@ LOADS = ("static", "instantaneous")
 INERTIAS = ("point", "connector", "lumped")
 
 TIMESTEP_S = 0.002
-"""Default maximum time step at a time unit of 1 (`robot.scale`), s."""
+"""Default maximum time step for robots with a time unit of 1 (`robot.scale`), s."""
 TOLERANCE_M_S = 0.0002
-"""Default error tolerance of a step at a time unit of 1, m/s."""
+"""Default error tolerance of a time step for robots with a time unit of 1, m/s."""
 SLIP_SPEED_M_S = 0.00025
-"""Default slip speed at a time unit of 1, m/s."""
+"""Default slip speed ε of the friction law for robots with a time unit of 1, m/s."""
 
 
 def default_timestep(tick: float, scale: Scale) -> float:
-    """Return the default maximum time step, s.
-
-    Args:
-        tick: control tick, s.
-        scale: units of the robot. For the units of the shipped robots, the step does
-            not depend on the tick.
-    """
+    """Return the default maximum time step (s) for a control tick (s)."""
     if scale == SHIPPED:
         return TIMESTEP_S
     return divide(tick, TIMESTEP_S * scale.time)
 
 
 class OptionKeywords(TypedDict, total=False):
-    """Keywords of `AnalyticalSnake` that set the fields of its `AnalyticalOptions`."""
+    """Keyword arguments of `AnalyticalSnake` that set fields of `AnalyticalOptions`."""
 
     model: str
     friction: str
@@ -63,39 +57,41 @@ class AnalyticalOptions:
     """Assumptions and numerical settings of an analytical model.
 
     Attributes:
-        model: model of the bends. "complete" prescribes the bends. "simplified"
-            prescribes them and keeps chords at the length l + L_o, but not for a body
-            with skin. In "compliant" load and inertia deflect the bends. "quasistatic"
-            (module `quasistatic`) is for robots whose segments bend in two directions,
-            and only for these robots.
-        friction: friction law of a robot on wheels. "axis" has one contact per
-            connector and is the law of the dissertation. "wheel" has two wheels at the
-            track, "ellipse" and "cosine" have two skids at the track, and "viscous"
-            serves for tests. A skin has its own law along the whole body.
+        model: model of the bends. In "complete" and "simplified" the chambers prescribe
+            the bends. In "simplified" the chords of a body without skin also keep the
+            length l + L_o. In "compliant" load and inertia deflect the bends.
+            "quasistatic" (module `quasistatic`) is the only model for robots whose
+            segments bend in two directions, and it accepts no other robots.
+        friction: friction law of a robot on wheels. "axis" is the law of the
+            dissertation, with one contact per connector. In "wheel" each connector has
+            two wheels. In "ellipse" and "cosine" each connector has two skids.
+            "viscous" is a law for tests. On robots with skin the law of the skin
+            applies instead.
         load: load of a wheel or skid. "static" is half of the weight of its connector.
-            "instantaneous" is the instantaneous load, which includes the transfer due to
-            the lateral force (`floor`).
+            "instantaneous" adds the load transfer due to the lateral force (module
+            `floor`).
         friction_torque: whether the moment of friction about the centre of mass acts.
-            False gives the first model of the dissertation, with "simplified" only.
-        inertia: moment of inertia of each connector. "point" sets it to 0. "connector"
-            is a compact body with two wheels as in the twin. "lumped" is the
-            dissertation's j(i) = Σ m L²/3, which counts the masses of the segments
-            twice (E19).
-        base: support of the chain: "free", or "clamped" at its head in the air.
-            "compliant" bodies cannot be clamped.
+            The value False requires "simplified" and selects the first model of the
+            dissertation.
+        inertia: moment of inertia of each connector. "point" sets the moment to 0.
+            "connector" assumes a compact body with two wheels, as in the twin. "lumped"
+            is the dissertation's j(i) = Σ m L²/3, which counts the masses of the
+            segments twice (E19).
+        base: support of the snake, "free" on the floor, or with its head "clamped" in
+            the air. "compliant" bodies cannot be clamped.
         track: distance of the two contacts of a connector from the centre line, m. The
-            default is the robot's half track for a law at the wheels. For other laws it
-            is 0, which means one contact.
-        contact: whether the body touches obstacles (module `obstacles`), with "compliant"
-            only. Otherwise it passes through them.
+            default for laws with wheels or skids is the robot's half track. The default
+            for other laws is 0, and each connector then has one contact.
+        contact: whether the body touches obstacles (module `obstacles`), which requires
+            "compliant". Without contact the body passes through obstacles.
         cells: approximate number of cells per segment of a robot on wheels that can
             touch obstacles.
         timestep: maximum time step, s. The default is `TIMESTEP_S` times the time unit
-            of the robot (`robot.scale`), or a near part of the tick
-            (`robot.scale.divide`).
-        tolerance: maximum error of a step in which friction reverses, expressed as a
-            velocity, m/s. With prescribed bends, steps are divided until they meet it
-            (module `steps`). The default is `TOLERANCE_M_S` times the time unit.
+            of the robot (`robot.scale`), adjusted so that it divides the tick.
+        tolerance: maximum error of a time step in which friction reverses, expressed as
+            a velocity, m/s. With prescribed bends, steps with a larger error are
+            divided (module `steps`). The default is `TOLERANCE_M_S` times the time
+            unit.
         slip_speed: slip speed ε of the friction law, m/s. The default is
             `SLIP_SPEED_M_S` times the time unit.
     """
@@ -132,7 +128,7 @@ class AnalyticalOptions:
             )
 
     def law_on(self, spec: RobotSpec) -> str:
-        """Return the friction law of a robot, or of its skin if it has one."""
+        """Return the law of the robot's skin, or `friction` without a skin."""
         return self.friction if spec.skin is None else spec.skin.law
 
     def track_of(self, spec: RobotSpec) -> float:
@@ -147,20 +143,14 @@ class AnalyticalOptions:
         """Check that a robot in a world can be simulated with these options.
 
         Raises:
-            InputError: the robot cannot be simulated. The message contains all reasons.
+            InputError: the robot cannot be simulated. The message states all reasons.
         """
         raise_violations(
             (*refusals("model", self.model, spec, world), *self.violations(spec))
         )
 
     def violations(self, spec: RobotSpec | None) -> Iterator[Violation]:
-        """Yield violations by options that exclude each other.
-
-        The parameters of a violation are names of options.
-
-        Args:
-            spec: robot, or None to check the options alone.
-        """
+        """Yield a violation for each conflict of options with others or the robot."""
         if not self.friction_torque and self.model != "simplified":
             yield Violation(
                 "friction_torque",

@@ -1,46 +1,46 @@
 r"""Spatial body without inertia (model `quasistatic`) on a floor.
 
-A segment is an arc of constant curvature and twist. The rotation vector w leads from
-the frame of its rear connector to the frame of its front connector. The components z,
-−y and x of w are the bend to the left, the bend upwards and the twist. The generalised
-coordinates are the pose of the head connector and the bends q and twists of all
-segments. Weight and contacts are at points along the axis of the body, which has the
-radius r.
+A segment is an arc of constant curvature and twist. The rotation vector w describes the
+rotation from the frame of the segment's rear connector to the frame of the front
+connector. The components z, −y and x of w are the bend to the left, the bend upwards
+and the twist. The generalised coordinates are the pose of the head connector and the
+bends q and twists of all segments. Weight and contacts act at points along the axis of
+the body, which has the radius r.
 
-**Equilibrium.** Without inertia, the forces balance at every time. The chambers impose
-the free bends q̂ with the stiffness k and the damping c. Point i has the height z_i,
-the mass m_i and the normal load N_i. A time step of length h finds the velocities of
-the coordinates that minimise
+**Equilibrium.** Without inertia, the forces are balanced at all times. The chambers
+impose the free bends q̂ with the stiffness k and the damping c. Point i has the height
+z_i, the mass m_i and the normal load N_i. In a time step of length h, the velocities of
+the coordinates minimise
 
 $$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,\dot q^2
    + \sum_i m_i g\,h \dot z_i + \tfrac{\kappa_i}2 \max(0, r - z_i - h\dot z_i)^2 + h
    \sum_i N_i D(s_i) + \tfrac h2 \sum_i \frac{m_i}{\tau}(\dot z_i^2 + \dot\rho_i^2), $$
 
 divided by h. The first three terms are the elastic energy, the dissipation in the
-segments, and the weight. The floor has the stiffness κ_i = m_i g/δ, so that a resting
-point sinks by δ. D(s_i) is the dissipation potential of a friction law, where the slip
-s_i is the velocity of the material vertically below the axis. The last term is the drag
-described below. The pose at rest therefore has the minimum potential energy, and the
-body moves along the floor with the minimum dissipated power. Friction also bends the
-segments.
+segments, and the potential energy of the weight. The floor has the stiffness κ_i = m_i
+g/δ, so that a resting point sinks by δ. D(s_i) is the dissipation potential of a
+friction law. The slip s_i is the velocity of the material vertically below the axis.
+The last term is a drag with the time constant τ. As a result, the pose at rest has the
+minimum potential energy, and the body moves along the floor with the minimum dissipated
+power. Friction also bends the segments.
 
-The loads N_i that multiply D must be the loads of the solution. A step is therefore
-solved up to four times, each time with the loads of the previous solution. A friction
-law without a potential, such as `cosine`, cannot be used, because it has no such
-minimum.
+The normal loads N_i that multiply D depend on the solution. A step is therefore solved
+up to four times, each time with the loads of the previous solution. Friction laws
+without a potential, such as `cosine`, cannot be used, because the minimised function
+does not exist for such laws.
 
 **Jumps.** The resting pose can become unstable. A real body then topples within a time
-that its inertia determines. In place of inertia, a drag with the time constant τ acts
-on the vertical velocity ż_i and on rolling with the surface velocity ρ̇_i. Between
-jumps the drag changes loads by the fraction ż/(g τ), which is below 0.01. A step in
-which a point moves too far is divided. A jump is counted when a point becomes faster
-than √(g r)/4.
+that depends on its inertia. This model contains the drag instead of inertia. The drag
+acts on the vertical velocity ż_i and on the surface velocity ρ̇_i of rolling. Between
+jumps the drag changes the loads by the fraction ż/(g τ), which is below 0.01. Steps in
+which a point moves too far are divided. A jump is counted when the speed of a point
+exceeds √(g r)/4.
 
-**Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small.
-Here f is the gait frequency, A the amplitude of the lateral motion and μ the friction
-coefficient. The sag number m g λ²/(k p) shows how far the weight bends the body between
-its supports. Here λ is the wavelength along the body, m the mass within a wavelength,
-and p the pitch of the connectors.
+**Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small,
+where f is the gait frequency, A the amplitude of the lateral motion and μ the friction
+coefficient. The sag number m g λ²/(k p) measures how far the weight bends the body
+between its supports, where λ is the wavelength along the body, m the mass within a
+wavelength, and p the pitch of the connectors.
 """
 
 from __future__ import annotations
@@ -59,19 +59,19 @@ from srs_twin.pneumatics import Trace
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 _DEPTH_RATIO = 1 / 2000
-"""Ratio of a resting point's depth in the floor to the radius of the body."""
+"""Depth of a resting point in the floor, relative to the radius of the body."""
 _DRAG_TIME_S = 0.5
 """Drag time τ of vertical motion and of rolling at a time unit of 1, s."""
 _MOVE_RATIO = 0.05
-"""Ratio of a point's maximum motion in a substep to the radius of the body."""
+"""Maximum motion of a point in a substep, relative to the radius of the body."""
 _JUMP_RATIO = 0.25
-"""Ratio of a point's minimum speed in a jump to √(g r)."""
+"""Minimum speed of a point in a jump, relative to √(g r)."""
 
 
 def make_constants(
     spec: RobotSpec, slip_speed: float, base: str
 ) -> kinematics.QuasistaticBody:
-    """Return the constants of a robot on a level floor or held at its head.
+    """Return the constants of a robot on a level floor or with a clamped head.
 
     Args:
         spec: spatial robot to simulate.
@@ -131,13 +131,13 @@ class QuasistaticArcs(Body):
 
     Attributes:
         constants: constants of the body and of the floor.
-        workspace: arrays of a step.
+        workspace: work arrays of a time step.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_connector_heading")
 
     def __init__(self, spec: RobotSpec, slip_speed: float, base: str) -> None:
-        """Set the constants with the arguments of `make_constants`."""
+        """Compute the constants of the body. See `make_constants` for the arguments."""
         self._spec = spec
         self.constants = make_constants(spec, slip_speed, base)
         points = len(self.constants.mass)
@@ -176,7 +176,7 @@ class QuasistaticArcs(Body):
     def set_state(
         self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """See `Body.place`. A body without inertia can only start at rest."""
+        """See `Body.set_state`. A body without inertia can only start at rest."""
         raise InputError("model 'quasistatic' can only start straight and at rest")
 
     def move(
@@ -213,8 +213,8 @@ class QuasistaticArcs(Body):
         Args:
             time: times of the samples, shape (samples,), s.
             motion: motion at the times of the samples.
-            trace: trace of the chambers.
-            measured_bend: sensor readings of the bends.
+            trace: chamber states at the times of the samples.
+            measured_bend: bends measured by the sensors, rad.
         """
         count = len(time)
         n = self._spec.geometry.connectors
@@ -295,7 +295,7 @@ class QuasistaticArcs(Body):
 
 
 def quaternions(frames: np.ndarray) -> np.ndarray:
-    """Return the quaternions of rotation matrices, shape (…, 4), with w ≥ 0 first."""
+    """Return the unit quaternions (w, x, y, z), w ≥ 0, of rotation matrices."""
     from scipy.spatial.transform import Rotation
 
     turns: np.ndarray = Rotation.from_matrix(frames.reshape(-1, 3, 3)).as_quat(

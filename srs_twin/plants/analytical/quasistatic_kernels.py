@@ -29,12 +29,12 @@ from srs_twin.robot import friction
 from srs_twin.robot.spec import GRAVITY
 
 _MAX_SWEEPS = 4
-"""Maximum number of solves per step, each with the loads of the previous solve."""
+"""Maximum number of solves per step, each with updated normal forces."""
 _MAX_ITERATIONS = 30
 _SOFTER = (1e3, 1e2, 10.0, 1.0)
-"""Factors on the slip speed that are tried in turn if Newton's method fails.
+"""Descending factors on the slip speed, which are applied if the Newton method fails.
 
-The factor decreases to 1, and each solve starts from the previous solution.
+Each solve starts from the solution with the previous factor.
 """
 _MAX_TRIALS = 14
 _MAX_DERIVATIVE_RATIO = 0.5
@@ -43,13 +43,13 @@ _MAX_HALVINGS = 14
 _TOLERANCE = 1e-6
 """Tolerance of the residual power, relative to friction times slip speed."""
 _LOAD_TOLERANCE = 1e-4
-"""Change of a load, relative to the body's weight, below which a step is solved."""
+"""Tolerance of the normal forces in a step, relative to the weight of the body."""
 _ellipse = compiled(friction.ellipse)
 
 
 @compiled
 def _begin_step(state, body, workspace, h):  # type: ignore[no-untyped-def]
-    """Fill the linear part of the residual: springs, dampers, weight and drag."""
+    # The linear part of the residual contains springs, dampers, weight and drag.
     segments = workspace.bend.shape[0]
     count = body.fraction.shape[0]
     linear = workspace.linear
@@ -62,7 +62,7 @@ def _begin_step(state, body, workspace, h):  # type: ignore[no-untyped-def]
         rows = workspace.rows[p]
         mass = body.mass[p]
         # A point moves only with the head and with the segments up to its own segment.
-        # These are the first `used` velocities.
+        # The first `used` velocities belong to the head and to these segments.
         used = 9 + 3 * (p // count)
         drag = mass / body.drag_time
         for i in range(used):
@@ -107,8 +107,8 @@ def _residual(velocity, body, workspace, h, slip, out, with_matrix):  # type: ig
         up = 0.0
         for i in range(used):
             up += rows[UP, i] * velocity[i]
-        # The floor is a spring, which is evaluated at the height at the end of the
-        # step.
+        # The floor is a spring, whose force is computed from the height at the end of
+        # the step.
         spring = body.free * body.mass[p] * GRAVITY / body.depth
         load = spring * max(0.0, body.radius - workspace.point[p, 2] - h * up)
         workspace.load[p] = load
@@ -121,8 +121,8 @@ def _residual(velocity, body, workspace, h, slip, out, with_matrix):  # type: ig
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
         mu_t = mu.ahead if along >= 0.0 else mu.back
-        # f_t and f_lat are the friction along and across the body. tt, tn and nn are the
-        # derivatives of this friction with respect to the velocities.
+        # f_t and f_lat are the friction along and across the body. tt, tn and nn are
+        # the derivatives of friction with respect to the velocities along and across.
         f_t, f_lat, tt, tn, _, nn = _ellipse(
             along, across, workspace.law_load[p], mu_t, mu.across, slip
         )
@@ -202,8 +202,8 @@ def _minimise(velocity, body, workspace, h, slip, tolerance):  # type: ignore[no
         first = _product(g, d)
         if not first < -tolerance:
             return np.isfinite(first)
-        # The derivative along the Newton step increases monotonically, and the search
-        # finds the point where it is nearly 0.
+        # The derivative along d increases monotonically. The search ends where the
+        # derivative is nearly 0.
         low = 0.0
         high = 0.0
         t = 1.0
@@ -220,7 +220,7 @@ def _minimise(velocity, body, workspace, h, slip, tolerance):  # type: ignore[no
                 low = t
                 derivative_low = derivative
                 if high == 0.0:
-                    break  # accept a full step
+                    break  # accept a full Newton step
             else:
                 high = t
                 derivative_high = derivative
@@ -241,8 +241,8 @@ def _solve_step(velocity, state, body, workspace, h, weight):  # type: ignore[no
         tolerance = _TOLERANCE * weight * slip
         converged = _minimise(velocity, body, workspace, h, slip, tolerance)
         if not converged:
-            # Newton's method overshoots if sticking points are far from the solution.
-            # The solve then begins again with smoother friction.
+            # The Newton method overshoots if sticking points are far from the solution.
+            # The solve is then repeated with a larger slip speed.
             for i in range(velocity.shape[0]):
                 velocity[i] = 0.0
             for factor in _SOFTER:
@@ -261,7 +261,7 @@ def _solve_step(velocity, state, body, workspace, h, weight):  # type: ignore[no
 
 @compiled
 def move_state(velocity, state, body, workspace, h, turn, old):  # type: ignore[no-untyped-def]
-    """Advance a state over a step of length h (s), given the solved velocities."""
+    """Advance a state by h (s) with the solved velocities."""
     segments = workspace.bend.shape[0]
     for j in range(segments):
         for i in range(3):
@@ -383,8 +383,7 @@ def advance(now, steps, free, sample_steps, body, workspace, samples):  # type: 
                     )
                 if h * fastest <= body.longest_move:
                     break
-                # The step is rejected, and a shorter step starts from the same
-                # velocity.
+                # Reject the step, and start a shorter step from the same velocity.
                 h /= 2
                 fastest = np.inf
                 copy(start, velocity)

@@ -1,8 +1,9 @@
 """Compiled kinematics of a spatial body of arcs with curvature and twist.
 
-`quasistatic` describes the model. The first six velocities are the velocity and the
-angular velocity of the head connector in the world frame. The rates of the bend to the
-left, the bend upwards and the twist of each segment follow, head first.
+The module `quasistatic` describes the model. The first six velocities are the velocity
+and the angular velocity of the head connector in the world frame. The other velocities
+are the rates of the bend to the left, the bend upwards and the twist of each segment,
+from head to tail.
 """
 
 from __future__ import annotations
@@ -14,21 +15,21 @@ import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled, inlined
 
-# A state begins with the position and the rotation matrix (by rows) of the head
-# connector. Accumulated quantities follow, then the bends, then the impulses of the
-# floor on all points, shape (points, 3), and finally the loads of the points.
+# A state contains the position and the rotation matrix (by rows) of the head connector,
+# the quantities below, the bends, the impulses of the floor on all points, shape
+# (points, 3), and the normal loads of the points.
 ROTATION = 3
-WORK = 12  # work of the air, J
-FRICTION_LOSS = 13  # energy that the floor dissipates, J
-INTERNAL_LOSS = 14  # energy that bending and twisting dissipate, J
-DRAG_LOSS = 15  # energy that the drag of vertical and rolling motion dissipates, J
-CLOCK = 16  # time, s
-JUMPS = 17  # number of jumps between resting poses
-IS_JUMPING = 18  # 1 during a jump, otherwise 0
+WORK = 12  # Work of the compressed air, J.
+FRICTION_LOSS = 13  # Energy dissipated by the floor, J.
+INTERNAL_LOSS = 14  # Energy dissipated by bending and twisting, J.
+DRAG_LOSS = 15  # Energy dissipated by the drag of vertical and rolling motion, J.
+CLOCK = 16  # Time, s.
+JUMPS = 17  # Number of jumps between resting poses.
+IS_JUMPING = 18  # Equal to 1 during a jump, otherwise 0.
 BENDS = 19
 
-# Rows of `Workspace.rows`: velocities of a contact along and across the body and upwards,
-# and the rolling velocity.
+# Number of rows of `Workspace.rows`. The rows are the velocities of a contact along the
+# body, across the body and upwards, and the rolling velocity.
 ROWS = 4
 ALONG, ACROSS, UP, ROLL = range(ROWS)
 
@@ -64,14 +65,15 @@ class QuasistaticBody(NamedTuple):
             arc to the point, shape (P,), m.
         mass: masses of the points, shape (S P,), kg.
         length, gap: length of an arc, and straight length at each end of an arc, m.
-        stiffness, damping: stiffness (N·m/rad) and damping (N·m·s/rad) of bends and twist,
-            shape (3,).
-        radius, depth: radius of the body, and depth of its resting points in the floor, m.
+        stiffness, damping: stiffness (N·m/rad) and damping (N·m·s/rad) of bends and
+            twist, shape (3,).
+        radius, depth: radius of the body, and depth of its resting points in the floor,
+            m.
         friction: friction of the skin.
-        drag_time: ratio of mass to drag of vertical and rolling motion, s.
+        drag_time: ratio τ of mass to drag for vertical and rolling motion, s.
         longest_move: maximum motion of a point in a substep, m.
         jump_speed: minimum speed of a point in a jump, m/s.
-        free: 1 for a body on the floor, 0 for a body held at its head in the air.
+        free: 1 if the body is on the floor, or 0 if its head is clamped in the air.
     """
 
     fraction: np.ndarray
@@ -95,11 +97,11 @@ class Workspace(NamedTuple):
     """Work arrays of a step for S segments with P points each.
 
     Attributes:
-        position, frame: positions (m) and rotation matrices of the connectors, shapes (S +
-            1, 3) and (S + 1, 3, 3).
+        position, frame: positions (m) and rotation matrices of the connectors, shapes
+            (S + 1, 3) and (S + 1, 3, 3).
         point: positions of the points, shape (S P, 3), m.
-        heading: cosine and sine of the horizontal direction of the body at each point,
-            shape (S P, 2).
+        heading: cosine and sine of the body's horizontal direction at each point, shape
+            (S P, 2).
         motion: Jacobian from the body's velocities to velocity and angular velocity of
             each point, shape (S P, 6, velocities).
         rows: Jacobian from the body's velocities to the contact velocities of each
@@ -110,10 +112,10 @@ class Workspace(NamedTuple):
         linear: derivative of the residual without contacts, shape (velocities,
             velocities).
         at_rest: residual without contacts at zero velocities, shape (velocities,).
-        matrix: Newton's matrix, lower triangle, shape (velocities, velocities).
-        residual, direction, trial: vectors of Newton's method, shape (velocities,).
-        bend, bend_rate: free bends (rad) and their rates (rad/s), with a twist of 0, shape
-            (S, 3).
+        matrix: lower triangle of the Newton matrix, shape (velocities, velocities).
+        residual, direction, trial: vectors of the Newton method, shape (velocities,).
+        bend, bend_rate: free bends (rad) and their rates (rad/s), with a twist of 0,
+            shape (S, 3).
         base: Jacobian from the rates of a segment's bends and twist to the spatial
             velocity of its rear connector, shape (S, 6, 3).
     """
@@ -139,7 +141,7 @@ class Workspace(NamedTuple):
 
 
 def work_arrays(segments: int, points: int) -> Workspace:
-    """Return the work arrays for a number of segments and of points per segment."""
+    """Allocate the arrays for a number of segments and of points per segment."""
     n = segments + 1
     count = segments * points
     velocities = 6 + 3 * segments
@@ -170,7 +172,7 @@ def work_arrays(segments: int, points: int) -> Workspace:
 
 @compiled
 def rotate(turn, out):  # type: ignore[no-untyped-def]
-    """Fill the rotation matrix exp([turn]) of a rotation vector, rad."""
+    """Compute the rotation matrix exp([turn]) of a rotation vector, rad."""
     x, y, z = turn
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
@@ -193,10 +195,8 @@ def rotate(turn, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _spin(turn, axis):  # type: ignore[no-untyped-def]
-    """Return a column of the left Jacobian of exp([turn]).
-
-    The column is the angular velocity per rate of one component of `turn`.
-    """
+    # A column of the left Jacobian of exp([turn]), that is the angular velocity per
+    # unit rate of one component of `turn`.
     x, y, z = turn
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
@@ -210,8 +210,9 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
     e_x = 1.0 * (axis == 0)
     e_y = 1.0 * (axis == 1)
     e_z = 1.0 * (axis == 2)
-    # The column is e + b t × e + c t × (t × e) for the unit vector e of the component
-    # and the rotation vector t, where t × (t × e) = t (t · e) − e t².
+    # The column is e + b t × e + c t × (t × e), where e is the unit vector of the
+    # component and t the rotation vector. The product t × (t × e) equals t (t · e) − e
+    # t².
     return (
         e_x + b * (y * e_z - z * e_y) + c * (x * part - e_x * square),
         e_y + b * (z * e_x - x * e_z) + c * (y * part - e_y * square),
@@ -221,25 +222,22 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
 
 @compiled
 def _arc(w, u, lengths, offset, turn, derivatives):  # type: ignore[no-untyped-def]
-    """Fill a position behind a connector, in its frame, and the derivatives.
-
-    `w` is the rotation vector of the front connector relative to the rear one. `u` is
-    the fraction of the arc ahead of the position. `lengths` are the straight length
-    ahead of the arc, the length of the arc, and the straight length behind it. `offset`
-    and `turn` receive position and rotation. `derivatives` receives velocity and angular
-    velocity per rate of w.
-    """
+    # `w` is the rotation vector of the front connector relative to the rear one. `u` is
+    # the fraction of the arc ahead of the position. `lengths` are the straight length
+    # ahead of the arc, the length of the arc, and the straight length behind the arc.
+    # Position and rotation in the frame of the front connector are written to `offset`
+    # and `turn`, and their derivatives with respect to w to `derivatives`.
     front, length, rear = lengths
     x, y, z = w
-    # m is the tangent in the middle of the part of the arc ahead, and t is the tangent
-    # at the rear end of this part.
+    # m is the tangent in the middle of the arc's part ahead of the position, and t is
+    # the tangent at the rear end of this part.
     half = (-u / 2 * x, -u / 2 * y, -u / 2 * z)
     rotate(half, turn)
     m_x = turn[0, 0]
     m_y = turn[1, 0]
     m_z = turn[2, 0]
-    # The chord of an arc with the bend b is shorter than the arc by the factor
-    # sin(b/2)/(b/2), and is parallel to the tangent in the middle of the arc.
+    # The chord of an arc with the bend b is parallel to the tangent in the middle of
+    # the arc. The ratio of the chord to the arc is sin(b/2)/(b/2).
     bend = math.sqrt(y * y + z * z)
     a = u * bend / 2
     if a > 1e-3:
@@ -257,7 +255,7 @@ def _arc(w, u, lengths, offset, turn, derivatives):  # type: ignore[no-untyped-d
     offset[1] = -chord * ratio * m_y - rear * t_y
     offset[2] = -chord * ratio * m_z - rear * t_z
     for i in range(3):
-        # h and e are the angular velocities of the tangents m and t per rate of w.
+        # h and e are the angular velocities of the tangents m and t per unit rate of w.
         s_x, s_y, s_z = _spin(half, i)
         h_x = -u / 2 * s_x
         h_y = -u / 2 * s_y
@@ -291,10 +289,8 @@ def _turned(frame, x, y, z):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_motion(motion, place, j, workspace, derivatives):  # type: ignore[no-untyped-def]
-    """Fill the Jacobian from the body's velocities to a position on segment j.
-
-    `motion` is the Jacobian, shape (6, velocities), and `derivatives` is filled by `_arc`.
-    """
+    # `motion` is the Jacobian from the body's velocities to a position on segment j,
+    # shape (6, velocities). `derivatives` is the output of `_arc`.
     x = place[0]
     y = place[1]
     z = place[2]
@@ -333,11 +329,8 @@ def _fill_motion(motion, place, j, workspace, derivatives):  # type: ignore[no-u
 
 @compiled
 def _rotate_derivatives(derivatives, frame, out, column):  # type: ignore[no-untyped-def]
-    """Write derivatives with respect to bends and twist, in the world frame.
-
-    The bend to the left, the bend upwards and the twist are the components z, −y and x
-    of the rotation vector w.
-    """
+    # The bend to the left, the bend upwards and the twist are the components z, −y and
+    # x of the rotation vector w.
     for i in range(3):
         source = 2 - i
         sign = -1.0 if i == 1 else 1.0
@@ -366,7 +359,7 @@ class _Place(NamedTuple):
 
 @allocating
 def pose(state, body, workspace):  # type: ignore[no-untyped-def]
-    """Fill positions, frames, points and their Jacobians for a state."""
+    """Compute positions, frames, points and their Jacobians for a state."""
     place = _Place(np.empty(3), np.empty((3, 3)), np.empty((6, 3)))
     count = body.fraction.shape[0]
     for i in range(3):

@@ -1,26 +1,28 @@
-r"""Time steps of the analytical models, and adaptive substeps.
+r"""Time steps of the analytical models and adaptive division of the steps.
 
-Steps end on valve events (`TimeSteps`). Where the slip of a connector changes its sign, its
-friction reverses while the slip passes a few times the slip speed ε. Such a reversal
-mostly takes far less time than a step. A step that misses such a reversal has an error
-as large as a whole friction impulse. The models `complete` and `simplified` therefore
-divide steps where friction reverses.
+Every valve event ends a step (`TimeSteps`). Where the slip of a connector changes its
+sign, the friction force reverses within a few multiples of the slip speed ε. The
+reversal usually takes far less time than a step. If a step misses the reversal, its
+error is as large as the whole impulse of friction. The models `complete` and
+`simplified` therefore divide steps in which friction reverses.
 
-**Error estimate.** Three rates of momentum are known in a step of length h: k₀ at its
-start, which is the last stage of the previous step, and k₁ and k₂ at its two stages.
-The stages are at γ h and h after the start. If the rate changes linearly, k₁ lies on
-the line between k₀ and k₂. The deviation of k₁ from this line, converted to a velocity
-change of the mass M over the step,
+**Error estimate.** A step of length h has two stages, at γ h and h after its start. The
+rate of the momentum is k₀ at the start of the step, k₁ at the first stage and k₂ at the
+second stage. If the rate changes linearly, k₁ is the linear interpolation of k₀ and k₂.
+The deviation of k₁ from this interpolation changes the velocity of the mass M over the
+step by
 
-$$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr|, $$
+$$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr| $$
 
-is at least 0.7 times the error of a reversal anywhere in the step. The estimate η is of
-third order in h where friction is smooth. The rate of the angular momentum is divided
-by the radius of gyration of the straight body, so that it enters as a velocity.
+The estimate η is at least 0.7 times the error due to a reversal anywhere in the step.
+Where friction is smooth, η is of third order in h. The rate of the angular momentum is
+divided by the radius of gyration of the straight body, so that it has the unit of a
+force.
 
-A step with η above the tolerance is repeated in halves, which may be divided again.
-Substeps well below the tolerance are doubled. Within a step the bends are cubic Hermite
-polynomials through the bends and rates of the chambers at the start and the stages.
+A step with η above the tolerance is repeated in two or four substeps, which may be
+divided again. If η is well below the tolerance, the next substep is twice as long.
+Within a step, the bends are interpolated by cubic Hermite polynomials from the bends
+and rates of the chambers at the start and the stages.
 """
 
 from __future__ import annotations
@@ -54,12 +56,10 @@ from srs_twin.pneumatics import Trace
 
 @dataclass(frozen=True)
 class TimeSteps:
-    """Time steps of a schedule.
-
-    Equal schedules without valve events share one object, which must not be modified.
+    """Time steps of a schedule. Equal schedules may share one immutable object.
 
     Attributes:
-        ends: end of each step, ascending, from the start of the schedule, shape
+        ends: end of each step after the start of the schedule, ascending, shape
             (steps,), s.
         sample_steps: number of steps before each sample, ascending, shape (samples,).
     """
@@ -77,15 +77,15 @@ class TimeSteps:
         longest: float,
         same: float,
     ) -> TimeSteps:
-        """Return steps on an even grid that contains the samples, and on valve events.
+        """Return steps that end at samples, at even intervals and at valve events.
 
         Args:
             span: length of the schedule, s.
             events: times of valve events, ascending, s.
-            samples: number of equally spaced samples, the last one at the end.
+            samples: number of equally spaced samples. The last sample is at the end.
             longest: maximum length of a step, s.
-            same: minimum time between an event and other events or ends of steps, s. A
-                closer event does not end a step.
+            same: maximum time difference at which two events, or an event and the end
+                of a step, count as simultaneous, s.
         """
         per_sample = math.ceil(span / samples / longest * (1 - 1e-12))
         even = _even(span, samples, per_sample)
@@ -93,7 +93,7 @@ class TimeSteps:
             return even
         grid = span / (samples * per_sample)
         steps = events / grid
-        # Due to rounding, an event may be on either side of a grid point.
+        # Due to rounding, an event may be just before or just after a grid point.
         events = events[np.abs(steps - np.round(steps)) * grid > same]
         events = events[np.diff(events, prepend=-1.0) > same]
         sample_steps = even.sample_steps + np.searchsorted(
@@ -109,17 +109,14 @@ class TimeSteps:
 
     @cached_property
     def stage_times(self) -> np.ndarray:
-        """Times of the start of the schedule and of the two stages of each step, s.
-
-        The shape is (1 + 2 · steps,).
-        """
+        """Times of the start and of all stages, shape (1 + 2 · steps,), s."""
         times = np.zeros(1 + 2 * len(self.ends))
         times[1::2] = self._starts + GAMMA * self.lengths
         times[2::2] = self._starts + self.lengths
         return times
 
     def chunks(self, length: float) -> Iterator[tuple[float, float, TimeSteps]]:
-        """Yield begin, end and steps of chunks with about the given length (s)."""
+        """Yield begin (s), end (s) and steps of chunks of about `length` (s)."""
         firsts = np.unique(
             np.floor(self.ends / length * (1 - 1e-9)), return_index=True
         )[1]
@@ -144,10 +141,7 @@ class TimeSteps:
 
 @lru_cache(maxsize=64)
 def _even(span: float, samples: int, per_sample: int) -> TimeSteps:
-    """Return the steps of an even grid.
-
-    The cache serves the ticks of a controller, which are all equal.
-    """
+    # Cached, because all ticks of a controller have the same grid.
     count = samples * per_sample
     ends = span / count * np.arange(1, count + 1)
     return TimeSteps(ends, np.arange(per_sample, count + 1, per_sample))
@@ -156,20 +150,16 @@ def _even(span: float, samples: int, per_sample: int) -> TimeSteps:
 MAX_SUBSTEPS = 64
 """Maximum number of substeps of a step, a power of 2."""
 
-# The next two values are ratios of error to tolerance. Above the first ratio a step is
-# quartered, because halves would fail again. Below the second ratio the next substep is
-# doubled.
+# Ratios of the error estimate to the tolerance. Above the first ratio, halves of the
+# step would fail as well, so the step is quartered. Below the second ratio, the length
+# of the next substep is doubled.
 _QUARTER_ABOVE = 4.0
 _DOUBLE_BELOW = 0.5
 
 
 @kernel_only
 def _cubic(at, span, bends, first, out, row):  # type: ignore[no-untyped-def]
-    """Fill bends and rates within an interval by a cubic Hermite polynomial.
-
-    `at` is the fraction of the interval. The values at its ends are in the rows `first` and
-    `first` + 1 of `bends`.
-    """
+    # Cubic Hermite polynomial at the fraction `at` of an interval of length `span`.
     q0 = bends.bend[first]
     q1 = bends.bend[first + 1]
     r0 = bends.rate[first]
@@ -191,7 +181,7 @@ def _cubic(at, span, bends, first, out, row):  # type: ignore[no-untyped-def]
 
 @compiled
 def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
-    """Fill bends and rates within a step.
+    """Interpolate bends and rates within a step, and write them to a row of `out`.
 
     Args:
         at: fraction of the step, 0 to 1.
@@ -199,7 +189,7 @@ def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
         bends: bends and rates at the start, first stage and end of the step, shape (3,
             segments).
         out: output for bends and rates, shape (rows, segments).
-        row: row of `out`.
+        row: index of the output row.
     """
     if at < GAMMA:
         _cubic(at / GAMMA, GAMMA * h, bends, 0, out, row)
@@ -222,10 +212,10 @@ class PrescribedState(NamedTuple):
     """State of a body with prescribed bends.
 
     Attributes:
-        state, rate: state with the indices of `kernels`, and its rates, which are kept
-            between calls for the error estimate, shape (STATES,).
-        velocity: velocity in the body frame (m/s) and yaw rate (rad/s), kept between
-            calls as first guesses, shape (3,).
+        state, rate: state with the indices of `kernels`, and time derivative of the
+            state at the end of the previous step, shape (STATES,).
+        velocity: velocity in the body frame (m/s) and yaw rate (rad/s), shape (3,). The
+            next solution starts from these velocities.
     """
 
     state: np.ndarray
@@ -251,19 +241,19 @@ def advance(
     """Advance a body in place over given steps.
 
     Args:
-        now: state of the body.
+        now: state of the body, changed in place.
         steps: lengths of the steps, shape (steps,), s.
-        trace: trace of the chambers at the start and the two stages of each step, 1 + 2 ·
+        trace: chamber states at the start and at the two stages of each step, 1 + 2 ·
             steps rows.
         marks: number of steps before each sample, ascending, shape (samples,).
         model: constants of body and floor.
         tolerance: maximum allowed error estimate η, m/s.
-        samples: output for states and velocities at the samples, shapes (samples, STATES)
-            and (samples, 3).
+        samples: output for states and velocities at the samples, shapes (samples,
+            STATES) and (samples, 3).
 
     Returns:
-        The number of completed steps, which is smaller than requested after a failure,
-        and the number of substeps including repeated ones.
+        The number of completed steps and the number of computed substeps. If a step
+        fails, the later steps are not computed.
     """
     n = len(model.solid.mass)
     stages = Bends(np.zeros((2, n - 1)), np.zeros((2, n - 1)))
@@ -285,10 +275,7 @@ def _fastest_point(u, rates, reach):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_stages(done, size, length, bends, stages):  # type: ignore[no-untyped-def]
-    """Fill the bends at the stages of a substep.
-
-    `done` and `size` are multiples of the minimum length of a substep.
-    """
+    # `done` and `size` are in units of the minimum length of a substep.
     for stage in range(2):
         at = (done + (GAMMA if stage == 0 else 1.0) * size) / MAX_SUBSTEPS
         bend_within(at, length, bends, stages, stage)

@@ -1,7 +1,7 @@
-"""The MuJoCo twin: model, physics, contacts and batches of twins."""
+"""MuJoCo twin of the snake: model, physics, contacts and batches of twins."""
 
 import os
 
-# Simulation needs no display, but MuJoCo would search for one. Code that renders sets
-# the variable before this import.
+# Without this variable MuJoCo searches for a display, which simulations do not need.
+# Modules that render images set the variable before this import.
 os.environ.setdefault("MUJOCO_GL", "disabled")

@@ -1,20 +1,13 @@
-"""TwinBatch: many twins with individual parameters, stepped in parallel by threads.
+"""Class `TwinBatch` for many twins with individual parameters, stepped by threads.
 
-Each run is a `TwinSnake` of its own robot, and its results are bit-identical to the
-results of this twin alone. Each distinct robot is compiled once, which takes 24 ms for
-gen2, while a copy takes 2 ms.
+Each run has its own `TwinSnake`. The results of a run are bit-identical to the results
+of the twin alone. Each distinct robot is compiled once, and the compiled model is
+copied for equal robots.
 
-Threads process whole twins, including chambers and observation, and every engine call
-releases the global interpreter lock. Three alternatives were considered:
-
-- `mujoco.batch.Batch` makes the steps of all runs in one call. The engine is equally
-  fast and the results are bit-identical, but the threads wait while Python runs. They
-  wait 5 % of the time if runs are played, and a third of the time if runs are commanded
-  tick by tick.
-- `mujoco.rollout.Rollout` with threads does not return the solver's warm start, so a
-  run in chunks would not be bit-identical.
-- Setting parameters in a compiled model would save the 24 ms of compilation, but would
-  repeat every formula of the model. Ten simulated seconds take about one second.
+A thread simulates whole twins, including chambers and observation. Every call of the
+engine releases the global interpreter lock. The class `mujoco.batch.Batch` is not used,
+because its threads wait while Python runs. The class `mujoco.rollout.Rollout` does not
+return the solver's warm start, so a run divided into chunks would not be bit-identical.
 
 >>> from dataclasses import replace
 >>> from srs_twin import Gait, Job, TwinBatch, load_robot, run_many
@@ -52,10 +45,10 @@ class TwinBatch(Claimable):
     Attributes:
         twins: twin of each run, a `TwinSnake` that can also be used alone.
         tick: control tick, s.
-        state: latest state of every run, with a leading axis of runs on every field. A
-            run that diverged keeps its last plausible state.
-        errors: error that ended each run, or None. Runs that have ended stop until
-            `reset`.
+        state: latest state of every run, with a leading axis of runs on every field.
+            For a diverged run, the state is the last plausible state.
+        errors: error that ended each run, or None for runs that have not diverged.
+            Ended runs are not advanced until `reset`.
     """
 
     twins: tuple[TwinSnake, ...]
@@ -73,8 +66,9 @@ class TwinBatch(Claimable):
 
         Args:
             *arguments: positional arguments of `__init__`.
-            engine: "cpu", or "warp" for MuJoCo Warp.
-            device: device of Warp, such as "cuda:0" or "cpu", or None for Warp's default.
+            engine: "cpu" for MuJoCo, or "warp" for MuJoCo Warp.
+            device: device of Warp, such as "cuda:0" or "cpu". The default is Warp's
+                default device.
             **settings: keyword arguments of `__init__`. With `deterministic=True` Warp
                 sums in a fixed order.
 
@@ -100,18 +94,17 @@ class TwinBatch(Claimable):
         """Build the twins.
 
         Args:
-            specs: robot of each run; friction, stiffness, damping, masses and lengths may all
-                differ.
-            supply_pa: supply pressure of all runs or of each run, Pa; the default is the
-                nominal pressure of each robot.
-            threads: number of threads; the default is one per processor.
-            engine: engine, "cpu" or "warp" (`__new__`).
-            **settings: further arguments of `TwinSnake`, for all runs.
+            specs: robot of each run. The robots must have equal numbers of connectors.
+            supply_pa: supply pressure of all runs or of each run, Pa. The default is
+                the nominal pressure of each robot.
+            threads: number of threads. The default is one thread per processor.
+            engine: engine, "cpu" or "warp". See `__new__`.
+            **settings: further arguments of `TwinSnake`, which apply to all runs.
 
         Raises:
-            InputError: there is no run, the robots differ in the number of connectors, the
-                number of pressures is wrong, the chambers are given as an object, or
-                `TwinSnake` refuses an argument.
+            InputError: there is no run, the robots differ in the number of connectors,
+                the number of pressures is wrong, the chambers are given as an object,
+                or `TwinSnake` rejects an argument.
         """
         self._workers = Workers(threads)
         self.twins = _twins(self._workers, specs, supply_pa, settings)
@@ -125,15 +118,15 @@ class TwinBatch(Claimable):
     def reset(
         self, *, poses: Sequence[Pose] | None = None, seed: int = 0
     ) -> SnakeState:
-        """Lay all snakes straight and at rest with empty chambers.
+        """Reset all snakes to straight bodies at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad) of each run; the default is
-                the origin.
+            poses: centre of mass x, y (m) and mean heading (rad) of each run. The
+                default is the origin.
             seed: random seed of the twins.
 
         Returns:
-            The attribute `state`.
+            The states of all runs, which are also stored in the attribute `state`.
 
         Raises:
             InputError: the number of poses differs from the number of runs.
@@ -151,32 +144,32 @@ class TwinBatch(Claimable):
         return self.state
 
     def step(self, valves: np.ndarray) -> SnakeState:
-        """Advance all runs by one tick and return `state`.
+        """Advance all runs by one tick and return their states.
 
         Args:
-            valves: valve commands as in `Plant.step`, with a leading axis of runs, shape (runs,
-                segments, 2) or (runs, slots, segments, 2).
+            valves: valve commands as in `Plant.step`, with a leading axis of runs,
+                shape (runs, segments, 2) or (runs, slots, segments, 2).
 
         Raises:
-            InputError: the shape is wrong, or the valves cannot take a commanded state.
-                No run has then moved.
+            InputError: the shape is wrong, or the valve layout does not allow a
+                commanded state. No run is advanced in this case.
         """
         self.advance(valves, 1)
         return self.state
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState | None]:
-        """Advance all runs by one tick. A run with diverged commands ends.
+        """Advance all runs by one tick. A run ends if its commands have diverged.
 
         Args:
             valves: valve commands as in `step`.
-            samples: number of equally spaced samples, the last one at the end of the
-                tick.
+            samples: number of equally spaced samples. The last sample is at the end of
+                the tick.
 
         Returns:
-            The history of each run as in `play`.
+            The history of each run, as returned by `play`.
 
         Raises:
-            InputError: `step` would refuse the valve commands.
+            InputError: `step` would reject the valve commands.
         """
         check_one_per_run("valves", valves, len(self))
         errors = [
@@ -193,20 +186,21 @@ class TwinBatch(Claimable):
     def play(
         self, schedules: Sequence[Schedule | None], samples: int
     ) -> list[SnakeState | None]:
-        """Follow schedules without feedback.
+        """Execute schedules of valve commands without feedback.
 
         Args:
-            schedules: schedule of each run over a whole number of ticks, or None for a run
-                that has ended.
-            samples: number of equally spaced samples of each run, the last one at the end.
+            schedules: schedule of each run over a whole number of ticks. Runs with the
+                schedule None are not advanced.
+            samples: number of equally spaced samples of each run. The last sample is at
+                the end.
 
         Returns:
-            The history of each run. The history of a run that diverges ends at the
-            divergence, and is None if it has no samples.
+            The history of each run. If a run diverges, its history ends at the
+            divergence. The history of a run without samples is None.
 
         Raises:
             InputError: the number of schedules differs from the number of runs, or
-                `Plant.play` refuses a schedule.
+                `Plant.play` rejects a schedule.
         """
         check_one_per_run("schedules", schedules, len(self))
         histories = self._workers.run(
@@ -224,7 +218,7 @@ class TwinBatch(Claimable):
         return np.array([twin.openings() for twin in self.twins])
 
     def describe(self) -> dict[str, object]:
-        """Return the settings that a run records besides the twins' settings."""
+        """Return settings of the batch that a recording stores, as JSON values."""
         return {}
 
     def _command_error(self, k: int, valves: np.ndarray) -> DivergedError | None:
@@ -242,15 +236,15 @@ class TwinBatch(Claimable):
         try:
             return self.twins[k].play(schedule, samples)
         except DivergedError as error:
-            # The frames of the traceback would keep the engine's records alive, so the
-            # traceback is removed.
+            # Without its traceback, the error does not keep the engine's records in
+            # memory.
             self.errors[k] = error.with_traceback(None)
             history: SnakeState | None = error.history
             return history
 
 
 def check_one_per_run(name: str, given: Sized, runs: int) -> None:
-    """Check that there is one item per run.
+    """Check that a sequence has one item per run.
 
     Raises:
         InputError: the number of items differs from the number of runs.
@@ -270,7 +264,7 @@ def on_warp(
     deterministic: bool = False,
     **settings: Any,
 ) -> Any:
-    """Return a `WarpBatch` with the arguments of `TwinBatch`."""
+    """Build a `WarpBatch` with the arguments of `TwinBatch`."""
     return warp_batch()(
         _twins(Workers(threads), specs, supply_pa, settings, once=True),
         device=device,
@@ -279,7 +273,7 @@ def on_warp(
 
 
 def warp_batch() -> Any:
-    """Return the class `WarpBatch`.
+    """Import and return the class `WarpBatch`.
 
     Raises:
         InputError: MuJoCo Warp is not installed.

@@ -1,23 +1,23 @@
-r"""Loaded contact: friction as a law on MuJoCo's normal forces, implicit in velocity.
+r"""Loaded contact: friction from MuJoCo's normal forces, implicit in the velocities.
 
-MuJoCo keeps the wheels on the floor with frictionless contacts (condim 1). A law of
+In MuJoCo, the contacts between wheels and floor are frictionless (condim 1). A law of
 `robot.friction` computes the friction from the normal forces of the current step. This
-module runs the time steps in a compiled loop around the engine's C functions.
-`friction_solve` solves for the friction of one step and lists the symbols.
+module computes the time steps in a compiled loop that calls the engine's C functions.
+The module `friction_solve` computes the friction of one step and lists the symbols.
 
-**Equation of a step.** The step has the length h, begins with the velocity v₋ and ends
-with v. MuJoCo first solves the step with the friction forces f̂ of the previous step,
-which gives v̂:
+**Equation of a step.** A step has the length h, the initial velocity v₋ and the final
+velocity v. MuJoCo first solves the step with the friction forces f̂ of the previous
+step. The result is the velocity v̂:
 
 $$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w . $$
 
 Here M is the joint-space inertia, D the damping matrix, Q are the applied forces, and c
 are the Coriolis and centrifugal forces. N̂ are the normal forces with the Jacobian J_n,
-and f̂_w is the friction force on contact w with the Jacobian J_w. MuJoCo treats the
-dampers h D implicitly, together with the springs (`_damping_matrices`).
+and f̂_w is the friction force on contact w with the Jacobian J_w. MuJoCo integrates the
+dampers implicitly (h D), together with the springs (`_damping_matrices`).
 
-The desired step has second-order damping C instead of h D, Coriolis forces at mid-step,
-and the friction f of this step:
+The desired step has the second-order damping C instead of h D, Coriolis forces at
+mid-step, and the friction f of the current step:
 
 $$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w , \qquad
    \bar v = (v_- + v)/2 . $$
@@ -28,21 +28,21 @@ and δ = v − v̂, the difference of the two equations is
 $$ \bigl(A + J_n^T R^{-1} J_n\bigr)\,\delta = h \sum_w J_w^T (f_w - \hat f_w)
    + h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
 
-J_n holds only the rows of wheels that press on the floor, and R is MuJoCo's
-regularisation. The term with J_n on the left side contains the change of the normal
-forces, N − N̂ = −J_n δ/(h R). This term prevents friction from pushing wheels into the
-floor. The force c(v̄) is evaluated with v̂ in place of v.
+J_n has rows only for wheels that press on the floor, and R is MuJoCo's regularisation.
+The term with J_n on the left side is due to the change of the normal forces, N − N̂ =
+−J_n δ/(h R). Without this term, friction could push wheels into the floor. The force
+c(v̄) is evaluated with v̂ instead of v.
 
-**Obstacles** press on the collision geoms of the body, also without friction in the engine.
-Friction (`stick_slip`) acts on a collision geom at the point of application of the obstacle's
-normal force. J_n has no row for collision geoms, so the normal force of an obstacle keeps its
-value in N̂. Movable objects have their own contacts (`object_contacts`).
+**Obstacles** exert normal forces on the collision geoms of the body. The friction of an
+obstacle (`stick_slip`) acts at the point of application of the obstacle's normal force.
+J_n has no row for collision geoms, so the normal force of an obstacle is constant
+during the friction solve. Movable objects have separate contacts (`object_contacts`).
 
-**Time levels.** Positions are evaluated at mid-step, which makes springs, friction and
-Coriolis forces second-order accurate. MuJoCo's normal contacts use their state at the
+**Time levels.** Positions are evaluated at mid-step. Springs, friction and Coriolis
+forces are therefore second-order accurate. MuJoCo evaluates the normal contacts at the
 end of the step, because their time constant is only two steps. The friction of a wheel
-acts at the contact point, except for the part that spins the wheel, which acts at the
-hub.
+acts at the contact point. The part of the friction that spins the wheel acts at the hub
+instead.
 """
 
 from __future__ import annotations
@@ -103,21 +103,20 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import MovableObject
 
 _SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)
-"""Stage after which the engine continues, with positions and velocities evaluated."""
+"""Stage after which the engine continues a step whose velocities are known."""
 
 _SINKING_TIME = 0.05
-"""Time in which a resting snake sinks into the floor, at a time unit of 1, s.
-"""
+"""Time in which a resting snake sinks into the floor, at a time unit of 1, s."""
 
 _MIN_DECAY = 1e-9
 """Minimum decay exponent of a damped mode over one step, dimensionless.
 
-Smaller values are rounding errors of undamped motions.
+Smaller exponents are rounding errors of undamped modes.
 """
 
 
 class StepRecords(NamedTuple):
-    """Records of the friction solve (`friction_solve`), and the time step h (s)."""
+    """Arguments of the functions in `friction_solve`, and the time step h (s)."""
 
     contacts: Contacts
     sparsity: Sparsity
@@ -127,13 +126,13 @@ class StepRecords(NamedTuple):
 
 
 class StepOutputs(NamedTuple):
-    """Results of steps, with one row per step. `LoadedStepper.run` describes them.
+    """Outputs of `LoadedStepper.run`, with one row per step.
 
     Attributes:
         force: force on each contact in the world frame, shape (steps, C, 3), N. For a
-            collision geom it contains friction only.
-        pair_force: friction of each pair of an object and a collision geom, shape (steps, pairs,
-            3), N.
+            collision geom the force contains friction only.
+        pair_force: friction of each pair of an object and a collision geom, shape
+            (steps, pairs, 3), N.
     """
 
     states: np.ndarray
@@ -147,10 +146,10 @@ class LoadedStepper(Stateful):
     """Integrator of one twin with loaded contact.
 
     Attributes:
-        contact_state: friction, rim speeds and loads that the contacts keep from step to
-            step.
-        object_state: state that the contacts of objects keep from step to step.
-        collision_jacobian: Jacobians of the stored friction of the collision geoms, shape (collision geoms, 4, 6).
+        contact_state: friction, rim speeds and normal forces of the previous step.
+        object_state: friction and slip speeds of the contacts of objects.
+        collision_jacobian: Jacobians of the previous step's friction on collision
+            geoms, shape (collision geoms, 4, 6).
     """
 
     state_attributes = ("contact_state", "object_state", "collision_jacobian")
@@ -164,15 +163,15 @@ class LoadedStepper(Stateful):
         air: np.ndarray | None = None,
         objects: tuple[MovableObject, ...] = (),
     ) -> None:
-        """Collect the constants of the contacts and allocate the arrays of a step.
+        """Compute the constants of the contacts and allocate the arrays of a step.
 
         Args:
             model: model compiled from `settings`.
             data: engine data that the steps advance.
             spec: robot of the model.
             settings: settings with the time step and a `LoadedContact`.
-            air: maximum stiffness that the air in the chambers adds to the joints,
-                shape (nv, nv), N·m/rad, or None for no added stiffness.
+            air: maximum stiffness due to the compression of the air in the chambers,
+                shape (nv, nv), N·m/rad. Without this argument the air has no stiffness.
             objects: movable objects of the scene.
         """
         # The kernels call C functions of the engine by name, so LLVM must load the
@@ -192,12 +191,12 @@ class LoadedStepper(Stateful):
         )
         views = (getattr(data, name) for name in EngineData._fields[3:])
         pairs = self._objects if objects else None
-        # MuJoCo exposes the addresses of its C structures only under these names.
+        # Only these private attributes contain the addresses of MuJoCo's C structures.
         model_address = model._address  # noqa: SLF001
         data_address = data._address  # noqa: SLF001
         self._engine = EngineData(model_address, data_address, pairs, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
-        # The kernels hold only addresses, so these references keep the objects alive.
+        # The kernels store addresses only, so these references keep the objects alive.
         self._model = model
         self._data = data
         self._h = settings.timestep
@@ -206,7 +205,7 @@ class LoadedStepper(Stateful):
         self._reset_contact_state()
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
-        """Refuse copying, because a copy would hold the original's addresses.
+        """Reject copying, because a copy would contain the addresses of the original.
 
         Raises:
             InputError: always.
@@ -218,7 +217,7 @@ class LoadedStepper(Stateful):
 
     @property
     def constants(self) -> tuple[Contacts, Sparsity]:
-        """Constants that were computed from the model at construction."""
+        """Constants that are computed from the model."""
         return self._contacts, self._sparsity
 
     @constants.setter
@@ -239,7 +238,7 @@ class LoadedStepper(Stateful):
 
     @property
     def collision_jacobian(self) -> np.ndarray:
-        """View of the collision geoms' Jacobians, which persist, unlike the wheels' Jacobians."""
+        """Jacobians of the previous step's friction on collision geoms, as a view."""
         return self._workspace.jacobian[self._contacts.wheels :]
 
     @collision_jacobian.setter
@@ -248,7 +247,7 @@ class LoadedStepper(Stateful):
 
     @property
     def records(self) -> dict[str, Any]:
-        """Arguments of `friction_solve` by name, for another engine."""
+        """Arguments of the functions in `friction_solve` by name, for other engines."""
         return {
             "engine": self._engine,
             "contacts": self._contacts,
@@ -260,10 +259,10 @@ class LoadedStepper(Stateful):
     def reset(self) -> None:
         """Sink the snake into the floor until it rests, and set the static loads.
 
-        The snake sinks by some micrometres. Meanwhile the floor is level and without
-        friction, because friction would hold the small displacements along the floor
-        due to sinking. Obstacles do not act, so that the snake stays in its place until
-        its start is checked.
+        The snake sinks by some micrometres. During this time the floor is level and
+        frictionless, because friction would preserve small horizontal displacements.
+        Obstacles are disabled, so that an overlap can still be detected at the start of
+        a run.
         """
         model = self._model
         data = self._data
@@ -294,7 +293,7 @@ class LoadedStepper(Stateful):
             array[:] = 0.0
 
     def roll(self) -> None:
-        """Set the rim speed of each wheel to rolling without slip."""
+        """Set the rim speeds of the wheels to the speeds of rolling without slip."""
         contacts = self._contacts
         velocity = np.empty(6)
         for w in range(contacts.wheels):
@@ -307,21 +306,22 @@ class LoadedStepper(Stateful):
             )[0]
 
     def run(self, controls: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Make one time step for each row of controls.
+        """Compute one time step for each row of controls.
 
         Args:
             controls: controls of the actuators, shape (steps, nu).
 
         Returns:
             states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq +
-                nv), or NaN after a step that diverged.
+                nv). Rows after a diverged step are NaN.
             sensors: sensor values of each step, shape (steps, nsensordata).
             floor_force: force of the floor on each wheel in the world frame, shape
                 (steps, axles, 2, 3), N.
-            power: power that friction and the normal forces on collision geoms dissipate, shape
-                (steps,), W.
+            power: power dissipated by friction and by the normal forces on collision
+                geoms, shape (steps,), W.
             obstacle_friction: friction of the obstacles, then of each object, on the
-                collision geoms in the world frame, shape (steps, 1 + objects, collision geoms, 3), N.
+                collision geoms in the world frame, shape (steps, 1 + objects, collision
+                geoms, 3), N.
         """
         model = self._model
         data = self._data
@@ -435,11 +435,9 @@ def _floor_law(spec: RobotSpec, contact: LoadedContact, wheel_spin: float) -> Fl
 def _reference_dynamics(
     model: mujoco.MjModel, wheels: list[str], collision_geoms: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return inertia matrix M and contact Jacobian of the straight snake.
-
-    Their shapes are (nv, nv) and (C, nv). A row of the Jacobian gives the velocity of a
-    wheel across the heading, or of a collision geom along the heading.
-    """
+    # The result is the inertia matrix M and the contact Jacobian of the straight snake.
+    # A row of the Jacobian maps generalised velocities to the velocity of a wheel
+    # across the heading, or of a collision geom along the heading.
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
@@ -459,22 +457,22 @@ def _reference_dynamics(
 def _damping_matrices(
     model: mujoco.MjModel, mass: np.ndarray, h: float, air: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    r"""Return C of second order in time, and (h D + h² K) − C, shapes (nv, nv).
+    r"""Return the second-order damping matrix C, and (h D + h² K) − C, shape (nv, nv).
 
-    C replaces the damping of the engine's step. MuJoCo evaluates dampers (matrix D) and
-    springs (matrix K) at the end of a step, which is accurate to first order. The
-    matrix
+    MuJoCo evaluates dampers (matrix D) and springs (matrix K) at the end of a step,
+    which is accurate to first order. The matrix C replaces this damping:
 
     $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots $$
 
-    makes the step (M + C)(v − v₋) = h (f − D v₋) under a force f decay like the exact
-    exponential. The step is then accurate to second order, and fast modes do not ring.
-    M is the inertia matrix of the straight snake. The shape does not affect the order.
+    Under a force f, the step (M + C)(v − v₋) = h (f − D v₋) then has the exact
+    exponential decay. The step is accurate to second order, and fast modes do not
+    oscillate. M is the inertia matrix of the straight snake. The order of accuracy does
+    not depend on the shape.
 
-    The air that the bends compress acts as a further spring K_a, whose force is
-    evaluated at mid-step. The term h² K_a/4 in A keeps the step stable for the fastest
-    oscillation of this spring, in which a connector vibrates between two closed
-    chambers. The term changes the results only to second order in h.
+    The compressed air in the chambers acts as a further spring K_a, whose force is
+    evaluated at mid-step. In the fastest oscillation of this spring, a connector
+    vibrates between two closed chambers. The term h² K_a/4 in A keeps the step stable
+    for this oscillation. The term changes the results only to second order in h.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     rates = h * model.dof_damping
@@ -483,8 +481,8 @@ def _damping_matrices(
     )
     decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
     shapes = mass @ modes
-    # Rigid motions are undamped. Rounding errors of their decay rates would add an
-    # inertia that is fixed in the world, although it should rotate with the snake.
+    # Rigid motions are undamped. Rounding errors in the decay rates of rigid motions
+    # would add an inertia that does not rotate with the snake.
     damped = decays > _MIN_DECAY
     decays[~damped] = 1.0
     damping: np.ndarray = (
@@ -525,8 +523,7 @@ def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-de
     _copy(engine.qacc, inputs.qacc_warmstart)
     for i in range(engine.qvel.shape[0]):
         workspace.v_predicted[i] = workspace.v_start[i] + h * engine.qacc[i]
-    # The Coriolis forces are evaluated at mid-step. `solve_friction` expects them in
-    # `residual`.
+    # `solve_friction` expects the Coriolis forces at mid-step in `residual`.
     set_mid_velocity(engine, workspace)
     mj_comVel(model, engine.data)
     mj_rne(model, engine.data, 0, workspace.residual.ctypes.data)
@@ -547,7 +544,6 @@ def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-de
 
 @kernel_only
 def _copy(source, target):  # type: ignore[no-untyped-def]
-    # numba takes seconds to compile an assignment to a slice, because of the error
-    # message that such an assignment contains.
+    # A loop, because numba takes seconds to compile an assignment to a slice.
     for k in range(source.shape[0]):
         target[k] = source[k]

@@ -1,4 +1,4 @@
-"""C functions and data of MuJoCo for use in compiled kernels."""
+"""C functions and data of MuJoCo for compiled kernels."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from numba import types
 def c_function(name: str, *more: Any) -> Any:
     """Return a C function of MuJoCo that kernels can call.
 
-    The arguments of this function are the addresses of a model and of its data,
-    followed by the arguments `more`.
+    The arguments of the C function are the addresses of a model and of its data,
+    followed by arguments of the types `more`.
     """
     return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
 
@@ -27,15 +27,13 @@ mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
 
 
 class EngineData(NamedTuple):
-    """Engine data that the friction solve reads and writes.
-
-    Fields are named as in MjData.
+    """Engine data that the friction solve reads and writes, with the names of MjData.
 
     Attributes:
-        model: address of the MjModel, used by numba only.
-        data: address of the MjData, used by numba only.
-        objects: contacts of movable objects (`ObjectContacts`), or None without objects.
-            Only numba uses them.
+        model: address of the MjModel, which only numba uses.
+        data: address of the MjData, which only numba uses.
+        objects: contacts of movable objects (`ObjectContacts`), which only numba uses,
+            or None in worlds without objects.
     """
 
     model: int
@@ -55,7 +53,7 @@ class EngineData(NamedTuple):
 
 
 class StepInputs(NamedTuple):
-    """Views of engine data that only the loop over steps writes."""
+    """Views of the engine data that the loop over steps writes."""
 
     ctrl: np.ndarray
     qacc_warmstart: np.ndarray

@@ -1,9 +1,9 @@
-r"""Newton's method for the implicit friction of one time step.
+r"""Newton method for the implicit friction of one time step.
 
-`contact_loaded` derives the equation of a step. The unknown is the velocity change δ =
-v − v̂. The engine predicts v̂ with the friction forces f̂_w of the previous step. The
-change δ is due to the difference between f̂_w and the friction forces f_w of the
-current step:
+The module `contact_loaded` derives the equation of a step. The engine predicts the
+velocity v̂ from the friction forces f̂_w of the previous step. The unknown is the
+velocity change δ = v − v̂, which is due to the difference between f̂_w and the friction
+forces f_w of the current step:
 
 $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - \hat f_w\bigr) - b = 0, \qquad
    b = h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
@@ -15,44 +15,45 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
 - v: generalised velocity at the end of the step, v = v̂ + δ.
 - v̄: velocity at mid-step without δ, v̄ = (v₋ + v̂)/2.
 - h: time step, s.
-- A = M + C: joint-space inertia M and the damping matrix C (`contact_loaded`).
+- A = M + C: joint-space inertia M plus the damping matrix C (`contact_loaded`).
 - D: damping matrix of the joints.
 - c(v): Coriolis and centrifugal forces.
-- w: index of a contact. The wheels come first, then the collision geoms that may touch an
+- w: index of a contact. The wheels precede the collision geoms that may touch an
   obstacle.
 - f_w: friction force of contact w along and across the heading, N.
 - J_w: Jacobian that maps generalised velocities to the velocity of contact w along and
   across the heading.
 - J_n: Jacobian that maps generalised velocities to the normal velocities of the wheels
   that press on the floor.
-- R: MuJoCo's regularisation of the normal forces of these wheels, 1/kg.
-- r: residual of the equation, kg·m/s or kg·m²/s.
-- u_w: velocity of contact w at which the friction law is evaluated,
+- R: MuJoCo's regularisation of the normal forces on wheels, 1/kg. - r: residual of the
+equation, kg·m/s or kg·m²/s. - u_w: velocity of contact w at which the friction law is
+evaluated,
   u_w = J_w (v₋ + θ (v − v₋)).
-- θ: fraction of the step at which friction is evaluated (`_evaluation_fraction`). It is
-  1/2 for a sliding contact, which gives second order, and tends to 1 for a sticking
-  contact.
+- θ: fraction of the step at which friction is evaluated (`_evaluation_fraction`). A
+  sliding contact has θ = 1/2, which gives second-order accuracy. For a sticking contact
+  θ tends to 1.
 
-One part of a wheel's friction accelerates the spin of the wheel. This part
-(`_SPIN_FORCE`) acts at the hub and not at the contact point.
+The part of a wheel's friction that accelerates the spin of the wheel (`_SPIN_FORCE`)
+acts at the hub. The remaining friction acts at the contact point.
 
-**Newton's matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact moves
+**The Newton matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact moves
 only with the ancestors of its connector. The matrix therefore has the sparsity pattern
-of M and can be factored without fill-in. The derivatives of the contact forces are
+of M, and its factorisation has no fill-in. The derivatives of the contact forces are
 summed as spatial 6 × 6 matrices from the ends of the chain to its root, and then
-projected on the joint axes. The composite-rigid-body algorithm treats inertias in this
-way (Featherstone 2008, Section 6.2). Spatial vectors have rotation first and refer to
-the centre of mass of the snake, as `cdof` does in MuJoCo.
+projected on the joint axes. The composite-rigid-body algorithm sums inertias in the
+same way (Featherstone 2008, Section 6.2). In spatial vectors the rotation comes first.
+The reference point of spatial vectors is the centre of mass of the snake, as for `cdof`
+in MuJoCo.
 
-**Loads.** Friction depends on the normal forces, which themselves depend on δ. One
-Newton step uses the loads that belong to v̂. The equation is then solved to the
-tolerance with the loads after this Newton step.
+**Loads.** Friction depends on the normal forces, which depend on δ. The first Newton
+step uses the normal forces at v̂. The equation is then solved to the tolerance with the
+normal forces after the first Newton step.
 
-`object_contacts` adds the contacts of movable objects to the solve.
+The module `object_contacts` adds the contacts of movable objects to the solve.
 
 Both numba and Warp compile these functions, so the functions use only records of
-arrays, numbers and loops. Literals of floating-point numbers have a decimal point, and
-a variable that a loop changes is created with `float`.
+arrays, numbers and loops. Warp requires a decimal point in floating-point literals and
+the call of `float` for a variable that a loop changes.
 """
 
 from __future__ import annotations
@@ -98,63 +99,66 @@ _WHEEL = LAWS_ON_LOADS.index("wheel")
 _ELLIPSE = LAWS_ON_LOADS.index("ellipse")
 _COSINE = LAWS_ON_LOADS.index("cosine")
 
-_MAX_ITERATIONS = 30  # Newton steps under the final loads
-_MAX_TRIALS = 12  # evaluations of one line search
+_MAX_ITERATIONS = 30  # Maximum number of Newton steps with the final loads.
+_MAX_TRIALS = 12  # Maximum number of evaluations in a line search.
 
-# Tolerances of the squared residual. The first is relative to the squared friction
-# impulse and makes friction exact to 1e-7. The second is relative to the maximum
-# initial residual, below which only rounding errors remain. The third is absolute, in
-# (kg·m/s)². Warp computes in single precision and replaces the third tolerance
-# (`warp.translation`).
+# Tolerances of the squared residual. The first tolerance is relative to the squared
+# friction impulse, and friction is then accurate to 1e-7. The second tolerance is
+# relative to the maximum initial residual and allows for rounding errors. The third
+# tolerance is absolute, in (kg·m/s)². Warp computes in single precision and replaces
+# the third tolerance (`warp.translation`).
 _RELATIVE_TOLERANCE = 1e-14
 _ROUNDING_TOLERANCE = 1e-24
 _ABSOLUTE_TOLERANCE = 0.0
 
-# A line search ends when the derivative has fallen below this fraction of its initial
-# value.
+# Fraction of the initial derivative below which a line search ends.
 _MAX_DERIVATIVE_RATIO = 0.5
 
 # Rows of `Workspace.jacobian`.
 _ALONG = 0
 _ACROSS = 1
 _UP = 2
-_NORMAL = 2  # for a collision geom: away from the obstacle; an infinite R excludes it from unloading
+_NORMAL = 2  # for a collision geom, the direction away from the obstacle
 _HUB = 3
 
 # Columns of `Workspace.response`.
-_FORCE_ALONG = 0  # N
-_FORCE_ACROSS = 1  # N
-_DERIVATIVE_ALONG = 2  # ∂f_t/∂v_t: force along, velocity along, N·s/m
-_OFF_DIAGONAL = 3  # ∂f_t/∂v_lat = ∂f_lat/∂v_t, N·s/m
-_DERIVATIVE_ACROSS = 4  # ∂f_lat/∂v_lat: force across, velocity across, N·s/m
-_RIM_SPEED = 5  # rim speed of a wheel when its friction is evaluated, m/s
-_UNLOADING = 6  # decrease of the normal force due to δ, N
-_SPIN_FORCE = 7  # part of the force along the heading that spins the wheel, N
+_FORCE_ALONG = 0  # N.
+_FORCE_ACROSS = 1  # N.
+_DERIVATIVE_ALONG = 2  # ∂f_t/∂v_t of force and velocity along the heading, N·s/m.
+_OFF_DIAGONAL = 3  # ∂f_t/∂v_lat = ∂f_lat/∂v_t, N·s/m.
+_DERIVATIVE_ACROSS = 4  # ∂f_lat/∂v_lat of force and velocity across the heading, N·s/m.
+_RIM_SPEED = 5  # Rim speed of a wheel at the time when friction is evaluated, m/s.
+_UNLOADING = 6  # Decrease of the normal force due to δ, N.
+_SPIN_FORCE = 7  # Part of the force along the heading that spins the wheel, N.
 
-# Third column of `ContactState.force`. The first two have the same indices as in the
-# response.
+# Third column of `ContactState.force`, after `_FORCE_ALONG` and `_FORCE_ACROSS`.
 _STORED_SPIN = 2
 
 
 class Contacts(NamedTuple):
-    """Constants of the C possible contacts, first wheels, then collision geoms near obstacles.
+    """Constants of the C possible contacts of wheels and of collision geoms.
+
+    The wheels precede the collision geoms that may touch an obstacle.
 
     Attributes:
         wheels: number of wheels.
-        body, last_dof: body id, and last degree of freedom that moves the contact, shape
-            (C,).
+        body: id of the body of each contact, shape (C,).
+        last_dof: last degree of freedom that moves each contact, shape (C,).
         centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.
-        regularisation: MuJoCo's regularisation R of the normal force, infinite for a collision geom,
-            shape (C,), 1/kg.
-        inverse_effective_mass: inverse effective mass, across the heading for a wheel and along the
-            body for a collision geom, shape (C,), 1/kg.
+        regularisation: MuJoCo's regularisation R of the normal force, shape (C,), 1/kg.
+            R is infinite for collision geoms.
+        inverse_effective_mass: inverse effective mass of each contact, shape (C,),
+            1/kg. The direction is across the heading for wheels, and along the body for
+            collision geoms.
         static_load: normal force at rest, shape (C,), N.
         load_kind: kind of load in the friction law, an index into `numerics.LOADS`.
-        sensor: index into `sensordata` of the normal force on a wheel, or of the force
-            on a collision geom followed by its point of application, shape (C,).
+        sensor: index into `sensordata` of the normal force on a wheel, shape (C,). For
+            a collision geom, the index refers to the force. The point of application
+            follows the force in `sensordata`.
         wheel_radius: radius of the wheels, m.
         floor: friction law of the wheels on the floor.
-        obstacle_friction: friction coefficient between collision geoms and obstacles, dimensionless.
+        obstacle_friction: friction coefficient between collision geoms and obstacles,
+            dimensionless.
     """
 
     wheels: int
@@ -172,13 +176,13 @@ class Contacts(NamedTuple):
 
 
 class ContactState(NamedTuple):
-    """State of the contacts that persists from step to step.
+    """State of the contacts that one time step passes to the next step.
 
     Attributes:
         force: friction along and across the heading, and part of the friction that
             spins the wheel, shape (C, 3), N.
-        rim_speed, slip_speed: circumferential speed of each wheel, and slip speed of each
-            contact, shape (C,), m/s.
+        rim_speed, slip_speed: circumferential speed of each wheel, and slip speed of
+            each contact, shape (C,), m/s.
         load: normal force in the friction law, shape (C,), N.
     """
 
@@ -191,27 +195,28 @@ class ContactState(NamedTuple):
 class Workspace(NamedTuple):
     """Arrays of one step with C contacts, nv degrees of freedom and nM entries of M.
 
-    The module docstring lists the symbols. Arrays of shape (nv, 6) hold one spatial
-    velocity or force per degree of freedom, which belongs to the bodies beyond this
-    degree of freedom.
+    The module docstring lists the symbols. A row of an array of shape (nv, 6) is the
+    spatial velocity of the bodies beyond a degree of freedom, or the spatial force on
+    these bodies.
 
     Attributes:
-        jacobian: spatial vectors that give a contact's velocity along, across and upwards,
-            and the hub's velocity along the heading, shape (C, 4, 6). At an obstacle,
-            "along" is horizontal along its face, and "across" is up.
+        jacobian: spatial vectors of the contact's velocities along, across and upwards,
+            and of the hub's velocity along the heading, shape (C, 4, 6). At an
+            obstacle, "along" is horizontal along the obstacle's face, and "across" is
+            up.
         heading: cosine and sine of the heading of each contact, shape (C, 2).
         response: forces and derivatives of the friction law, with the columns
             `_FORCE_ALONG` to `_SPIN_FORCE`, shape (C, 8).
         normal_force: normal force in the engine's solution v̂, shape (C,), N.
-        theta: fraction θ, shape (C,).
-        step_motion, mid_motion: spatial velocities of v̂ − v₋ and of (v₋ + v̂)/2, shape (nv,
-            6).
-        motion: spatial velocities of δ, or the spatial forces exerted by friction, shape
+        theta: fraction θ of the step, shape (C,).
+        step_motion, mid_motion: spatial velocities of v̂ − v₋ and of (v₋ + v̂)/2, shape
             (nv, 6).
+        motion: spatial velocities of δ, or the spatial forces exerted by friction,
+            shape (nv, 6).
         impulse: spatial impulses of the changed contact forces, shape (nv, 6).
         derivative: spatial derivatives of the contact forces, shape (nv, 6, 6).
-        inertia, newton_matrix: A and Newton's matrix, shape (nM,). numba uses the engine's
-            M for Newton's matrix.
+        inertia, newton_matrix: A and the Newton matrix, shape (nM,). In numba, the
+            Newton matrix overwrites the engine's M.
         v_start, v_predicted, v_change: velocities v₋, v̂ and δ, shape (nv,).
         bias: vector b, shape (nv,), kg·m/s or kg·m²/s.
         residual, trial_residual: residual r, and residual at a trial of the line
@@ -241,12 +246,12 @@ class Workspace(NamedTuple):
 
 
 def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
-    """Return an empty workspace.
+    """Allocate a workspace.
 
     Args:
         contacts: number of contacts.
         nv: number of degrees of freedom.
-        newton_matrix: array in which Newton's matrix is stored, shape (nM,).
+        newton_matrix: array in which the Newton matrix is stored, shape (nM,).
     """
     spatial = {
         name: np.zeros((nv, 6))
@@ -269,7 +274,7 @@ def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
 
 @kernel_only
 def apply_stored_friction(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
-    """Locate the wheels and write the stored friction to `qfrc_applied`."""
+    """Compute the wheels' Jacobians and write the stored friction to `qfrc_applied`."""
     _locate_wheels(engine, contacts, workspace)
     _generalised_forces(
         engine.cdof, contacts, sparsity, state.force, workspace, engine.qfrc_applied
@@ -279,17 +284,17 @@ def apply_stored_friction(engine, contacts, sparsity, state, workspace, h):  # t
 
 @kernel_only
 def set_mid_velocity(engine, workspace):  # type: ignore[no-untyped-def]
-    """Set `qvel` to the velocity at mid-step without δ, which is (v₋ + v̂)/2."""
+    """Set `qvel` to (v₋ + v̂)/2, which is the velocity at mid-step without δ."""
     for i in range(workspace.v_start.shape[0]):
         engine.qvel[i] = 0.5 * (workspace.v_start[i] + workspace.v_predicted[i])
 
 
 @kernel_only
 def solve_friction(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
-    """Solve for the friction of a step and set `qvel` to the velocity at its end.
+    """Solve for the friction of a step, and set `qvel` to the velocity at its end.
 
-    On entry the workspace holds v₋ and v̂, its `residual` holds c(v̄), and the engine's
-    `qfrc_bias` holds c(v₋).
+    Before the call, the workspace must contain v₋, v̂ and, in `residual`, c(v̄). The
+    engine's `qfrc_bias` must contain c(v₋).
     """
     for i in range(workspace.v_start.shape[0]):
         workspace.bias[i] = h * (engine.qfrc_bias[i] - workspace.residual[i])
@@ -310,9 +315,9 @@ def solve_friction(engine, contacts, sparsity, state, workspace, h):  # type: ig
             mu = contacts.floor.across
         else:
             mu = contacts.obstacle_friction
-        # The grip is the secant stiffness of friction, which is the force per slip
-        # speed of the previous step, N·s/m. A small grip means that the contact slides
-        # (θ near 1/2), and a large grip that it sticks (θ near 1).
+        # The grip is the secant stiffness of friction, which is the ratio of the force
+        # to the slip speed of the previous step, N·s/m. With a small grip the contact
+        # slides (θ near 1/2). With a large grip the contact sticks (θ near 1).
         grip = (
             mu
             * workspace.normal_force[w]
@@ -328,21 +333,21 @@ def solve_friction(engine, contacts, sparsity, state, workspace, h):  # type: ig
 
 @kernel_only
 def store_friction(contacts, state, workspace, force):  # type: ignore[no-untyped-def]
-    """Store the friction for the next step and return the dissipated power.
+    """Store the friction for the next step, and return the dissipated power.
 
-    The power of a normal force is computed with the mean velocity of the step. An
-    impact stops the body within a step or two, so the velocity before the impact would
-    give up to twice the loss.
+    The power of a normal force is computed from the mean velocity of the step. An
+    impact stops the body within two steps, so the velocity before the impact would give
+    up to twice the dissipated energy.
 
     Args:
         contacts: constants of the contacts.
         state: state of the contacts, changed in place.
         workspace: workspace after `solve_friction`.
         force: output for the force on each contact in the world frame, shape (C, 3), N.
-            For a collision geom it contains friction only.
+            For a collision geom the force contains friction only.
 
     Returns:
-        Power that friction and the normal forces of obstacles dissipate, W.
+        Power dissipated by friction and by the normal forces of obstacles, W.
     """
     power = float(0.0)
     for w in range(contacts.body.shape[0]):
@@ -418,8 +423,8 @@ def _locate_wheels(engine, contacts, workspace):  # type: ignore[no-untyped-def]
         point_jacobian(workspace.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
         point_jacobian(workspace.jacobian[w, _ACROSS], x, y, z, -s, c, 0.0)
         point_jacobian(workspace.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
-        # The hub is one wheel radius above the contact. The Jacobian row of the hub
-        # therefore differs from the row along the heading only in the moments.
+        # The hub is one wheel radius above the contact. The rows of the Jacobian for
+        # the hub and for the contact therefore differ only in the moments.
         hub = workspace.jacobian[w, _HUB]
         along = workspace.jacobian[w, _ALONG]
         for k in range(6):
@@ -472,13 +477,12 @@ def _generalised_forces(cdof, contacts, sparsity, force, workspace, out):  # typ
 
 @kernel_only
 def _contact_velocity(contacts, workspace, w, theta):  # type: ignore[no-untyped-def]
-    """Return the velocity u of a contact at the fraction θ of the step, m/s."""
     last = contacts.last_dof[w]
     middle = workspace.mid_motion[last]
     step = workspace.step_motion[last]
     change = workspace.motion[last]
-    # The velocity is v₋ + θ (v − v₋) = (v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) + θ δ, where
-    # `motion` holds δ.
+    # The velocity u is J_w (v₋ + θ (v − v₋)) = J_w ((v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) +
+    # θ δ). `motion` holds δ.
     along = workspace.jacobian[w, _ALONG]
     across = workspace.jacobian[w, _ACROSS]
     shift = theta - 0.5
@@ -494,7 +498,7 @@ def _friction_load(contacts, workspace, w):  # type: ignore[no-untyped-def]
     static = contacts.static_load[w]
     if contacts.load_kind == _MOMENTARY or w >= contacts.wheels:
         return normal
-    # The wheels 2k and 2k + 1 share an axle, so w ^ 1 is the opposite wheel.
+    # The wheels 2k and 2k + 1 are on the same axle, so w ^ 1 is the opposite wheel.
     opposite = max(
         workspace.normal_force[w ^ 1] - workspace.response[w ^ 1, _UNLOADING], 0.0
     )
@@ -507,8 +511,8 @@ def _friction_load(contacts, workspace, w):  # type: ignore[no-untyped-def]
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
     """Return the fraction θ of a step at which friction is evaluated.
 
-    If the slip decays by the factor e^(−x) per step, the result θ makes the implicit
-    step reproduce this decay. θ tends to 1/2 for slow decay and to 1 for fast decay.
+    If the slip decays by the factor e^(−x) per step, an implicit step with this θ has
+    the same decay. θ tends to 1/2 for slow decay and to 1 for fast decay.
     """
     if x > 0.1:
         return 1.0 / (1.0 - np.exp(-x)) - 1.0 / x
@@ -517,12 +521,9 @@ def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the `Traction` and the rim speed (m/s) of a contact.
-
-    `force` is the friction of the previous step, a row of `ContactState.force`. `rim` is
-    the rim speed at the beginning of the step. `h` is the time from the beginning of the
-    step to the evaluation.
-    """
+    # `force` is the friction of the previous step, and `rim` is the rim speed at the
+    # beginning of the step. `h` is the time from the beginning of the step to the
+    # evaluation.
     floor = contacts.floor
     mu_t = floor.forward
     mu_lat = floor.across
@@ -558,8 +559,8 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
         f_t, f_lat, tt, tn, nt, nn = skin_friction(
             along, across, load, floor, drag, force[_FORCE_ACROSS], is_cosine
         )
-        # Newton's matrix must be symmetric. The geometric mean of the two off-diagonal
-        # derivatives keeps the matrix positive definite.
+        # The Newton matrix must be symmetric. With the geometric mean of the two
+        # off-diagonal derivatives, the matrix is positive definite.
         return Traction(f_t, f_lat, tt, np.sign(tn) * np.sqrt(tn * nt), nn), along
     if floor.kind == _ELLIPSE:
         grip = stick_slip_friction(
@@ -582,8 +583,8 @@ def _newton(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no
         change[i] = 0.0
     clear(workspace.response)
     first = float(0.0)
-    # The first pass uses the loads that belong to v̂ and need not converge. The second
-    # pass uses the loads that result from the first pass.
+    # The first pass is a single Newton step with the normal forces at v̂. The second
+    # pass uses the normal forces after the first pass.
     for iteration in range(2):
         max_iterations = 1 if iteration == 0 else _MAX_ITERATIONS
         friction_impulse = float(0.0)
@@ -612,15 +613,12 @@ def _newton(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no
 
 @kernel_only
 def _line_search(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
-    """Search along the Newton step, and return the squared residual at the new δ.
-
-    The search ends when the residual is nearly normal to the Newton step. Under given
-    loads friction maximises dissipation, so the residual is the gradient of a convex
-    function, which decreases along the Newton step. The squared residual itself may
-    increase where a contact changes between sticking and sliding. A search that
-    required the squared residual to decrease would therefore stall when the robot
-    stops.
-    """
+    # The search ends when the residual is nearly normal to the Newton step. With given
+    # normal forces, friction maximises dissipation, and the residual is the gradient of
+    # a convex function. This function decreases along the Newton step. The squared
+    # residual may increase where a contact changes between sticking and sliding. A
+    # search that requires a decrease of the squared residual would therefore stall when
+    # the robot stops.
     change = workspace.v_change
     direction = workspace.direction
     derivative_start = inner(workspace.residual, direction)
@@ -640,8 +638,8 @@ def _line_search(engine, contacts, sparsity, state, workspace, h):  # type: igno
         )
         derivative = inner(workspace.trial_residual, direction)
         limit = _MAX_DERIVATIVE_RATIO * derivative_start
-        # The search accepts a full step with a still descending function, because the
-        # next Newton step continues from there.
+        # A full step is accepted even if the function still decreases there, because
+        # the next Newton step continues from the end of the full step.
         if derivative >= -limit and (scale == 1.0 or derivative <= limit):
             break
         if derivative < 0.0:
@@ -650,7 +648,8 @@ def _line_search(engine, contacts, sparsity, state, workspace, h):  # type: igno
         else:
             low = scale
             derivative_low = derivative
-        # The secant step stays at least a tenth of the bracket away from either end.
+        # The secant step must stay away from both ends of the bracket by at least a
+        # tenth.
         scale = low + min(
             max(derivative_low / (derivative_low - derivative_high), 0.1), 0.9
         ) * (high - low)
@@ -714,7 +713,7 @@ def _sum_impulses(contacts, state, workspace, h):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _evaluate_residual(engine, contacts, sparsity, state, workspace, h, out):  # type: ignore[no-untyped-def]
-    """Fill r(δ) and the response of the friction law; return the square of r."""
+    """Compute r(δ) and the response of the friction law, and return the square of r."""
     change = workspace.v_change
     spatial_velocities(engine.cdof, sparsity, change, workspace.motion)
     _evaluate_friction(contacts, state, workspace, h)
@@ -736,9 +735,9 @@ def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[
     for i in range(derivative.shape[0]):
         clear(derivative[i])
     for w in range(contacts.body.shape[0]):
-        # In tt, tn and nn, the letter t stands for along and n for across the heading.
-        # They are derivatives of r with respect to δ, because ∂u/∂δ is θ J and friction
-        # enters r with the factor −h.
+        # tt, tn and nn are derivatives of r with respect to δ, where t stands for along
+        # and n for across the heading. These derivatives have the factor −θ h, because
+        # ∂u/∂δ is θ J and friction enters r with the factor −h.
         weight = -workspace.theta[w] * h
         tt = weight * response[w, _DERIVATIVE_ALONG]
         tn = weight * response[w, _OFF_DIAGONAL]
@@ -747,8 +746,8 @@ def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[
             up = 1.0 / contacts.regularisation[w]
         else:
             up = 0.0
-        # While a wheel rolls, the force along the heading spins the wheel. The
-        # derivative of this force then acts on the connector at the hub.
+        # In a rolling wheel the force along the heading spins the wheel. The derivative
+        # of this force then acts on the connector at the hub.
         forward = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
         lateral = jacobian[w, _ACROSS]
         vertical = jacobian[w, _UP]
@@ -767,7 +766,7 @@ def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[
 
 @kernel_only
 def _solve_direction(engine, sparsity, workspace):  # type: ignore[no-untyped-def]
-    """Solve for the Newton step with the engine's factorisation, for numba only."""
+    # Only numba can call the engine's factorisation.
     mj_factorM(engine.model, engine.data)
     mj_solveM(
         engine.model,

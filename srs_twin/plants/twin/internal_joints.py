@@ -1,20 +1,18 @@
-r"""Energy that the joints of the twin's segments store and dissipate.
+r"""Energy stored and dissipated by the joints in the segments of the twin.
 
 A segment with the stiffness k and the damping c has n hinges, each with the stiffness n
-k and the damping n c. The angle q_k of a hinge deviates from an equal part of the free
-bend q_f by e_k = q_k − q_f/n. The segment has the bend q = Σ q_k and the torque T = k
-(q_f − q) + c (q̇_f − q̇). The air then delivers the power
+k and the damping n c. The angle q_k of a hinge has the deviation e_k = q_k − q_f/n from
+an equal part of the free bend q_f. The segment has the bend q = Σ q_k and the torque T
+= k (q_f − q) + c (q̇_f − q̇). The power of the compressed air is
 
-$$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 , $$
+$$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 $$
 
-where P is the power that body and floor receive. For the pitch and roll joints, the
-whole angle takes the place of e_k.
+Here P is the power that acts on body and floor. For the pitch and roll joints, e_k is
+the whole angle.
 
-Under a preloaded contact the pitch and roll joints are not counted, because the
-preloaded wheels bounce on the floor and shake these joints. The energy of this motion
-stems from the finite time step of the normal forces and not from the torques. In the
-scenario gen2_turn the joints dissipate 35 mW with steps of 1 ms and 1.6 mW with steps
-of 0.25 ms. Under a loaded contact they dissipate 0.006 mW.
+Under a preloaded contact the pitch and roll joints are excluded, because the preloaded
+wheels bounce on the floor and excite these joints. The energy of this vibration comes
+from the finite time step of the normal forces and not from the torques.
 """
 
 from __future__ import annotations
@@ -31,18 +29,18 @@ class InternalJoints:
 
     Attributes:
         hinges: velocity indices of the bending hinges, shape (segments, hinges per
-            segment). For a spatial robot, rows for the tilt hinges follow, so that the
-            shape is (2 · segments, hinges per segment).
-        out_of_plane: velocity indices of the pitch and roll joints that are counted,
-            shape (joints,).
-        damping: damping coefficient of each velocity, 0 for other joints, shape (nv,),
-            N·m·s/rad.
+            segment). For a spatial robot, the tilt hinges follow in further rows, shape
+            (2 · segments, hinges per segment).
+        out_of_plane: velocity indices of the included pitch and roll joints, shape
+            (joints,).
+        damping: damping coefficient of each velocity, shape (nv,), N·m·s/rad. The
+            coefficient is 0 for joints outside `hinges` and `out_of_plane`.
     """
 
     def __init__(
         self, model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
     ) -> None:
-        """Look up the joints of a compiled twin."""
+        """Find the joints of a compiled twin."""
         hinges = np.array(
             [
                 [
@@ -62,7 +60,7 @@ class InternalJoints:
         self.out_of_plane = model.jnt_dofadr[out_of_plane].astype(int)
         stiffness = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
         # The integrator evaluates springs at the end of a step, which adds the damping
-        # h k. The dampers in the model are reduced by h k (`mjcf.classes`).
+        # h k. The dampers in the model are therefore reduced by h k (`mjcf.classes`).
         added = model.opt.timestep * stiffness[joints]
         dofs = model.jnt_dofadr[joints]
         self._joint_damping = model.dof_damping[dofs] + added
@@ -73,15 +71,12 @@ class InternalJoints:
         self._stiffness = stiffness[joints]
 
     def stored(self, qpos: np.ndarray, free_bend: np.ndarray) -> np.ndarray:
-        """Return the elastic energy of the segments, J.
+        """Return the elastic energy of the segments at each sample, shape (…,), J.
 
         Args:
             qpos: generalised positions, shape (…, nq).
-            free_bend: free bends, shape (…, segments), or (…, segments, 2) for a spatial
-                robot, rad.
-
-        Returns:
-            Energy of each sample, shape (…,).
+            free_bend: free bends, rad, shape (…, segments). The shape is (…, segments,
+                2) for a spatial robot.
         """
         deviations = self._deviations(
             qpos, free_bend, self._hinge_positions, self._out_of_plane_positions
@@ -90,15 +85,12 @@ class InternalJoints:
         return energy
 
     def dissipated(self, qvel: np.ndarray, free_rate: np.ndarray) -> np.ndarray:
-        """Return the power that the dampers of the segments dissipate, W.
+        """Return the power dissipated by the segments' dampers, shape (…,), W.
 
         Args:
             qvel: generalised velocities, shape (…, nv).
             free_rate: rates of the free bends, rad/s, with the shape of `free_bend` in
                 `stored`.
-
-        Returns:
-            Power of each sample, shape (…,).
         """
         deviations = self._deviations(qvel, free_rate, self.hinges, self.out_of_plane)
         power: np.ndarray = (self._joint_damping * deviations**2).sum(axis=-1)
@@ -111,7 +103,6 @@ class InternalJoints:
         hinges: np.ndarray,
         out_of_plane: np.ndarray,
     ) -> np.ndarray:
-        """Return the deviations e_k of the hinges, then the values of other joints."""
         if self._spatial:  # bending hinges precede tilt hinges
             free = np.concatenate([free[..., 0], free[..., 1]], axis=-1)
         angles = values[..., hinges] - free[..., None] / hinges.shape[1]

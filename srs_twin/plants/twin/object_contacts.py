@@ -1,27 +1,28 @@
 r"""Friction of movable objects on the floor and on the body.
 
-The friction solve of a time step includes these contacts, and `friction_solve` lists
-the symbols. An object touches collision geoms of the body and stands on the floor on four support
-points (`MovableObject.supports`). Both kinds of contacts follow the law of
-`stick_slip`, which is implicit in the velocities as for the wheels.
+The friction solve of a time step includes the contacts of objects. The module
+`friction_solve` lists the symbols. An object stands on the floor on four support points
+(`MovableObject.supports`) and can touch collision geoms of the body. The friction law
+of all these contacts is the law of `stick_slip`, which is implicit in the velocities.
 
-The law uses the velocity of a collision geom relative to the object, and the object receives the
-opposite friction force. The support points carry constant loads, which the vertical
-friction of collision geoms does not change. The normal forces on collision geoms keep their values from the
-engine's prediction v̂.
+The velocity in the law is the velocity of a collision geom relative to the object. The
+opposite friction force acts on the object. The support points carry constant loads. The
+vertical friction on collision geoms does not change these loads. The normal forces
+between objects and collision geoms are computed from the engine's prediction v̂.
 
 Each object is a separate kinematic tree. The derivatives of contact forces between
-objects and collision geoms couple the two motions. They add a block B to Newton's matrix, which
-is outside the sparsity pattern of the inertia matrix M. Without B, the matrix consists
-of the block P of the snake and the block Q of the objects. Block elimination solves for
-the motion y of the objects first and then for the motion x of the snake,
+objects and collision geoms couple the motions of objects and snake. The derivatives
+form a block B of the Newton matrix, outside the sparsity pattern of the inertia matrix
+M. Without B, the matrix consists of the block P of the snake and the block Q of the
+objects. Block elimination solves for the motion y of the objects first and then for the
+motion x of the snake,
 
-$$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y), $$
+$$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y). $$
 
-where r_s and r_o are the right-hand sides of snake and objects, and P is already
-factored.
+Here r_s and r_o are the right-hand sides of snake and objects. The factors of P are
+already known.
 
-These functions are compiled only for worlds with objects. Warp does not support them.
+These functions are compiled only for worlds with objects, which Warp does not support.
 """
 
 from __future__ import annotations
@@ -40,11 +41,11 @@ from srs_twin.plants.twin.spatial_algebra import clear, dot, point_jacobian
 from srs_twin.plants.twin.stick_slip import stick_slip_friction
 from srs_twin.robot.world import MovableObject
 
-# Columns of `ObjectContacts.dof`, and sides of its Jacobian.
+# Columns of `ObjectContacts.dof`, and indices of the two bodies in `jacobian`.
 _COLLISION = 0
 _OBJECT = 1
 
-# Rows of the Jacobian.
+# Rows of `ObjectContacts.jacobian`.
 _ALONG = 0
 _ACROSS = 1
 _AWAY = 2
@@ -58,10 +59,10 @@ _DERIVATIVE_ACROSS = 4
 
 
 class ObjectState(NamedTuple):
-    """State of the contacts that persists from step to step.
+    """State of the contacts that one time step passes to the next step.
 
     Attributes:
-        force: friction along and across, shape (C, 2), N.
+        force: friction along and across the contact surface, shape (C, 2), N.
         slip_speed: slip speed of each contact, shape (C,), m/s.
         jacobian: Jacobian of the previous step's friction, in the layout of
             `ObjectContacts`.
@@ -73,32 +74,34 @@ class ObjectState(NamedTuple):
 
 
 class ObjectContacts(NamedTuple):
-    """The C contacts of all objects: pairs of object and collision geom, then support points.
+    """The C contacts of all objects.
+
+    Pairs of an object and a collision geom precede the support points.
 
     Attributes:
         pairs: number of pairs.
-        first: first degree of freedom of the objects.
+        first: index of the objects' first degree of freedom.
         slip: slip speed ε, m/s.
-        dof: last degree of freedom of the collision geom (−1 for a support point) and of the object,
-            shape (C, 2).
+        dof: last degree of freedom of the collision geom and of the object, shape (C,
+            2). A support point has −1 instead of a collision geom.
         object_body: body id of the object, shape (C,).
         place: position of a support point in the frame of the object, shape (C, 2), m.
-        sensor: index into `sensordata` of the force on the collision geom, followed by its point
-            of application, shape (C,).
+        sensor: index into `sensordata` of the force on the collision geom, which
+            precedes its point of application, shape (C,).
         load: normal force, constant for a support point, shape (C,), N.
-        friction, inverse_effective_mass: friction coefficient (dimensionless) and inverse effective
-            mass (1/kg), shape (C,).
+        friction: friction coefficient, shape (C,), dimensionless.
+        inverse_effective_mass: inverse effective mass, shape (C,), 1/kg.
         force, slip_speed: friction (N) and slip speed (m/s) as in `ObjectState`.
-        jacobian: spatial vectors that give the velocity along, across and away from the
-            object, for collision geom and object, shape (C, 2, 3, 6). In a pair the vectors of the
-            object have a negative sign.
+        jacobian: spatial vectors of the velocity along, across and away from the
+            object, for collision geom and object, shape (C, 2, 3, 6). In a pair, the
+            vectors of the object have a negative sign.
         theta: fraction θ of the step at which friction is evaluated, shape (C,).
-        response: friction along and across (N), and its derivatives along, mixed and across
-            (N·s/m), shape (C, 5).
-        coupling, solved: matrices B and B P⁻¹, with one row for each of the no degrees
-            of freedom of the objects, shape (no, nv).
-        matrix: matrix of the objects with its right-hand side as last column, shape (no,
-            no + 1).
+        response: friction along and across (N), and the derivatives of friction along,
+            mixed and across (N·s/m), shape (C, 5).
+        coupling, solved: matrices B and B P⁻¹, shape (m, nv), where m is the number of
+            the objects' degrees of freedom.
+        matrix: matrix of the objects, with the right-hand side as last column, shape
+            (m, m + 1).
     """
 
     pairs: int
@@ -127,10 +130,10 @@ def object_contacts(
     slip: float,
     collision_inverse_effective_mass: np.ndarray,
 ) -> ObjectContacts:
-    """Return the contacts of the objects of a compiled scene, at rest.
+    """Return the contacts of the objects of a compiled scene at rest.
 
-    `slip` is the slip speed (m/s), and `collision_inverse_effective_mass` is the inverse effective mass
-    of each collision geom, shape (collision geoms,), 1/kg.
+    `slip` is the slip speed (m/s). `collision_inverse_effective_mass` has one value per
+    collision geom (1/kg).
     """
     collision_geoms = surroundings.collision_geoms(model)
     names = object_names(model)
@@ -196,7 +199,7 @@ def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
 
 @compiled_if(has_objects)
 def apply_object_friction(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Add the stored friction to `qfrc_applied`, after the wheels' friction."""
+    """Add the stored friction of objects to `qfrc_applied`."""
     o = engine.objects
     for w in range(o.force.shape[0]):
         for side in range(2):
@@ -222,7 +225,7 @@ def _locate(jacobian, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def locate_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Locate the contacts and read their normal forces, after the wheels."""
+    """Compute the Jacobians of the contacts and read the normal forces."""
     o = engine.objects
     com = engine.subtree_com[1]
     sensors = engine.sensordata
@@ -254,7 +257,7 @@ def locate_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-d
                 _locate(item, x - own[0], y - own[1], z - own[2], c, s, -1.0)
         grip = o.friction[w] * o.load[w] / max(o.slip_speed[w], o.slip)
         decay = h * grip * o.inverse_effective_mass[w]
-        # The fraction θ is computed as in `friction_solve._evaluation_fraction`.
+        # `friction_solve._evaluation_fraction` states the law of θ.
         if decay > 0.1:
             o.theta[w] = 1.0 / (1.0 - np.exp(-decay)) - 1.0 / decay
         else:
@@ -289,7 +292,7 @@ def _velocity(o, workspace, w, theta):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def add_object_impulses(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Evaluate friction at the velocities `motion`, and subtract it from `impulse`."""
+    """Compute friction from `motion`, and subtract the impulses from `impulse`."""
     o = engine.objects
     for w in range(o.force.shape[0]):
         u_t, u_n = _velocity(o, workspace, w, o.theta[w])
@@ -326,7 +329,7 @@ def add_object_impulses(engine, sparsity, workspace, h):  # type: ignore[no-unty
 
 @compiled_if(has_objects)
 def add_object_jacobian(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Add the derivatives of friction to `derivative` of collision geoms and objects, and fill B."""
+    """Add the derivatives of friction to `derivative`, and compute the block B."""
     o = engine.objects
     clear(o.coupling)
     for w in range(o.force.shape[0]):
@@ -412,7 +415,7 @@ def couple_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-d
 
 @compiled_if(has_objects, otherwise=0.0)
 def store_object_friction(engine, sparsity, workspace, force):  # type: ignore[no-untyped-def]
-    """Store the friction for the next step and return the dissipated power, W.
+    """Store the friction for the next step, and return the dissipated power, W.
 
     The power includes the normal forces between collision geoms and objects.
 
@@ -420,8 +423,8 @@ def store_object_friction(engine, sparsity, workspace, force):  # type: ignore[n
         engine: engine data, which include the contacts of objects.
         sparsity: unused sparsity pattern.
         workspace: workspace after the friction solve.
-        force: output for the friction on the collision geom of each pair in the world frame, shape
-            (pairs, 3), N.
+        force: output for the friction on the collision geom of each pair in the world
+            frame, shape (pairs, 3), N.
     """
     o = engine.objects
     power = 0.0

@@ -1,4 +1,4 @@
-"""Bodies of the twin in MuJoCo, driven by the chambers."""
+"""MuJoCo simulation of the snake's bodies, which the chambers drive."""
 
 from __future__ import annotations
 
@@ -49,9 +49,8 @@ class StepBatch:
         energy: kinetic energy at the beginning of each step, shape (steps,), J.
         obstacle_force: mean force of all obstacles on each connector and the adjoining
             halves of its segments in each step, world frame, shape (steps, N, 3), N.
-        power, internal: power that the snake loses to floor and obstacles, and power
-            that the joints of the segments dissipate (`internal_joints`), shape
-            (steps,), W.
+        power: power dissipated by floor and obstacles, shape (steps,), W.
+        internal: power dissipated by the joints of the segments, shape (steps,), W.
     """
 
     states: np.ndarray
@@ -63,15 +62,16 @@ class StepBatch:
 
 
 class SensorAddresses(NamedTuple):
-    """Addresses in MuJoCo's arrays for another engine that steps the bodies.
+    """Addresses in MuJoCo's arrays, for engines other than the CPU engine.
 
     Attributes:
-        floor_force, foot_velocity: addresses of the floor's force on each wheel and of
-            the velocity of each foot, shape (wheels,). Under loaded contact there are
-            no sensors of velocity.
-        obstacle_force: address of the obstacles' force on each collision geom, shape (collision geoms,).
-        external_force, external_velocity: addresses of other force components that take
-            energy from the snake, and of the corresponding velocities, shape
+        floor_force: address of the floor's force on each wheel, shape (wheels,).
+        foot_velocity: address of the velocity of each foot, shape (wheels,). Under
+            loaded contact there are no velocity sensors.
+        obstacle_force: address of the obstacles' force on each collision geom, shape
+            (collision geoms,).
+        external_force, external_velocity: addresses of other external force components
+            that dissipate energy, and of the corresponding velocities, shape
             (components,).
         kinetic_energy: address of the kinetic energy.
         connectors: body ids of the connectors, shape (N,).
@@ -93,18 +93,21 @@ class SensorAddresses(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """Addresses of all sensor components.
-
-    The last axis of a vector sensor is x, y, z.
+    """Addresses of all sensor components, with x, y and z in the last axis of vectors.
 
     Attributes:
-        floor_force, foot_velocity: force of the floor on each wheel and velocity of each
-            foot, shape (axles, 2, 3). The velocities are empty under loaded contact.
-        collision_force, collision_velocity: force of the obstacles on each collision geom and velocity of the
-            collision geom's centre, shape (collision geoms, 3).
-        object_force: force of each object on each collision geom, shape (objects, collision geoms, 3).
-        drag_force, drag_velocity: axial drag on each connector, and velocity of the
-            connector along its heading, shape (N,). The forces are empty without drag.
+        floor_force: force of the floor on each wheel, shape (axles, 2, 3).
+        foot_velocity: velocity of each foot, shape (axles, 2, 3). Under loaded contact
+            the array is empty.
+        collision_force: force of the obstacles on each collision geom, shape (collision
+            geoms, 3).
+        collision_velocity: velocity of each collision geom's centre, shape (collision
+            geoms, 3).
+        object_force: force of each object on each collision geom, shape (objects,
+            collision geoms, 3).
+        drag_force: axial drag on each connector, shape (N,). Without drag the array is
+            empty.
+        drag_velocity: velocity of each connector along its heading, shape (N,).
         kinetic_energy: address of the kinetic energy.
     """
 
@@ -172,8 +175,10 @@ class Kinematics:
         headings: headings of the connectors, wrapped to (−π, π], shape (samples, N),
             rad.
         bends, bend_rates: bends (rad) and bend rates (rad/s) of the segments, shape
-            (samples, segments), or (samples, segments, 2) for a spatial robot.
-        orientations: quaternions of the connectors, w first, shape (samples, N, 4).
+            (samples, segments). For a spatial robot the shape is (samples, segments,
+            2).
+        orientations: unit quaternions of the connectors, real part first, shape
+            (samples, N, 4).
     """
 
     qpos: np.ndarray
@@ -187,16 +192,16 @@ class Kinematics:
 
 
 class EngineWarnings(threading.local):
-    """Latest MuJoCo warnings on this thread, which belong to the twin that it runs."""
+    """Latest MuJoCo warnings on the current thread."""
 
     def __init__(self) -> None:
         self.last: deque[str] = deque(maxlen=4)
 
 
 ENGINE_WARNINGS = EngineWarnings()
-"""Warnings for the message of a DivergedError.
+"""Warnings for the message of a `DivergedError`.
 
-Without a handler MuJoCo would write the warnings to a log file.
+A handler collects the warnings, because MuJoCo otherwise writes a log file.
 """
 
 
@@ -205,9 +210,9 @@ def _keep_warning(text: str) -> None:
 
 
 mujoco.set_mju_user_warning(_keep_warning)
-_ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # runs on the calling thread
+_ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # simulates on the calling thread
 _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_SNAKE = 1  # body that carries the whole snake; objects are separate trees
+_SNAKE = 1  # Id of the body that contains the whole snake, without the objects.
 # The saved state includes the solver's warm start, so that resumed steps are
 # bit-identical.
 _SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -217,11 +222,11 @@ class SnakePhysics(Stateful):
     """Bodies of a snake in MuJoCo, driven by its chambers.
 
     Attributes:
-        model: compiled model. It belongs to this physics alone and may be changed.
+        model: compiled model, which no other object uses.
         data: current state of the bodies.
-        free: whether the snake moves on a floor. Otherwise its head is clamped.
-        internal_joints: springs and dampers of the segments, for their energy.
-        stepper: time steps under loaded contact, or None under a preloaded contact or
+        free: whether the snake moves on a floor instead of having a clamped head.
+        internal_joints: springs and dampers of the segments.
+        stepper: integrator for loaded contact, or None under a preloaded contact or
             without a floor.
     """
 
@@ -242,14 +247,16 @@ class SnakePhysics(Stateful):
             spec: robot to simulate.
             settings: time step, discretisation and contact.
             chambers: chambers of the robot.
-            supply_pa: maximum pressure that can occur, Pa.
-            world: obstacles and floor, or None for a level floor without obstacles.
+            supply_pa: maximum chamber pressure, Pa.
+            world: obstacles and floor. Without `world`, the floor is level and has no
+                obstacles.
         """
-        # All other worlds do not affect the scene, so they share one compiled model.
+        # Goals and bounds do not affect the scene, so worlds that differ only in goals
+        # and bounds share one compiled model.
         matters = world is not None and (world.is_solid or world.uneven)
         relevant = world if matters else None
-        # The model is copied, so that changes of one twin's model do not affect other
-        # twins.
+        # Changes of one twin's model must not affect other twins, so the model is
+        # copied.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
         return cls(model, spec, settings, chambers, world or World())
 
@@ -261,7 +268,7 @@ class SnakePhysics(Stateful):
         chambers: Pneumatics,
         world: World,
     ) -> None:
-        """Take over a compiled scene with the arguments of `build`."""
+        """Use a compiled scene. See `build` for the arguments."""
         self.model = model
         self.data = mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
@@ -294,7 +301,7 @@ class SnakePhysics(Stateful):
             )
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Copy model and state, but not the engine's data, which hold addresses."""
+        """Copy model and state. The engine's data contain addresses and are rebuilt."""
         arguments = (
             self.model,
             self._spec,
@@ -302,8 +309,8 @@ class SnakePhysics(Stateful):
             self._pneumatics,
             self._world,
         )
-        # The model may have been changed after these constants were computed, so the
-        # constants are copied as well.
+        # These constants are copied as well, because the model may have been changed
+        # after they were computed.
         constants = {
             name: value
             for name, value in vars(self).items()
@@ -321,7 +328,7 @@ class SnakePhysics(Stateful):
 
     @property
     def sensor_addresses(self) -> SensorAddresses:
-        """Addresses for an engine that steps the bodies elsewhere."""
+        """Addresses in MuJoCo's arrays, for engines other than the CPU engine."""
         sensors = self._sensors
         return SensorAddresses(
             floor_force=sensors.floor_force[..., 0].ravel(),
@@ -338,17 +345,15 @@ class SnakePhysics(Stateful):
     def bends_and_rates(
         self, qpos: np.ndarray, qvel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return bends and bend rates of states.
-
-        `qpos` has the shape (…, nq), and `qvel` has the shape (…, nv).
-        """
+        """Return bends and bend rates, with the leading axes of `qpos` and `qvel`."""
         bends = self._by_segment(qpos @ self._angles.T)
         return bends, self._by_segment(qvel @ self._rates.T)
 
     def connector_forces(self, collision_force: np.ndarray) -> np.ndarray:
         """Return the obstacles' forces on the connectors, shape (…, N, 3), N.
 
-        The forces are computed from the forces on the collision geoms, shape (…, collision geoms, 3), N.
+        The argument contains the forces on the collision geoms, shape (…, collision
+        geoms, 3), N.
         """
         force: np.ndarray = np.einsum(
             "ih,...hk->...ik", self._collision_fractions, collision_force
@@ -358,8 +363,7 @@ class SnakePhysics(Stateful):
     def reset_pose(self, pose: Pose) -> None:
         """Reset to a snake at rest with rest bends and empty chambers.
 
-        Args:
-            pose: centre of mass x, y (m) and mean heading (rad).
+        The pose contains the centre of mass x, y (m) and the mean heading (rad).
         """
         mujoco.mj_resetData(self.model, self.data)
         hinges = self._angles.sum(axis=1, keepdims=True)
@@ -376,7 +380,7 @@ class SnakePhysics(Stateful):
         self._last_force = self._no_force
         if self.stepper is not None:
             self.stepper.reset()
-            # Sinking into the floor has moved the snake by some nanometres.
+            # Sinking into the floor has displaced the snake by some nanometres.
             self._move_to_pose(pose)
             self.refresh()
         if self.free:
@@ -386,9 +390,7 @@ class SnakePhysics(Stateful):
     def set_state(
         self, pose: Pose, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """Set pose, velocities and bends after `reset_pose`.
-
-        The wheels start rolling.
+        """Set pose, velocities and bends after `reset_pose`, with rolling wheels.
 
         Args:
             pose: centre of mass x, y (m) and mean heading (rad).
@@ -398,7 +400,7 @@ class SnakePhysics(Stateful):
             rate: bend rates, shape (segments,), rad/s.
 
         Raises:
-            InputError: the snake is clamped at its head.
+            InputError: the head of the snake is clamped.
         """
         if not self.free:
             raise InputError(
@@ -411,8 +413,8 @@ class SnakePhysics(Stateful):
         self._move_to_pose(pose)
         data.qvel[:] = (rate / hinges) @ self._rates
         self.refresh()
-        # A rigid rotation followed by a translation brings the mean velocities to the
-        # given values.
+        # A rigid rotation and a translation change the mean velocities to the given
+        # values.
         data.qvel[5] += velocity[2] - data.cvel[self._connectors, 2].mean()
         self.refresh()
         data.qvel[:2] += velocity[:2] - data.subtree_linvel[_SNAKE][:2]
@@ -472,24 +474,21 @@ class SnakePhysics(Stateful):
         data.qpos[:2] += pose[:2] - data.subtree_com[_SNAKE][:2]
 
     def advance_chambers(self, schedule: Schedule, steps: int) -> Trace:
-        """Advance the chambers over a schedule.
-
-        The trace has a row for the beginning of each step and one for the end.
-        """
+        """Advance the chambers, and return a trace with steps + 1 rows."""
         times = schedule.span * np.arange(steps + 1) / steps
         return self._pneumatics.advance(
             schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates()
         )
 
     def run(self, trace: Trace) -> StepBatch:
-        """Advance the bodies, driven by given chambers, and evaluate the steps."""
+        """Advance the bodies with given chamber states, and evaluate the steps."""
         return self.evaluate(trace.bend_rate[1:], *self.advance_bodies(trace))
 
     def advance_bodies(self, trace: Trace) -> tuple[np.ndarray, ...]:
-        """Advance the bodies, driven by given chambers.
+        """Advance the bodies with given chamber states.
 
-        The result holds the arguments of `evaluate` that follow `free_rate`. The
-        results of several calls may be concatenated before they are evaluated.
+        The result contains the arguments of `evaluate` after `free_rate`. Results of
+        several calls may be concatenated before the evaluation.
 
         Args:
             trace: state of the chambers at the beginning of each step and at the end of
@@ -499,7 +498,7 @@ class SnakePhysics(Stateful):
         if self.stepper is None:
             # MuJoCo evaluates positions at the beginning of a step.
             return self._run_engine(controls[:-1])
-        # The stepper evaluates positions at mid-step.
+        # `LoadedStepper` evaluates positions at mid-step.
         return self.stepper.run((controls[:-1] + controls[1:]) / 2)
 
     def controls(self, trace: Trace) -> np.ndarray:
@@ -507,7 +506,7 @@ class SnakePhysics(Stateful):
 
         A segment with the bend q and the free bend q_f exerts the moment k (q_f − q) +
         c (q̇_f − q̇), with the stiffness k and the damping c. The springs and dampers
-        of the joints act relative to the rest bends, and the air exerts the remainder
+        of the joints act relative to the rest bends. The actuators exert the remainder
         of the moment.
         """
         spec = self._spec
@@ -516,10 +515,10 @@ class SnakePhysics(Stateful):
             - self._pneumatics.rest_bend
             + spec.bending.damping_time * trace.bend_rate
         )
-        if not spec.is_spatial:  # the actuators take the pressures of two chambers
+        if not spec.is_spatial:  # each actuator is controlled by a chamber pressure
             moments = np.maximum(np.stack([driven, -driven], axis=-1), 0.0)
             driven = moments / chamber_gains(spec)
-        elif spec.actuator.extension:  # the actuators take bends and lengths
+        elif spec.actuator.extension:  # the controls are free bends and extensions
             lengths = free_extensions(spec, trace.pressure)[..., None]
             driven = np.concatenate([driven, lengths], axis=-1)
         controls: np.ndarray = driven.reshape(len(driven), -1)
@@ -537,25 +536,27 @@ class SnakePhysics(Stateful):
         """Evaluate the latest engine steps.
 
         Args:
-            free_rate: rates of the free bends at the end of each step, shape (steps, segments),
-                or (steps, segments, 2) for a spatial robot, rad/s.
-            states: states as in `StepBatch`, of which the last is the current state.
+            free_rate: rates of the free bends at the end of each step, rad/s, shape
+                (steps, segments). For a spatial robot the shape is (steps, segments,
+                2).
+            states: states as in `StepBatch`. The last row is the current state.
             sensors: values of all sensors, shape (steps, nsensordata).
-            floor_force: force on the wheels as in `StepBatch`, or None to read it from the
+            floor_force: force on the wheels as in `StepBatch`. Without this argument
+                the force is read from the sensors.
+            contact_power: power dissipated by floor, obstacles and objects, shape
+                (steps,), W. Without this argument the power is computed from the
                 sensors.
-            contact_power: power that floor, obstacles and objects take from the snake, shape
-                (steps,), W, or None to compute it from the sensors.
-            obstacle_friction: friction of obstacles, then of each object, on collision geoms,
-                shape (steps, 1 + objects, collision geoms, 3), N. The sensors do not measure this
-                friction.
+            obstacle_friction: friction of obstacles, then of each object, on collision
+                geoms, shape (steps, 1 + objects, collision geoms, 3), N. The sensors do
+                not measure friction under loaded contact.
         """
         self.refresh()
         at = self._sensors
         collision_force = sensors[:, at.collision_force]
         if floor_force is None or contact_power is None:
             floor_force = self._at_feet(sensors, at.floor_force)
-            # The engine is implicit, so a force does work with the velocity at the end
-            # of its step. The sensors report this velocity one step later.
+            # In an implicit step, the work of a force is computed with the velocity at
+            # the end of the step. The sensors report this velocity one step later.
             earlier = np.concatenate([self._last_force[None], floor_force[:-1]])
             velocity = self._at_feet(sensors, at.foot_velocity)
             on_feet = earlier[..., :2] * velocity[..., :2]
@@ -603,11 +604,11 @@ class SnakePhysics(Stateful):
         return np.zeros((len(sensors), *self._no_force.shape))
 
     def refresh(self) -> None:
-        """Recompute positions and velocities from the state, but not the contacts."""
+        """Recompute positions and velocities from the state, without the contacts."""
         self._update_kinematics(self.data)
 
     def kinematics(self, states: np.ndarray) -> Kinematics:
-        """Return positions and velocities in states laid out as in `StepBatch`."""
+        """Return positions and velocities in states with the layout of `StepBatch`."""
         count = len(states)
         n = len(self._connectors)
         nq = self.model.nq
@@ -649,7 +650,7 @@ class SnakePhysics(Stateful):
         return float(momentum @ data.qvel) / 2
 
     def bend_angles(self) -> np.ndarray:
-        """Return the bends, shape (segments,), or (segments, 2) if spatial, rad."""
+        """Return the bends (rad), which have two columns for a spatial robot."""
         return self._by_segment(self._angles @ self.data.qpos)
 
     def bend_rates(self) -> np.ndarray:
@@ -677,23 +678,19 @@ class SnakePhysics(Stateful):
         return np.array(self.data.subtree_com[_SNAKE])
 
     def floor_forces(self) -> np.ndarray:
-        """Return the floor's mean force on each wheel during the last `run`.
+        """Return the floor's mean force on each wheel in the last `run`, N.
 
-        The preload is subtracted.
-
-        Returns:
-            Force in the world frame, indexed by axle, left and right wheel, and x, y,
-            z, shape (axles, 2, 3), N.
+        The preload is subtracted. The force is in the world frame. The axes of the
+        result, shape (axles, 2, 3), are axle, left or right wheel, and x, y, z.
         """
         force = self._floor_force.copy()
         force[..., 2] -= self._preload
         return force
 
     def wheel_loads(self) -> np.ndarray:
-        """Return the mean load of each wheel during the last `run`, N.
+        """Return the mean load of each wheel in the last `run`, shape (axles, 2), N.
 
-        The shape is (axles, 2). A negative load means that the wheel would lift off
-        without the preload.
+        A negative load means that the wheel would lift off without the preload.
         """
         return self.floor_forces()[..., 2]
 
@@ -714,10 +711,8 @@ def _collision_fractions(collision_geoms: list[str], connectors: int) -> np.ndar
 def _bend_matrices(
     model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the matrices from qpos to bends and from qvel to bend rates.
-
-    For a spatial robot, all bends to the left come first, followed by all bends upwards.
-    """
+    # The matrices map qpos to bends and qvel to bend rates. For a spatial robot, the
+    # bends to the left of all segments precede the bends upwards.
     bends = [
         [
             model.joint(f"{kind}_{j + 1}_{k + 1}")
@@ -743,10 +738,9 @@ def _compile_scene(
     # The controls contain the rates of the free bends, so they may exceed the limits of
     # the chamber pressures.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    # MuJoCo stops iterating when an iteration improves the cost by less than the
-    # tolerance times the mean of the diagonal of M. The diagonal holds masses and
-    # moments of inertia. The moments of inertia scale with the length unit, which this
-    # factor corrects.
+    # MuJoCo ends the solver when the improvement of the cost is less than the tolerance
+    # times the mean diagonal element of M. The moments of inertia on the diagonal
+    # depend on the length unit. The factor compensates for this dependence.
     if settings.base == "free":
         masses = 3 * model.body_subtreemass[_SNAKE]
     else:

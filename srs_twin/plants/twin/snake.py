@@ -1,4 +1,4 @@
-"""TwinSnake: the three-dimensional twin in MuJoCo, with compliant bends."""
+"""Plant `TwinSnake`, the three-dimensional twin in MuJoCo with compliant bends."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
 _MAX_SPEED = 1e4
-"""Speed of a joint above which a state counts as diverged, rad/s or m/s."""
+"""Speed of a joint above which the simulation counts as diverged, rad/s or m/s."""
 
-# Keys of contact options in the record of a run, where they differ from the options.
+# Names of contact options in a recording that differ from the option names.
 _CONTACT_KEYS = {
     "law": "friction",
     "slip_speed": "slip_speed_m_s",
@@ -64,10 +64,10 @@ class Loads(NamedTuple):
             world frame, shape (samples, axles, 2, 3), N.
         obstacle_force: mean horizontal force of obstacles on each connector since the
             previous sample, shape (samples, N, 2), N.
-        body_work: sum of kinetic energy and losses to floor and obstacles, shape
+        body_work: kinetic energy plus the energy dissipated by floor and obstacles,
+            shape (samples,), J.
+        internal_loss: energy dissipated by the joints of the segments, shape
             (samples,), J.
-        internal_loss: energy that joints dissipated inside segments, shape (samples,),
-            J.
     """
 
     floor_force: np.ndarray
@@ -84,12 +84,12 @@ class TwinSnake(PneumaticPlant):
     c. A massless segment without load therefore obeys Eq. 14.
 
     Attributes:
-        max_chunk_s: maximum interval that the engine simulates in one call, s, which
-            bounds the memory for the records of the steps.
+        max_chunk_s: maximum interval that the engine simulates in one call, s. The
+            interval limits the memory for the results of the steps.
         physics: engine model and data, a `SnakePhysics`, for quantities that `Plant`
             does not provide.
         timestep: time step, s.
-        contact: contact with the floor, as given.
+        contact: contact with the floor, as passed to the constructor.
     """
 
     name = "twin"
@@ -127,8 +127,8 @@ class TwinSnake(PneumaticPlant):
             contact: contact with the floor. The names "loaded" and "preloaded" select
                 `LoadedContact()` and `PreloadedContact()`.
             timestep: time step, s, of which the tick must be a multiple. The default is
-                `numerics.TIMESTEP_S` times the time unit of the robot, or a near part
-                of the tick (`robot.scale.divide`).
+                `numerics.TIMESTEP_S` times the time unit of the robot (`robot.scale`),
+                adjusted so that it divides the tick.
             hinges_per_segment: number of bending hinges per segment.
             supply_pa: supply pressure, Pa. The default is the robot's nominal pressure.
             tick: control tick, s. The default is `TICK_S` times the time unit of the
@@ -137,10 +137,10 @@ class TwinSnake(PneumaticPlant):
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
             sensor: curvature sensor, which is "ideal", "hall" with its defaults, or a
                 `Sensor` object.
-            world: floor, obstacles and objects, or None for a level floor without
-                obstacles.
-            base: support of the chain, "free" or "clamped". A clamped snake hangs in
-                the air and is held at its head.
+            world: floor, obstacles and objects. Without `world`, the floor is level and
+                has no obstacles.
+            base: support of the snake, "free" on the floor, or with its head "clamped"
+                in the air.
             numerics: switches for studies of the twin itself.
 
         Raises:
@@ -188,12 +188,7 @@ class TwinSnake(PneumaticPlant):
         self._first_step_x = min((step.x for step in given.steps), default=math.inf)
 
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Lay the snake straight and at rest with empty chambers.
-
-        Args:
-            pose: centre of mass x, y (m) and mean heading (rad).
-            seed: random seed of the sensor noise.
-        """
+        """See `Plant.reset`."""
         physics = self.physics
         physics.reset_pose(pose)
         foremost = (
@@ -211,7 +206,7 @@ class TwinSnake(PneumaticPlant):
     def set_state(
         self, snake: SnakeState, *, yaw_rate: float = 0.0, seed: int = 0
     ) -> SnakeState:
-        """See `Plant.place`."""
+        """See `Plant.set_state`."""
         self.spec.require_planar("a start with given bends or velocities")
         check_initial_state(snake, yaw_rate, self.spec.segments)
         x, y = map(float, snake.com)
@@ -253,7 +248,7 @@ class TwinSnake(PneumaticPlant):
         return super().identity() | {"world": self._world}
 
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Follow a schedule in chunks (`PneumaticPlant._simulate`)."""
+        """Simulate a schedule in chunks. See `PneumaticPlant._simulate`."""
         interval = schedule.span / samples
         steps = count_steps("sample interval", interval, "time step", self.timestep)
         chunk_samples = max(1, math.floor(self.max_chunk_s / interval))
@@ -275,7 +270,7 @@ class TwinSnake(PneumaticPlant):
         return check_plausible(self.name, SnakeState.history(histories))
 
     def describe(self) -> dict[str, object]:
-        """Return the settings that a run records."""
+        """Return the settings that a recording stores."""
         settings = self._settings
         contact = settings.contact
         options = {
@@ -301,7 +296,7 @@ class TwinSnake(PneumaticPlant):
         ENGINE_WARNINGS.last.clear()
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
         # The check precedes the step, because the engine would normalise a quaternion
-        # of any length.
+        # with an implausible norm.
         check_before_step(
             self.name,
             begun + self.timestep,
@@ -328,8 +323,8 @@ class TwinSnake(PneumaticPlant):
         if not self.pneumatics.depends_on_bend:
             interval = steps
         elif self.physics.stepper is not None:
-            # Closed chambers are stiff springs, which are stable only if the bends are
-            # exchanged in each step.
+            # Closed chambers are stiff springs, which are stable only if bends and
+            # pressures are exchanged in each step.
             interval = 1
         else:
             coupled = self.pneumatics.coupling_step_s / self.timestep
@@ -368,8 +363,8 @@ class TwinSnake(PneumaticPlant):
         loads = Loads(
             floor_force=mean_per_sample(batch.floor_force),
             obstacle_force=mean_per_sample(batch.obstacle_force[:, :, :2]),
-            # By the energy balance, the work of the torques is kinetic energy plus
-            # losses.
+            # By the energy balance, the work of the torques is the kinetic energy plus
+            # the dissipated energy.
             body_work=batch.energy[ends] + loss[ends],
             internal_loss=internal[ends],
         )
@@ -421,17 +416,16 @@ class TwinSnake(PneumaticPlant):
         )
 
     def _unwrap(self, headings: np.ndarray) -> np.ndarray:
-        """Return headings without jumps by 2π since the previous sample.
+        """Return headings without jumps of 2π relative to the previous sample.
 
-        A connector turns by far less than π between two samples. The last headings are
-        stored.
+        A connector rotates by far less than π between two samples.
         """
         connector_heading = np.concatenate([self._connector_heading[None], headings])
         if (np.abs(connector_heading[1:] - connector_heading[:-1]) >= math.pi).any():
             connector_heading = np.unwrap(connector_heading, axis=0)
         self._connector_heading = connector_heading[
             -1
-        ].copy()  # callers may change the returned arrays
+        ].copy()  # a copy, because callers may change the returned arrays
         return connector_heading[1:]
 
     def _force_on_connectors(self, force: np.ndarray) -> np.ndarray:

@@ -1,8 +1,8 @@
 """Algebra of spatial vectors and tree-structured matrices, for numba and Warp.
 
-Spatial vectors have their rotational components first and refer to the centre of mass
-of the snake, like MuJoCo's `cdof`. Symmetric matrices have the sparsity pattern of the
-joint-space inertia M (`Sparsity`).
+In spatial vectors, the rotational components come first. The reference point of spatial
+vectors is the centre of mass of the snake, as for `cdof` in MuJoCo. Symmetric matrices
+have the sparsity pattern of the joint-space inertia M (`Sparsity`).
 """
 
 from __future__ import annotations
@@ -15,18 +15,19 @@ from srs_twin.compute.compiled import kernel_only
 
 
 class Sparsity(NamedTuple):
-    """Lower triangle of M in compressed rows, and damping matrices with this pattern.
+    """Sparsity pattern of the lower triangle of M, and damping matrices.
 
-    The entries of a row belong to the ancestors of the row's degree of freedom. The
-    last entry belongs to this degree of freedom itself.
+    A row has one entry for each ancestor of the row's degree of freedom. The last entry
+    of the row is the diagonal entry.
 
     Attributes:
-        row_length, row_start: number and first index of the entries of each row, shape
-            (nv,).
+        row_length, row_start: number of entries and index of the first entry of each
+            row, shape (nv,).
         column: column of each entry, shape (nM,).
-        parent: parent of each degree of freedom, −1 for the root, shape (nv,).
-        damping, damping_excess: damping matrices C, where A = M + C (`contact_loaded`),
-            and h D − C, shape (nM,), kg or kg·m².
+        parent: parent of each degree of freedom, shape (nv,). The root has the parent
+            −1.
+        damping, damping_excess: damping matrices C and h D − C (`contact_loaded`),
+            shape (nM,), kg or kg·m².
     """
 
     row_length: np.ndarray
@@ -81,7 +82,7 @@ def add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
-    """Fill the Jacobian row of the velocity of the point (x, y, z) along the axis e."""
+    """Compute the Jacobian row for the velocity of a point along the unit vector e."""
     row[0] = y * ez - z * ey
     row[1] = z * ex - x * ez
     row[2] = x * ey - y * ex
@@ -92,7 +93,7 @@ def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-untyped-def]
-    """Fill the spatial velocity beyond each degree of freedom, starting at the root."""
+    """Compute the spatial velocities beyond all degrees of freedom, root first."""
     for i in range(velocity.shape[0]):
         p = sparsity.parent[i]
         for k in range(6):
@@ -103,9 +104,9 @@ def spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-unt
 
 @kernel_only
 def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
-    """Sum spatial forces towards the root and fill the generalised forces `out`.
+    """Sum spatial forces towards the root, and compute the generalised forces `out`.
 
-    `force` is changed in place; `out` has the shape (nv,).
+    The sums replace the values in `force`.
     """
     for i in range(out.shape[0] - 1, -1, -1):
         out[i] = dot(cdof[i], force[i])
@@ -117,7 +118,7 @@ def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def project_jacobian(cdof, sparsity, derivative, force, matrix):  # type: ignore[no-untyped-def]
-    """Sum spatial derivatives towards the root and add their projection to a matrix.
+    """Sum spatial derivatives towards the root, and add their projection to a matrix.
 
     As in the composite-rigid-body algorithm, the sum of the derivatives beyond a degree
     of freedom is projected on this degree of freedom and its ancestors.
@@ -126,7 +127,7 @@ def project_jacobian(cdof, sparsity, derivative, force, matrix):  # type: ignore
         cdof: spatial axes of the degrees of freedom, shape (nv, 6).
         sparsity: sparsity pattern of the matrix.
         derivative: spatial derivatives, changed in place, shape (nv, 6, 6).
-        force: workspace, shape (nv, 6).
+        force: work array, shape (nv, 6).
         matrix: matrix that is changed in place, shape (nM,).
     """
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
@@ -148,8 +149,8 @@ def project_jacobian(cdof, sparsity, derivative, force, matrix):  # type: ignore
 @kernel_only
 def factor(matrix, sparsity):  # type: ignore[no-untyped-def]
     """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
-    # The elimination goes from the ends of the chain to the root, because eliminating a
-    # row changes only the rows of its ancestors.
+    # The elimination proceeds from the ends of the chain to the root, because the
+    # elimination of a row changes only the rows of the ancestors.
     for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
         row = sparsity.row_start[k]
         last = sparsity.row_length[k] - 1
@@ -164,7 +165,7 @@ def factor(matrix, sparsity):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def substitute(matrix, sparsity, x):  # type: ignore[no-untyped-def]
-    """Solve LᵀDL x = b in place, with b in `x`."""
+    """Solve LᵀDL x = b, where b is initially stored in `x`."""
     for i in range(x.shape[0] - 1, -1, -1):
         for k in range(
             sparsity.row_start[i], sparsity.row_start[i] + sparsity.row_length[i] - 1

@@ -1,20 +1,21 @@
 r"""Friction of a contact that can stick, and of a wheel whose spin has inertia.
 
-Both laws map the velocity of a contact to its friction force and the derivatives of the
-force. The functions take and return plain numbers, because numba and Warp compile them.
+The friction laws map the velocity of a contact to the friction force and its
+derivatives. The functions use plain numbers, because both numba and Warp compile them.
 
 The contact force is elastic-plastic. Let N be the normal force, ε the slip speed, and
-v_t and v_lat the velocities along and across the heading. The friction force of the
-previous step, divided by the friction limits μ_t N along and μ_n N across the heading,
-is q̂. The friction force f then follows from an elastic trial value y:
+v_t and v_lat the velocities along and across the heading. The friction limits are μ_t N
+along and μ_lat N across the heading. The vector q̂ is the friction force of the
+previous step, divided by the friction limits. The friction force f is computed from an
+elastic trial value y:
 
 $$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_lat v_lat), \qquad
    f = N\,(\mu_t y_t, \mu_lat y_lat)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_lat) . $$
 
-For |y| ≤ 1 the contact sticks, so the force changes in proportion to the velocity and
-is constant at rest. For |y| > 1 the contact slides with the force of
-`robot.friction.ellipse`. If y is replaced by q̂ − v/ε, the contact slides with the
-force of `robot.friction.cosine`, which lies on this ellipse as well.
+For |y| ≤ 1 the contact sticks. The change of the force is then proportional to the
+velocity, and the force is constant at rest. For |y| > 1 the contact slides with the
+force of `robot.friction.ellipse`. With y = q̂ − v/ε, the contact slides with the force
+of `robot.friction.cosine`, which is on the same friction ellipse.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ import numpy as np
 from srs_twin.compute.compiled import compiled
 
 _MIN_LIMIT = 1e-12
-"""Lower bound on a friction limit that divides a force, N."""
+"""Lower bound on the friction limit in the ratio of a force to the limit, N."""
 
 _MIN_RATIO = 0.01
-"""Lower bound on μ/max(μ_t, μ_n) in the stiffness 1/(ε μ), dimensionless.
+"""Lower bound on μ/max(μ_t, μ_lat) in the stiffness 1/(ε μ), dimensionless.
 
 The bound keeps the stiffness finite if one of the coefficients is zero.
 """
@@ -37,7 +38,7 @@ The bound keeps the stiffness finite if one of the coefficients is zero.
 _RIM_TOLERANCE = 1e-12
 """Relative tolerance of the rim speed, dimensionless.
 
-Warp computes in single precision and replaces it (`warp.translation`).
+Warp computes in single precision and uses a larger tolerance (`warp.translation`).
 """
 
 _MAX_RIM_ITERATIONS = 60
@@ -48,9 +49,9 @@ class FloorLaw(NamedTuple):
 
     Attributes:
         kind: friction law, an index into `numerics.LAWS_ON_LOADS`.
-        forward, backward: friction coefficients μ_t for slip towards the head and the tail,
-            dimensionless.
-        across: friction coefficient μ_n across the heading, dimensionless.
+        forward, backward: friction coefficients μ_t for slip towards the head and the
+            tail, dimensionless.
+        across: friction coefficient μ_lat across the heading, dimensionless.
         slip_speed: slip speed ε, m/s.
         spin_mass: moment of inertia of a wheel about its axle, divided by its squared
             radius, kg.
@@ -65,12 +66,13 @@ class FloorLaw(NamedTuple):
 
 
 class Traction(NamedTuple):
-    """Friction force of a contact and its derivatives.
+    """Friction force of a contact and derivatives of the force.
 
     Attributes:
         along, across: forces f_t and f_lat along and across the heading, N.
-        derivative_along, off_diagonal, derivative_across: derivatives ∂f_t/∂v_t, ∂f_t/∂v_lat = ∂f_lat/∂v_t
-            and ∂f_lat/∂v_lat, N·s/m.
+        derivative_along: derivative ∂f_t/∂v_t, N·s/m.
+        off_diagonal: derivative ∂f_t/∂v_lat = ∂f_lat/∂v_t, N·s/m.
+        derivative_across: derivative ∂f_lat/∂v_lat, N·s/m.
     """
 
     along: float
@@ -96,16 +98,16 @@ def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # ty
     greatest = max(mu_t, mu_lat)
     if not greatest * load > 0.0:
         return Traction(0.0, 0.0, 0.0, 0.0, 0.0)
-    # In the direction of the smaller coefficient the contact yields at the slip speed
-    # ε. In the other direction it yields at a lower speed.
+    # In the direction of the smaller coefficient, the contact yields at the slip speed
+    # ε. In the perpendicular direction, the contact yields at a lower speed.
     stiffness = 1.0 / (slip * max(min(mu_t, mu_lat), _MIN_RATIO * greatest))
     # The vector q is the previous force divided by the friction limits. If the load has
     # decreased, q is scaled back onto the friction ellipse.
     q_t = p_t / max(limit_t, _MIN_LIMIT)
     q_lat = p_lat / max(limit_lat, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_lat * q_lat))
-    # The vector y is the elastic trial force, and a is the trial force limited to the
-    # ellipse. Both are divided by the friction limits.
+    # The vector y is the elastic trial force, and the vector a is the trial force
+    # limited to the ellipse. Each vector is divided by the friction limits.
     y_t = shrink * q_t - mu_t * stiffness * v_t
     y_lat = shrink * q_lat - mu_lat * stiffness * v_lat
     size = np.sqrt(y_t * y_t + y_lat * y_lat)
@@ -126,9 +128,7 @@ def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # ty
 
 @compiled
 def skin_friction(v_t, v_lat, load, law, p_t, p_lat, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return friction and its derivatives for a skin that can stick.
-
-    The module docstring states the law.
+    """Return the friction of a skin that can stick. See the module docstring.
 
     Args:
         v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.
@@ -136,19 +136,19 @@ def skin_friction(v_t, v_lat, load, law, p_t, p_lat, is_cosine):  # type: ignore
         is_cosine: whether the law is `cosine` instead of `ellipse`.
 
     Returns:
-        The forces f_t and f_lat (N), and the derivatives ∂f_t/∂v_t, ∂f_t/∂v_lat, ∂f_lat/∂v_t and
-        ∂f_lat/∂v_lat (N·s/m).
+        The forces f_t and f_lat (N), and the derivatives ∂f_t/∂v_t, ∂f_t/∂v_lat,
+        ∂f_lat/∂v_t and ∂f_lat/∂v_lat (N·s/m).
     """
     mu_ahead = law.forward
     mu_back = law.backward
     mu_lat = law.across
     slip = law.slip_speed
-    along = max(mu_ahead, mu_back)  # Warp's max takes two numbers
+    along = max(mu_ahead, mu_back)  # Warp's max accepts only two numbers
     greatest = max(along, mu_lat)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    # Friction opposes the slip, so a force towards the tail has the coefficient for
-    # slip towards the head.
+    # Friction opposes the slip. A force towards the tail therefore has the friction
+    # coefficient for slip towards the head.
     mu_p = mu_ahead if p_t <= 0.0 else mu_back
     mu_v = mu_ahead if v_t >= 0.0 else mu_back
     q_t = p_t / max(mu_p * load, _MIN_LIMIT)
@@ -183,23 +183,23 @@ def skin_friction(v_t, v_lat, load, law, p_t, p_lat, is_cosine):  # type: ignore
 def rolling_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
     r"""Return the `Traction` and rim speed (m/s) of a wheel whose spin has inertia.
 
-    The contact has the friction coefficient μ_n in every direction. The axle brakes the
-    wheel with the coefficient μ_t under the load N. The rim speed w at the end of the
-    step balances the contact force f_t and the axle's friction:
+    The contact has the friction coefficient μ_lat in every direction. The axle brakes
+    the wheel with the coefficient μ_t under the load N. The rim speed w at the end of
+    the step satisfies the balance of the contact force f_t and the axle's friction,
 
     $$ k\,(w - w_0) = -f_t(v_t - w) - \mu_t N \operatorname{sgn} w . $$
 
     Here w₀ is the rim speed at the beginning of the step. The function sgn is
-    set-valued at 0, so a wheel that its contact cannot turn stays locked. A sliding
-    wheel without inertia follows `robot.friction.wheel`.
+    set-valued at 0, so a wheel stays locked if the contact force is too small to turn
+    it. A sliding wheel without inertia has the force of `robot.friction.wheel`.
 
     Args:
         v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.
         law: friction on the floor, a `FloorLaw` with equal coefficients for forward and
             backward slip.
         rim: rim speed w₀ at the beginning of the step, m/s.
-        inertia: coefficient k, kg/s. It is the moment of inertia of the wheel divided
-            by its squared radius and by the time step.
+        inertia: coefficient k, kg/s, which is the moment of inertia of the wheel
+            divided by its squared radius and by the time step.
     """
     mu_lat = law.across
     slip = law.slip_speed
@@ -208,8 +208,8 @@ def rolling_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: 
     demand = inertia * rim - grip.along
     if abs(demand) <= drag:
         return grip, 0.0
-    # The excess of the driving force decreases with the rim speed and is positive at 0,
-    # so a bracketed Newton iteration converges.
+    # The excess of the driving force is positive at the rim speed 0 and decreases with
+    # the rim speed, so a bracketed Newton iteration converges.
     side = 1.0 if demand > 0.0 else -1.0
     low = float(0.0)
     high = (abs(demand) - drag) / inertia
@@ -229,8 +229,8 @@ def rolling_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: 
         w += step
         if not low < w < high:
             w = 0.5 * (low + high)
-    # The rim follows the wheel's motion, which reduces the derivative along the
-    # heading by the implicit function theorem.
+    # The rim speed depends on the velocity of the contact. By the implicit function
+    # theorem, this dependence reduces the derivative along the heading.
     softness = inertia - grip.derivative_along
     fraction = inertia / softness
     mixed = grip.off_diagonal
@@ -248,13 +248,13 @@ def rolling_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: 
 
 @compiled
 def axis_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the `Traction` of a rolling wheel whose two directions are independent.
+    """Return the `Traction` of a rolling wheel with independent friction directions.
 
-    The spin of the wheel adds mass along the heading.
+    The inertia of the wheel's spin adds mass along the heading.
 
     Args:
-        v_t, v_lat, load, law, p_t, p_lat, rim, inertia: arguments of `rolling_friction`,
-            except that p_t excludes the part that spins the wheel.
+        v_t, v_lat, load, law, p_t, p_lat, rim, inertia: arguments of
+            `rolling_friction`, except that p_t excludes the part that spins the wheel.
     """
     mu_t = law.forward
     mu_lat = law.across

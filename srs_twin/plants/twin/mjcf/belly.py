@@ -1,14 +1,13 @@
 """Bodies and contact points of a robot with skin and distributed mass.
 
 Hinges divide the body into rods. A rod is either a connector with the adjoining ends of
-its segments, or a link between the hinges of a segment. A rod has the mass of its part
-of the body. Its inertia is computed for a block with the width of the body and twice
-the height of the centre of mass.
+its segments, or a link between two hinges of a segment. The mass of a rod is the mass
+of its part of the body. The inertia of a rod is the inertia of a block whose width is
+the width of the body, and whose height is twice the height of the centre of mass.
 
-A rod is divided into equally long patches. It touches the floor at two points side by
-side in the middle of each patch. The contact geoms are frictionless spheres centred at
-the height of the centre of mass. Friction is a law on their contact forces
-(`contact_loaded`).
+A rod is divided into equally long patches. Two contact points are side by side in the
+middle of each patch. The contact geoms are frictionless spheres centred at the height
+of the centre of mass. Friction is computed from the contact forces (`contact_loaded`).
 """
 
 from __future__ import annotations
@@ -22,22 +21,17 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Minimum ratio of a rod part's length to the pitch.
-
-Smaller ratios are rounding errors.
-"""
+"""Length of a rod part, relative to the pitch, below which it is a rounding error."""
 
 
 class Rod(NamedTuple):
-    """Rigid part of the body.
-
-    Places are distances behind the head of the straight snake, m.
+    """Rigid part of the body, with distances from the head of the straight snake.
 
     Attributes:
         name: name of the rod's MuJoCo body.
-        origin: place of this body's frame.
-        front: place of the front end.
-        back: place of the rear end.
+        origin: distance of the body frame from the head, m.
+        front: distance of the rod's front end from the head, m.
+        back: distance of the rod's rear end from the head, m.
     """
 
     name: str
@@ -68,11 +62,11 @@ def rods(spec: RobotSpec, settings: ModelSettings) -> list[Rod]:
 
 
 class Patch(NamedTuple):
-    """Part of a rod within one segment, which touches the floor in the middle.
+    """Part of a rod within one segment, with contact points in the middle.
 
     Attributes:
         rod: rod that contains the patch.
-        place: distance of the patch's middle behind the head, m.
+        place: distance of the patch's middle from the head, m.
         length: length of the patch, m.
         mass: mass of the patch, kg.
     """
@@ -147,7 +141,7 @@ def root_connector(spec: RobotSpec) -> int:
     """Return the number of the middle connector, which has the free joint.
 
     With the root in the middle, no contact is more than half of the chain away from the
-    root. A step then takes a third less time than with the head as root. The integrator
+    root, and a step takes a third less time than with the head as root. The integrator
     evaluates inertia at the beginning of a step. The resulting error of the mean speed
     is a fifth of the error with the head as root.
     """

@@ -1,8 +1,8 @@
 """Default classes of the MJCF, with common properties of joints, geoms and actuators.
 
-Elements name their class and state only individual properties. These are the name, the
-position, and values that depend on the mass of a connector, such as axle friction and
-preload.
+Elements state only their class and individual properties. The individual properties are
+the name, the position, and values that depend on the mass of a connector, such as axle
+friction and preload.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _SILICONE = [0.93, 0.66, 0.42, 1]
 _PLASTIC = [0.2, 0.23, 0.28, 1]
 _RUBBER = [0.07, 0.07, 0.08, 1]
 
-# Groups of geoms and sites; viewers show the groups 0 to 2.
+# Groups of geoms and sites. Viewers show the groups 0 to 2.
 _VISUAL_GROUP = 2
 _COLLISION_GROUP = 3
 _HIDDEN_GROUP = 5
@@ -35,9 +35,11 @@ _HIDDEN_GROUP = 5
 _MAX_FREE_BEND = (
     100.0  # limit of the free bend of a spatial robot, far above any real bend, rad
 )
-_FLANGE_RATIO = 1.08  # radius of a connector's disc over the radius of the body
-_RUNNER_RATIO = 0.25  # radius of a skid's runner over the radius of a wheel
-_PLATE_HALF_HEIGHT = 0.003  # half height of a connector's disc at a length unit of 1, m
+_FLANGE_RATIO = 1.08  # Radius of a connector's disc, relative to the body's radius.
+_RUNNER_RATIO = 0.25  # Radius of a skid's runner, relative to the radius of a wheel.
+_PLATE_HALF_HEIGHT = (
+    0.003  # Half height of a connector's disc at a length unit of 1, m.
+)
 _DRAWN_CLEARANCE = (
     0.001  # height of the drawn body above the floor at a length unit of 1, m
 )
@@ -46,7 +48,7 @@ _DRAWN_CLEARANCE = (
 def add_classes(
     mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, *, limit_pa: float
 ) -> None:
-    """Add the classes of a robot to a model."""
+    """Add the default classes of a robot to a model."""
     root = mj.add_default(ROOT, mj.default)
     root.geom.contype = root.geom.conaffinity = 0
     root.geom.mass = 0
@@ -56,7 +58,7 @@ def add_classes(
     muscle = mj.add_default("muscle", root).actuator
     muscle.ctrllimited = True
     muscle.ctrlrange = [0, limit_pa]
-    if spec.is_spatial:  # the controls are free bends, which the chambers already limit
+    if spec.is_spatial:  # the controls are free bends, which the chambers limit
         muscle.ctrlrange = [-_MAX_FREE_BEND, _MAX_FREE_BEND]
     muscle.gainprm[0] = spec.bending.stiffness * spec.actuator.gain
     press = mj.add_default("press", root).actuator
@@ -71,8 +73,8 @@ def add_classes(
         drag.gear = [1, 0, 0, 0, 0, 0]
         drag.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         drag.gainprm[0] = 0.0
-        # Up to the slip speed the drag is proportional to the speed, which the
-        # integrator treats implicitly. Above the slip speed the drag is constant.
+        # Up to the slip speed the drag is proportional to the speed and is integrated
+        # implicitly. Above the slip speed the drag is constant.
         drag.biasprm[2] = -limit / stated(settings.contact.slip_speed)
         drag.forcelimited = True
         drag.forcerange = [-limit, limit]
@@ -91,10 +93,7 @@ def drawn_radius(spec: RobotSpec) -> float:
 
 
 def drawn_height(spec: RobotSpec) -> float:
-    """Return the height of the drawn body above the centres of mass, m.
-
-    The drawn body then clears the floor.
-    """
+    """Return the height of the drawn body above the centres of mass, m."""
     unit = spec.scale.length
     height = (
         drawn_radius(spec) * _FLANGE_RATIO
@@ -107,11 +106,8 @@ def drawn_height(spec: RobotSpec) -> float:
 def _add_joints(
     mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings
 ) -> None:
-    """Add the joint classes, with dampers that compensate for the integrator.
-
-    The integrator evaluates a spring with stiffness k at the end of its step h, which
-    adds the damping h k. The dampers are therefore reduced by h k.
-    """
+    # The integrator evaluates a spring with stiffness k at the end of its step h, which
+    # adds the damping h k. The dampers are therefore reduced by h k.
     bending = spec.bending
     n = settings.hinges_per_segment
     joints: list[tuple[str, list[float], float, float]] = [

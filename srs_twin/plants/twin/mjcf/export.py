@@ -1,10 +1,10 @@
 """Export of robots as MJCF files in the layout of MuJoCo Menagerie.
 
-``<robot>.xml`` contains the robot. ``scene.xml`` includes it and adds floor, light,
-contact pairs and floor-force sensors. Numbers are written in full precision, so that
-the files compile to a model that is bit-identical to the twin's model.
-``scene_mjx.xml`` has the same robot and floor, but omits what MJX and MuJoCo Warp do
-not support.
+The file ``<robot>.xml`` contains the robot. The file ``scene.xml`` includes the robot
+and adds floor, light, contact pairs and floor-force sensors. Numbers are written in
+full precision, so that the files compile to a model that is bit-identical to the twin's
+model. The file ``scene_mjx.xml`` omits the features that MJX and MuJoCo Warp do not
+support.
 
 The controls are pressures. If the damping time c/k of the segments differs from the
 time constant τ₂ of the bending mode, each chamber has two actuators. In segment 1, for
@@ -12,9 +12,10 @@ example, the control of `plus_1` is the pressure, and the control of `plus_1_lag
 mean pressure over the time step.
 
 MuJoCo's actuators are linear in the pressures, so a limit of the bends becomes a limit
-of the moments. A robot with a dead zone is refused, unless its pressures are converted
+of the moments. A robot with a dead zone is rejected, unless its pressures are converted
 before they become controls (`equivalent_linear_pressure` of `pneumatics.chambers`).
-`describe_departures` lists what the files omit or approximate.
+The function `describe_departures` lists the properties that the files omit or
+approximate.
 """
 
 from __future__ import annotations
@@ -67,11 +68,11 @@ _DEPARTURES = {
     "modules.sensor_gain_spread": _SENSORS,
     "modules.sensor_bias_spread_rad": _SENSORS,
 }
-"""Departure of the exported model from the twin, by key of a robot file."""
+"""Difference between exported model and twin, by key of a robot file."""
 
 
 def describe_departures(robot: RobotFile) -> Iterator[str]:
-    """Yield a line for each number of a robot that the export omits or approximates."""
+    """Yield a line for each property that the export omits or approximates."""
     on_bench = robot.geometry.connectors.value == 2
     for path, record in robot.records().items():
         departure = _DEPARTURES.get(path)
@@ -93,7 +94,8 @@ def write_files(files: dict[str, str], folder: Path) -> list[Path]:
     """Write files into a folder, which is created if necessary, and return their paths.
 
     Args:
-        files: file name → text, in which a file precedes the files that include it.
+        files: mapping from file name to text. Included files must precede the files
+            that include them.
         folder: path of the folder.
 
     Raises:
@@ -133,7 +135,7 @@ def robot_files(
             " as if it had none; --linear exports it for controls that you convert"
             " (models/README.md)"
         )
-    # A single segment cannot crawl, so it is simulated on a test bench.
+    # A single segment cannot crawl, so the exported segment is clamped.
     bench = spec.segments == 1
     timestep = ModelSettings.timestep * spec.scale.time
     base = "clamped" if bench else "free"
@@ -162,12 +164,13 @@ def robot_files(
 
 
 def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Add a second actuator, which lags behind the pressure, to each chamber.
+    """Add a second actuator with a lag behind the pressure to each chamber.
 
-    The air in a nominal segment exerts the moment k x + c ẋ, with the stiffness k and
-    the damping c. The free bend x follows G (p⁺ − p⁻) with the time constant τ₂, where
-    G is the gain and p⁺, p⁻ are the chamber pressures. With T = c/k the moment is (1 −
-    T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻). No second actuator is needed if T = τ₂.
+    The compressed air in a nominal segment exerts the moment k x + c ẋ, with the
+    stiffness k and the damping c. The free bend x obeys τ₂ ẋ = G (p⁺ − p⁻) − x, where
+    τ₂ is the time constant, G the gain, and p⁺, p⁻ are the chamber pressures. With T =
+    c/k the moment is (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻). No second actuator is
+    needed if T = τ₂.
     """
     fraction = spec.bending.damping_time / spec.actuator.tau_mode
     if math.isclose(fraction, 1.0, rel_tol=1e-9):
@@ -196,12 +199,8 @@ def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
-    """Remove what MJX and MuJoCo Warp do not support.
-
-    The changes concern the contact sensors, the integrator and a flag. The integrator
-    of the adapted model adds no damping to the springs, so the dampers get their full
-    values.
-    """
+    # The integrator of MJX and MuJoCo Warp adds no damping to the springs, so the
+    # dampers have their full coefficients.
     for sensor in mj.sensors:
         mj.delete(sensor)
     mj.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -212,7 +211,7 @@ def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
 
 
 def _comment(*lines: str) -> str:
-    # XML comments must not contain two hyphens in a row, but titles may.
+    # XML comments must not contain two consecutive hyphens, but titles may.
     return "\n       ".join(lines).replace("--", "- -")
 
 
@@ -224,10 +223,7 @@ def _text(mj: mujoco.MjSpec) -> str:
 
 
 def _include_robot(name: str, robot: str, scene: str) -> str:
-    """Replace the robot's elements in the XML of a scene by an `include` of its file.
-
-    MuJoCo writes neither an `include` nor contact pairs without their geoms.
-    """
+    # MuJoCo writes neither an `include` element nor contact pairs without their geoms.
     document = minidom.parseString(scene)
     top = document.documentElement
     robot_top = minidom.parseString(robot).documentElement

@@ -1,8 +1,8 @@
 """MuJoCo model of a robot: a chain of connectors and segments on a floor.
 
 The robot is a free-floating chain in three dimensions, built in both directions from
-its middle connector. A connector is a body with two feet on the floor (`wheels`), or
-the whole body lies on the floor (`belly`).
+its middle connector. A connector is a body with two feet on the floor (`wheels`). A
+robot with skin lies on the floor with its whole body (`belly`).
 
 A segment with the stiffness k and the damping c is a chain of n equal bending hinges,
 each with the stiffness n k and the damping n c. One pitch hinge and one roll hinge in
@@ -12,17 +12,17 @@ pressures p⁺ and p⁻ in Pa. The actuators ``plus_j`` and ``minus_j`` exert th
 the segment.
 
 A spatial robot has no pitch hinge. Each bending hinge is paired with a tilt hinge,
-which turns the head end upwards. Two successive rotations about different axes contain
-a twist. To cancel the twist, the order of the two hinges is reversed at every second
-place. The actuators ``air_left_j`` and ``air_up_j`` act on the tendons ``bend_j`` and
+which rotates the head end upwards. Two successive rotations about different axes
+produce a twist. To cancel the twist, the order of the two hinges alternates along the
+segment. The actuators ``air_left_j`` and ``air_up_j`` act on the tendons ``bend_j`` and
 ``tilt_j``. The control of these actuators is the free bend, and they exert k times the
 free bend. If the robot has an `Actuator.extension`, the link in the middle of a segment
 has a slide joint ``stretch_j`` with the axial stiffness of a solid round section. The
 actuator ``air_along_j`` exerts this axial stiffness times the free extension.
 
 With a clamped base (`ModelSettings.base`) the head is fixed to the world. The model
-then has no floor, wheels or preload. It also has no pitch and roll hinges, because the
-chain bends in the horizontal plane, in which gravity does no work.
+then has no floor, wheels or preload. A clamped model also has no pitch and roll hinges,
+because the chain bends in the horizontal plane, in which gravity does no work.
 """
 
 from __future__ import annotations
@@ -77,8 +77,9 @@ def robot_mjcf(
         settings: time step, discretisation and contact.
         supply_pa: upper limit of the controls, Pa. The limits of the robot are used if
             they are higher.
-        obstacle_friction: friction coefficient of collision geoms that touch obstacles
-            (`surroundings`), dimensionless, or None for a body without collision geoms.
+        obstacle_friction: friction coefficient of the collision geoms that touch
+            obstacles (`surroundings`), dimensionless. Without this argument the body
+            has no collision geoms.
 
     Raises:
         InputError: the twin does not support the robot with these settings (`rules`).
@@ -127,7 +128,8 @@ def scene_mjcf(
         spec: robot to build.
         settings: time step, discretisation and contact.
         supply_pa: upper limit of the controls, Pa, as in `robot_mjcf`.
-        world: floor and obstacles, or None for a level floor without obstacles.
+        world: floor and obstacles. Without `world`, the floor is level and has no
+            obstacles.
 
     Raises:
         InputError: the twin does not support the combination (`rules`).
@@ -160,13 +162,13 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     if settings.loaded:
         # There are few normal forces, and the engine selects a dense or sparse Jacobian
         # by their number. A strict tolerance is needed, because errors of 1e-7 in the
-        # loads would push stopping wheels sideways, in a direction that depends on the
-        # processor.
+        # normal forces would push stopping wheels sideways, in a direction that depends
+        # on the processor.
         option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         option.tolerance = 1e-12
     else:
-        # A dense Jacobian is slow with friction rows. A tolerance of 1e-7 changes gait
-        # speeds by 2e-7 and leaves less than 1e-5 m/s at rest.
+        # A dense Jacobian is slow with the constraint rows of friction. A tolerance of
+        # 1e-7 changes gait speeds by 2e-7 and leaves less than 1e-5 m/s at rest.
         option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         option.tolerance = 1e-7
 
@@ -175,10 +177,10 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
 class _Chain:
     """Chain of connectors and segments that is added to a model.
 
-    Stations are distances along a straight segment from the connector at which the
-    segment is attached. `ahead` is the direction of a segment along the x axis: −1
-    behind the root and 1 in front of the root. Numbers in names count from the head in
-    both directions.
+    A station is the distance of a point along a straight segment from the connector at
+    which the segment is attached. `ahead` is the direction of a segment along the x
+    axis, −1 behind the root and 1 in front of the root. Numbers in names are counted
+    from the head.
     """
 
     mj: MjSpec
@@ -206,7 +208,7 @@ class _Chain:
         spec = self.spec
         self._add_geom(body, "plate", name=f"plate_{i}", pos=[0, 0, drawn_height(spec)])
         if spec.skin is not None:
-            return  # see `belly`
+            return  # `belly` sets the inertia and adds the contact points
         mass = spec.mass.connectors[i - 1]
         neighbours = (i > 1) + (i < spec.geometry.connectors)
         links = neighbours / 2 * (self.settings.hinges_per_segment - 1)
@@ -226,7 +228,7 @@ class _Chain:
     def _add_segment(self, body: MjsBody, near: int, far: int) -> MjsBody:
         """Add the segment between two neighbouring connectors and return the far one.
 
-        Each hinge carries the body beyond it, and the last hinge carries the far
+        A hinge is the parent of the next hinge. The last hinge is the parent of the far
         connector.
         """
         spec = self.spec
@@ -291,10 +293,10 @@ class _Chain:
     def _add_joint(
         self, body: MjsBody, kind: str, name: str, x: float, ahead: int
     ) -> MjsJoint:
-        """Add a joint at x (m).
+        """Add a joint at the position x (m).
 
-        In front of the root the axis of the joint is reversed, so that its sign is
-        independent of the building direction.
+        In front of the root the axis of the joint is reversed, so that the sign of the
+        angle is independent of the building direction.
         """
         joint = body.add_joint(self.mj.find_default(kind), name=name, pos=[x, 0, 0])
         if ahead > 0:
@@ -358,13 +360,11 @@ def _set_inertia(
     fixed: FixedInertia = FixedInertia(0.0, np.zeros(3)),  # noqa: B008
     x: float = 0.0,
 ) -> None:
-    """Set mass and inertia of a body with the radius of gyration of a connector.
-
-    The argument `mass` excludes the parts in `fixed`. `x` is the position of the centre
-    of mass along the body's x axis, m.
-    """
+    # The radius of gyration is the radius of a connector. `mass` excludes the mass of
+    # the parts in `fixed`. `x` is the position of the centre of mass along the x axis
+    # (m).
     body.mass = mass + fixed.mass
-    body.ipos = [x, 0, 0]  # MjSpec would use the body's `pos` by default
+    body.ipos = [x, 0, 0]  # the default of MjSpec is the body's `pos`
     body.inertia = np.full(3, mass * spec.connector_gyration**2) + fixed.moments
     body.explicitinertial = True
 

@@ -34,7 +34,7 @@ LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
 """Friction laws for loaded contact."""
 
 LOADS = ("instantaneous", "across", "static")
-"""Ways to compute the load of a wheel in the friction law.
+"""Values of `LoadedContact.load`, which select the load of a wheel in a friction law.
 
 - instantaneous: the instantaneous normal force.
 - across: the weight of the connector, divided in the ratio of the normal forces on its
@@ -51,10 +51,10 @@ LAW_OF: dict[Wheels, Law] = {"rolling": "wheel", "skid": "ellipse"}
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
 """Preload κ of a wheel and of a skid, dimensionless.
 
-A skid slides in both directions, so the contact of a skid opens more easily. With κ =
-19 connectors rocked from one skid to the other, and the loads oscillated with an
-amplitude as large as their mean. With κ = 59 only the loads of the tail oscillated so
-strongly.
+A skid slides in both directions, so its contact opens more easily than the contact of a
+wheel. With κ = 19, connectors rocked from one skid to the opposite one, and the
+amplitude of the loads was as large as the mean load. With κ = 59, only the loads of the
+tail oscillated so strongly.
 """
 
 
@@ -63,13 +63,14 @@ class LoadedContact:
     """Floor contact with normal forces from MuJoCo and friction from a friction law.
 
     Attributes:
-        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). A skin
-            has its own law.
-        load: load of a wheel in the friction law, one of `LOADS`. All loads except
-            "instantaneous" serve for comparison.
-        slip_speed: slip speed ε, m/s. Below the friction limit μN the force changes by μN/ε
-            times the velocity, so that a resting contact does not creep (`stick_slip`).
-            None means `SLIP_SPEED_M_S` times the time unit of the robot (`robot.scale`).
+        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). On
+            a robot with skin, the law of the skin applies instead.
+        load: load of a wheel in the friction law, one of `LOADS`. The default
+            "instantaneous" is recommended. The other loads serve for comparison.
+        slip_speed: slip speed ε, m/s. The default is `SLIP_SPEED_M_S` times the time
+            unit of the robot (`robot.scale`). Below the friction limit μN, the force
+            changes by μN/ε times the velocity, so that a resting contact does not creep
+            (`stick_slip`).
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -85,7 +86,7 @@ class LoadedContact:
         _check_positive(self, "slip_speed")
 
     def for_robot(self, spec: RobotSpec) -> LoadedContact:
-        """Return the contact with missing settings filled in for a robot."""
+        """Return the contact with default values for a robot instead of None."""
         return replace(self, slip_speed=_scaled(self.slip_speed, SLIP_SPEED_M_S, spec))
 
 
@@ -93,19 +94,19 @@ class LoadedContact:
 class PreloadedContact:
     """Floor contact with MuJoCo's own friction, on wheels or skids with a preload.
 
-    The friction acts as if each wheel carried its static load, as in the analytical model.
+    Friction acts as if each wheel carried its static load, as in the analytical model.
 
     Attributes:
         wheels: kind of feet, "rolling" (wheels on hinges) or "skid" (runners).
-        preload: preload κ, the additional normal force on each wheel as a multiple of
-            its static load. None means `PRELOAD`.
+        preload: preload κ, the ratio of the additional normal force on each wheel to
+            the static load, dimensionless. `PRELOAD` contains the defaults.
         slip_time: time constant with which contact friction stops a slip
-            (`solreffriction`), s. None means `SLIP_TIME_S` times the time unit of the
-            robot (`robot.scale`).
+            (`solreffriction`), s. The default is `SLIP_TIME_S` times the time unit of
+            the robot (`robot.scale`).
         axle_time: time constant with which axle friction stops the rotation of a wheel,
-            s. None means `AXLE_TIME_S` times the time unit.
-        slip_speed: slip speed of the axial drag, m/s. None means `SLIP_SPEED_M_S` times
-            the time unit.
+            s. The default is `AXLE_TIME_S` times the time unit.
+        slip_speed: slip speed of the axial drag, m/s. The default is `SLIP_SPEED_M_S`
+            times the time unit.
     """
 
     name: ClassVar[Literal["preloaded"]] = "preloaded"
@@ -126,7 +127,7 @@ class PreloadedContact:
             )
 
     def for_robot(self, spec: RobotSpec) -> PreloadedContact:
-        """Return the contact with missing settings filled in for a robot."""
+        """Return the contact with default values for a robot instead of None."""
         return replace(
             self,
             slip_time=_scaled(self.slip_time, SLIP_TIME_S, spec),
@@ -141,7 +142,7 @@ class PreloadedContact:
 
     @property
     def preload_ratio(self) -> float:
-        """Preload κ, by default the value in `PRELOAD`, dimensionless."""
+        """Preload κ, which is by default the value in `PRELOAD`, dimensionless."""
         if self.preload is None:
             return PRELOAD[self.wheels]
         return self.preload
@@ -163,7 +164,7 @@ def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
 
 
 def stated(setting: float | None) -> float:
-    """Return a contact setting, which `for_robot` must have filled in."""
+    """Return a contact setting. `for_robot` must have replaced None by the default."""
     assert setting is not None
     return setting
 
@@ -191,13 +192,14 @@ class Numerics:
     """Switches for studies of the twin itself.
 
     Attributes:
-        link_fraction: fraction of the lightest connector's mass that is placed between the
-            hinges of a segment, dimensionless. The dissertation places all mass at the
-            connectors.
+        link_fraction: fraction of the lightest connector's mass that is placed between
+            the hinges of a segment, dimensionless. In the dissertation the connectors
+            have all the mass.
         wheel_spin: factor on the wheels' moment of inertia about their axles,
             dimensionless.
-        constant_curvature: whether to constrain the hinges of a segment to equal angles, as
-            in the analytical model. Otherwise a loaded segment also bends into an S.
+        constant_curvature: whether the hinges of a segment are constrained to equal
+            angles, as in the analytical model. Without this constraint, a loaded
+            segment can also bend into an S.
     """
 
     link_fraction: float = 0.02
@@ -213,9 +215,9 @@ class ModelSettings:
         timestep: time step, s.
         hinges_per_segment: number of bending hinges per segment, 1 or more.
         contact: contact with the floor.
-        base: support of the chain, "free" or "clamped". With a clamped base the head is
-            held, and the chain hangs in the air and bends in the horizontal plane only.
-        numerics: switches for studies of the twin.
+        base: support of the chain, "free" or "clamped". A chain with a clamped head
+            hangs in the air and bends only in the horizontal plane.
+        numerics: switches for studies of the twin itself.
     """
 
     timestep: float = TIMESTEP_S
@@ -230,20 +232,21 @@ class ModelSettings:
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
     def for_robot(self, spec: RobotSpec) -> ModelSettings:
-        """Return the settings with missing contact settings filled in."""
+        """Return the settings with default contact settings instead of None."""
         return replace(self, contact=self.contact.for_robot(spec))
 
     def link_mass(self, spec: RobotSpec) -> float:
-        """Return the mass of a link between two hinges, taken from connectors, kg."""
+        """Return the mass of a link between two hinges, kg."""
         links = max(1, self.hinges_per_segment - 1)
         return self.numerics.link_fraction * min(spec.mass.connectors) / links
 
     def contact_time(self, spec: RobotSpec) -> float:
         """Return the time constant of the normal contact, s.
 
-        Under loaded contact the time constant is two time steps, because with a single
-        time step the loads would oscillate. Under a preload it is a fraction of the
-        damping time of the pitch and roll joints, which distribute the load.
+        Under loaded contact, the time constant is two time steps, because the normal
+        forces oscillate with a single time step. Under a preload, the time constant is
+        a fraction of the damping time of the pitch and roll joints, which distribute
+        the load.
         """
         if self.loaded:
             return 2 * self.timestep
@@ -258,15 +261,15 @@ PRESETS: dict[str, dict[str, float]] = {
     "reference": {"timestep": 0.00025},
     "fast": {"timestep": 0.002},
 }
-"""Settings of a twin for each preset, used as `TwinSnake(spec, **PRESETS["fast"])`.
+"""Arguments of `TwinSnake` for each preset.
 
-benchmarks/presets.py measures the errors of the presets. A step of 2 ms is the maximum
-below the damping time of the segments.
+The script benchmarks/presets.py measures the errors of the presets. A step of 2 ms is
+the longest round step below the damping time of the segments.
 """
 
 
 def preset_of(settings: ModelSettings) -> str | None:
-    """Return the name of the preset with the time step of these settings, or None."""
+    """Return the name of the preset with the same time step, or None."""
     if not settings.loaded:
         return None
     for name, preset in PRESETS.items():
@@ -285,9 +288,10 @@ def bend_joints(spec: RobotSpec) -> tuple[str, ...]:
 def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
     """Return the distances of the hinges from the front connector, shape (n,), m.
 
-    The first and the last of n ≥ 2 hinges are at 1/(2(n+1)) of the length from the ends,
-    and the others are evenly spaced between them. If the hinges share a bend q equally, the
-    chord then agrees with the chord of the arc, l sin(q/2)/(q/2), through order q².
+    The first and the last of n ≥ 2 hinges are at 1/(2(n+1)) of the length from the
+    ends, and the remaining hinges are evenly spaced between them. If the hinges have
+    equal angles, the chord agrees with the chord l sin(q/2)/(q/2) of the arc through
+    order q², where q is the bend.
 
     Args:
         hinges: number of hinges n.
@@ -306,10 +310,8 @@ def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
 
 
 def stable_step(step: float, damping_time: float) -> float:
-    """Return the longest stable step that divides a time step equally, s.
+    """Return the longest stable step of which the time step is a multiple, s.
 
-    Args:
-        step: time step, s.
-        damping_time: damping time of the segments, s.
+    `damping_time` is the damping time of the segments, s.
     """
     return step / math.floor(step / (MAX_STEP_RATIO * damping_time) + 1)

@@ -21,16 +21,16 @@ ROUNDING = 1 + 1e-9
 LEAST_INERTIA = 1e-15
 """Minimum moment of inertia that MuJoCo accepts (mjMINVAL), kg·m².
 
-The value is copied, because scenarios are checked without an import of MuJoCo.
+The value is copied, so that scenarios can be checked without an import of MuJoCo.
 """
 
 
 def check(spec: RobotSpec, settings: ModelSettings, world: World) -> None:
-    """Raise an error if a twin does not support robot, settings and world together.
+    """Check that a twin supports robot, settings and world together.
 
     Raises:
-        InputError: there is a violation. The message contains all violations and all
-            features that the contact does not support.
+        InputError: the twin does not support the combination. The message states all
+            violations.
     """
     refused = refusals("contact", settings.contact.name, spec, world)
     raise_violations((*refused, *violations(spec, settings, world)))
@@ -77,7 +77,7 @@ def violations(
 def coupling_violations(timestep: float, chambers: Pneumatics) -> Iterator[Violation]:
     """Yield a violation if the time step (s) is too long for the chambers.
 
-    Chambers whose pressures depend on the bends limit the time step.
+    The time step is limited if the pressures of the chambers depend on the bends.
     """
     longest = chambers.coupling_step_s
     if chambers.depends_on_bend and timestep > longest * ROUNDING:

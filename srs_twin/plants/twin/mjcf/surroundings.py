@@ -2,21 +2,23 @@
 
 **Obstacles** consist of capsules. A circle is represented by an upright capsule with
 the radius of the circle. A polygon has a capsule of 1 mm radius along each side, which
-enlarges the polygon by 1 mm. The body touches obstacles with its collision geoms. Hulls are
-copies of the capsules of the skin with the width of the robot, at the height of the
-centres of mass. MuJoCo therefore computes the contact between collision geom and obstacle in
-closed form, in the plane. Hulls exist only in worlds with obstacles or objects, so
-other worlds have no additional cost.
+enlarges the polygon by 1 mm. Obstacles touch only the collision geoms of the body.
+The collision geoms are copies of the capsules of the skin, with the width of the robot,
+at the height of the centres of mass. MuJoCo therefore computes the contact between
+collision geom and obstacle in closed form, in the plane. Only worlds with obstacles or
+objects have collision geoms, so other worlds have no additional cost.
 
-**An object** is a cylinder or a box that slides and turns on the floor but does not
-tip. It is a body with two slide joints and a hinge about z, so its entries in `qpos`
-are x, y and heading in the world frame. Four support points carry the object's weight
-and its friction on the floor (`MovableObject.supports`).
+**An object** is a cylinder or a box that slides and rotates on the floor but does not
+tip. The MuJoCo body of an object has two slide joints and a hinge about z. The entries
+of an object in `qpos` are therefore x, y and heading in the world frame. Four support
+points carry the object's weight and its friction on the floor
+(`MovableObject.supports`).
 
-`friction_solve` computes the friction at the support points and between object and
-body. MuJoCo computes the normal forces, and the friction of an object on obstacles and
-on other objects. In a world with objects the body can also touch itself. Otherwise a
-tail that holds an object could pass through the undulating part of the body.
+The module `friction_solve` computes the friction at the support points and between
+objects and body. MuJoCo computes the normal forces, and the friction between objects
+and between objects and obstacles. In a world with objects, the collision geoms of the
+body can also touch each other. Without these contacts, a tail around an object could
+pass through the undulating part of the body.
 """
 
 from __future__ import annotations
@@ -34,22 +36,22 @@ from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sens
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, FloorStep, MovableObject, World
 
-# MuJoCo's contype of obstacles and conaffinity of collision geoms. Floor and wheels touch through
-# explicit pairs.
+# MuJoCo's contype of obstacles and conaffinity of collision geoms. Floor and wheels
+# have explicit contact pairs.
 CONTACT_BIT = 2
-HEIGHT_RATIO = 2.0  # ratio of a round obstacle's half height to the body's width
-_MIN_CONTACT_STEPS = 2.0  # minimum ratio of contact time to time step in MuJoCo
+HEIGHT_RATIO = 2.0  # Half height of a round obstacle, relative to the body's width.
+_MIN_CONTACT_STEPS = 2.0  # Minimum ratio of contact time to time step in MuJoCo.
 _LEVEL_EXTENT = (
-    100.0  # length of the outer levels beyond the steps, at a length unit of 1, m
+    100.0  # minimum length of the floor beyond the outer steps at a length unit of 1, m
 )
-# MuJoCo's impedance of an obstacle at first touch and at full depth, dimensionless.
-# With 0.95 and 0.99 a peg would sink by a quarter of a millimetre per newton into the
-# rods of a segment, because these rods are light.
+# MuJoCo's impedance of an obstacle at zero and at full depth, dimensionless. With 0.95
+# and 0.99, an obstacle would sink into the light rods of a segment by a quarter of a
+# millimetre per newton.
 _IMPEDANCE = 0.99, 0.999
 # Depth over which a contact reaches its full stiffness, at a length unit of 1, m.
 _TRANSITION_DEPTH = 0.0005
-_GREY = [0.45, 0.47, 0.5, 1]  # RGBA
-_COLLISION_GROUP = 4  # geom group; viewers do not show it
+_GREY = [0.45, 0.47, 0.5, 1]  # RGBA.
+_COLLISION_GROUP = 4  # Geom group, which viewers do not show.
 _GRADIENT = mujoco.mjtBuiltin.mjBUILTIN_GRADIENT
 _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 
@@ -57,7 +59,7 @@ _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 def add_collision_class(
     mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, friction: float
 ) -> None:
-    """Add the class ``collision_geom`` for the geoms of the body that touch obstacles."""
+    """Add the class ``collision_geom`` for geoms that touch obstacles."""
     depth = _TRANSITION_DEPTH * spec.scale.length
     collision_geom = mj.add_default("collision", mj.find_default(ROOT)).geom
     collision_geom.type = mjtGeom.mjGEOM_CAPSULE
@@ -75,9 +77,9 @@ def add_collision_class(
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the obstacles of a world, and sensors on each collision geom.
 
-    The sensors measure the force of all obstacles on the collision geom (N) with its point of
-    application (m), and the velocity of the collision geom's centre (m/s), all in the world
-    frame.
+    The sensors measure the force of all obstacles on the collision geom (N), the point
+    of application of this force (m), and the velocity of the collision geom's centre
+    (m/s). All sensors use the world frame.
     """
     solid = mj.add_default("obstacle", mj.default).geom
     solid.type = mjtGeom.mjGEOM_CAPSULE
@@ -117,8 +119,9 @@ def add_steps(
 ) -> list[str]:
     """Lower the floor, add boxes for raised levels, and return the names of the boxes.
 
-    The floor before the first step, at the smallest x, has the height 0. Cameras use
-    the length of the robot instead of the extent of the boxes.
+    The floor before the first step, at the smallest x, has the height 0. The extent of
+    the model is the length of the robot, because the boxes would enlarge the distance
+    of the cameras.
     """
     if not steps:
         return []
@@ -166,7 +169,7 @@ def collision_geoms(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
 
 
 def friction_of(model: mujoco.MjModel) -> float:
-    """Return the friction coefficient between body and obstacles, 0 without collision geoms."""
+    """Return the friction coefficient between collision geoms and obstacles."""
     names = collision_geoms(model)
     if names:
         return float(model.geom(names[0]).friction[0])
@@ -176,8 +179,8 @@ def friction_of(model: mujoco.MjModel) -> float:
 def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     """Add the floor ``floor``, the sky, the light ``sun`` and the camera ``track``.
 
-    Light and camera follow the snake. The floor has no general collisions, because
-    wheels touch it through explicit pairs.
+    Light and camera move with the snake. The floor has no general collisions, because
+    wheels and floor have explicit contact pairs.
 
     Args:
         mj: model, changed in place.
@@ -232,15 +235,15 @@ _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the objects of a world after the robot, and their poses to keyframe ``home``.
 
-    Sensors measure the force of each object on each collision geom with its point of application.
-    They also measure the velocity and the angular velocity of each object. All values
-    are in the world frame.
+    Sensors measure the force of each object on each collision geom and the point of
+    application of the force. Further sensors measure the velocity and the angular
+    velocity of each object. All sensors use the world frame.
     """
     default = mj.add_default("object", mj.default)
     collision_geom = mj.find_default("collision").geom
     solid = default.geom
-    # Hulls have a higher priority than objects, so contacts between them have only
-    # normal forces in the engine.
+    # Collision geoms have a higher priority than objects, so the engine computes only
+    # normal forces between collision geoms and objects.
     solid.contype = solid.conaffinity = CONTACT_BIT
     solid.condim = 3
     solid.friction = [world.friction, 0.005, 0.0001]
@@ -275,7 +278,7 @@ def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def place_of(collision_geom: str) -> tuple[int, int]:
-    """Return the segment of a collision geom and its number in the segment, counted from 1."""
+    """Return the numbers of segment and capsule from the name of a collision geom."""
     _, segment, number = collision_geom.split("_")
     return int(segment), int(number)
 

@@ -3,19 +3,19 @@
 A connector touches the floor at two points directly below its frame, at half the track
 to the left and right.
 
-**Loaded contact.** The wheels are frictionless spheres, and friction is computed by a
-law from their contact forces (`contact_loaded`).
+**Loaded contact.** The wheels are frictionless spheres, and friction is computed from
+their contact forces (`contact_loaded`).
 
 **Preloaded contact.**
 
-- ``rolling``: the feet are wheels on hinges. They touch the floor as spheres with the
-  isotropic friction coefficient μ_n. The `frictionloss` of an axle is μ_t × load ×
-  radius, which brakes the wheel along its heading.
-- ``skid``: the feet are runners fixed to the connector. They slide with the coefficient
-  μ_t along and μ_n across the connector. MuJoCo aligns a contact frame with a geom only
-  for a plane and a capsule, along the axis of the capsule. A horizontal capsule would
-  touch with both ends. Runners therefore rise to the front like the tip of a ski and
-  touch with the rear end.
+- ``rolling``: the feet are wheels on hinges. Each wheel is a sphere with the isotropic
+  friction coefficient μ_n. The `frictionloss` of an axle is μ_t × load × radius, which
+  brakes the wheel along its heading.
+- ``skid``: the feet are runners fixed to the connector. The friction coefficient of a
+  runner is μ_t along and μ_n across the connector. MuJoCo aligns a contact frame with a
+  geom only for a plane and a capsule, along the axis of the capsule. A horizontal
+  capsule would touch the floor at both ends. Runners therefore rise to the front like
+  the tip of a ski, and only the rear end touches the floor.
 
 MuJoCo's convex friction model lifts a sliding contact off the floor. Without preload,
 the wheels of a snake would be in the air for more than half of the time, and the snake
@@ -24,10 +24,10 @@ therefore press connector i down with κ times its static load. The friction coe
 of the contact pairs are the robot's coefficients divided by 1 + κ. The contacts then
 stay closed, and friction equals friction under the static load, as in the analytical
 model. Floor forces minus the preload are the true loads, within 2 % at rest.
-docs/twin.md describes the drawbacks.
+The page docs/twin.md describes the drawbacks.
 
-Contacts are explicit pairs that name the floor, so they belong to the scene and not to
-the robot.
+Contacts are explicit pairs that include the floor, so they belong to the scene and not
+to the robot.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ from srs_twin.plants.twin.mjcf.numerics import (
 )
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-_NET_FORCE = 3  # reduction of a contact sensor: sum over all contacts
-_SIDES = {"left": 1, "right": -1}  # sign of y
+_NET_FORCE = 3  # Reduction of a contact sensor: sum over all contacts.
+_SIDES = {"left": 1, "right": -1}  # Sign of y.
 _RUNNER_SLOPE = (
-    0.6  # slope of a runner towards the front, far above any connector's pitch
+    0.6  # slope of a runner towards the front, far above any connector's pitch angle
 )
 
 # The following lengths apply at a length unit of 1 (`robot.scale`), m. The initial
-# depth of a runner in the floor lets the first step detect all runners.
+# depth of runners in the floor ensures that the first step detects their contacts.
 _RUNNER_DEPTH = 1e-6
 _REFERENCE_DEPTH = (
     5e-5  # depth of all feet in the floor at which regularisations are evaluated
@@ -112,7 +112,7 @@ def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
 
 
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
-    """Return the attributes of a contact pair of floor and wheel or skid.
+    """Return the attributes of contact pairs between the floor and wheels or skids.
 
     The friction coefficient along the heading precedes the coefficient across.
     """
@@ -153,8 +153,8 @@ def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> FixedInertia:
 
     Skids have the mass of the wheels that they replace. Wheels on axles under a
     preloaded contact are separate bodies and add no inertia. Without a floor the wheels
-    do not turn and count as fixed. Under loaded contact the spin of the wheels is part
-    of the friction law.
+    do not rotate and are fixed. Under loaded contact the friction law includes the spin
+    of the wheels.
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
@@ -201,7 +201,7 @@ def add_wheels(
 def _wheels(spec: RobotSpec, i: int) -> Iterator[tuple[str, list[float]]]:
     g = spec.geometry
     for number, axle in enumerate(spec.axles, start=1):
-        x = 0.0 - axle.behind  # avoids −0, which exported files would show
+        x = 0.0 - axle.behind  # avoids −0 in exported files
         for side, sign in _SIDES.items():
             if axle.connector == i:
                 yield (
@@ -231,7 +231,7 @@ def _add_wheel(
 def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
     """Press each connector down with a constant force along the world's z axis.
 
-    A foot of a tilted connector rolls on the floor about the centre of the foot. The
+    The foot of a tilted connector rolls on the floor about the centre of the foot. The
     force acts at the height of this centre, so it exerts no moment on the connector.
     """
     mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
@@ -250,7 +250,7 @@ def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
 
 
 def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
-    """Add an equal part of the axial drag to each connector, along its heading."""
+    """Add an equal fraction of the axial drag to each connector, along its heading."""
     for i in range(1, spec.geometry.connectors + 1):
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"drag_{i}")
         actuator = mj.add_actuator(
@@ -279,11 +279,11 @@ def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
 def add_contacts(
     mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: list[str]
 ) -> None:
-    """Add the contact pairs of wheels or skids with the floor, and their sensors.
+    """Add the contact pairs of wheels or skids with the floor, and force sensors.
 
-    The sensors measure the force of the floor on each wheel (world frame, N). Under a
-    preloaded contact they also measure the velocity of each foot (world frame, m/s).
-    `levels` are the names of raised levels of the floor.
+    The sensors measure the force of the floor on each wheel in the world frame (N).
+    Under a preloaded contact, further sensors measure the velocity of each foot in the
+    world frame (m/s). `levels` contains the names of raised levels of the floor.
     """
     if settings.contact.rolling:
         name = "wheel_on_floor"
@@ -308,7 +308,7 @@ def add_contacts(
     for pair, factor in zip(
         pairs, itertools.cycle(_contact_time_factors(mj, spec, settings)), strict=False
     ):
-        # The time constant is rounded to 0.1 µs, which keeps exported files readable.
+        # The time constant is rounded to 0.1 µs, so that exported files are readable.
         # The unit of time makes the rounding independent of the robot's scale.
         pair.solref = [round(settings.contact_time(spec) * factor / unit, 7) * unit, 1]
     for tread in treads(spec, settings):
@@ -318,7 +318,7 @@ def add_contacts(
             source = (mjtObj.mjOBJ_GEOM, "floor")
         add_force_sensor(mj, f"floor_force_{tread}", *source, on=tread)
     if settings.loaded:
-        return  # the friction law gives its power without velocity sensors
+        return  # the power of friction is known without velocity sensors
     for tread in treads(spec, settings):
         foot = tread.replace("tread", "foot")
         add_velocity_sensor(mj, f"velocity_{foot}", mjtObj.mjOBJ_SITE, foot)
@@ -343,7 +343,7 @@ def add_force_sensor(
         source: name of the geom or body that exerts the force. A body includes all its
             geoms.
         on: name of the geom on which the force acts.
-        position: whether the point of application (m) is measured as well.
+        position: whether a further sensor measures the point of application (m).
     """
     sensor = mj.add_sensor(
         name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=source
@@ -360,10 +360,10 @@ def _contact_time_factors(
 ) -> np.ndarray:
     """Return factors on the contact time constant that make all wheels sink equally.
 
-    MuJoCo derives the regularisation R of a contact from the tree of bodies. For gen 2,
-    R is 1.25 times as large at the root as at the ends. Without these factors, contacts
-    with a larger R would sink deeper and transfer part of their load to their
-    neighbours. The factors are 1 or more.
+    MuJoCo computes the regularisation R of a contact from the tree of bodies. For gen
+    2, R is 1.25 times as large at the root as at the ends. Without these factors,
+    contacts with a larger R would sink deeper and transfer part of their load to
+    neighbouring contacts. The factors are 1 or more.
     """
     depth = contact_regularisation(mj.compile(), spec, settings)
     depth *= static_loads(spec, settings).ravel()
@@ -374,10 +374,7 @@ def _contact_time_factors(
 def contact_regularisation(
     model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
 ) -> np.ndarray:
-    """Return MuJoCo's regularisation R of each normal contact, 1/kg.
-
-    The contacts are in the order of `treads`.
-    """
+    """Return the regularisation R of each normal contact in `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _REFERENCE_DEPTH * spec.scale.length
