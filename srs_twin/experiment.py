@@ -152,7 +152,8 @@ class PreparedRun:
     ) -> RunResult:
         """Simulate all plants, compute and compare metrics, and write the files.
 
-        The file metrics.json is written last. If a plant diverges, the other plants
+        The file metrics.json is written last. The recording is omitted if Rerun is not
+        installed. If a plant diverges, the other plants
         still run, and the trajectory up to the divergence is written. Comparison,
         pictures and metrics.json are then missing.
 
@@ -356,7 +357,7 @@ class PreparedRun:
     ) -> None:
         # These modules are imported here, because rerun alone takes half a second.
         from srs_twin.viewing.html.report import write_report
-        from srs_twin.viewing.rerun.recording import write_recording
+        from srs_twin.viewing.rerun.viewer import has_rerun
 
         title = self.scenario.title
         report = fresh / REPORT
@@ -367,7 +368,10 @@ class PreparedRun:
             metrics=metrics,
             attribution=attribution,
         )
-        write_recording(fresh / RECORDING, content, title=title)
+        if has_rerun():
+            from srs_twin.viewing.rerun.recording import write_recording
+
+            write_recording(fresh / RECORDING, content, title=title)
         (fresh / METRICS).write_text(
             json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8"
         )

@@ -97,6 +97,9 @@ _LISTED_PACKAGES = (
 )
 """Packages whose versions are printed; they affect results most."""
 
+_OMITTABLE_PACKAGES = ("dm-control", "rerun-sdk")
+"""Packages that are installed by default, but that `run` and `compare` do without."""
+
 # Modules whose names differ from their package. Of rerun-sdk only the bindings are
 # imported: its Python part takes as long to import as all other packages together.
 _MODULES = {
@@ -203,7 +206,12 @@ def python_check(version: str, allowed: str) -> Check:
 
 def packages_check(packages: Sequence[RequiredPackage], *, checkout: bool) -> Check:
     """Check that every package that is always required is installed in a suitable version."""
-    always = [package for package in packages if not package.extra]
+    always = [
+        package
+        for package in packages
+        if not package.extra
+        and not (package.installed is None and package.name in _OMITTABLE_PACKAGES)
+    ]
     versions = _versions(
         package for package in always if package.name in _LISTED_PACKAGES
     )
