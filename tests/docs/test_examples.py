@@ -117,7 +117,8 @@ def test_stiffness_changes_only_the_twin_in_the_sweep(tmp_path):
 @pytest.mark.slow
 def test_interval_contains_the_speed_and_shrinks(tmp_path):
     text = run(tmp_path, "uncertainty")
-    value, low, high = numbers(text.replace("to", ","), r"(\d+)(?= mm/s,|\s,|$)")[:3]
+    pattern = r"speed: (\d+) mm/s, 95 % interval (\d+) to (\d+)\n"
+    value, low, high = map(int, re.match(pattern, text).groups())
     assert low < value < high
     after = re.findall(r"(\d+) to (\d+) mm/s", text)
     assert after
