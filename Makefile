@@ -1,4 +1,4 @@
-.PHONY: test fast slow check docs golden
+.PHONY: test fast slow check docs golden paper
 
 test:    ## the tests of every change
 	uv run --group dev pytest
@@ -19,3 +19,6 @@ docs:    ## the site, site/index.html
 
 golden:  ## digests of all shipped results against benchmarks/golden.json
 	uv run --group dev python benchmarks/golden.py
+
+paper:   ## the figures of the paper
+	uv run python paper/figures.py

@@ -38,6 +38,7 @@ include_patterns = [
     "*.md",
     "models/README.md",
     "calibration/README.md",
+    "examples/README.md",
     "examples/firmware/README.md",
 ]
 # Folders that Sphinx does not search; links to their files still work.

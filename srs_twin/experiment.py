@@ -143,9 +143,10 @@ class PreparedRun:
     ) -> RunResult:
         """Simulate all plants, compute and compare metrics, and write the files.
 
-        The file metrics.json is written last. If a plant diverges, the remaining plants
-        are still simulated, and each trajectory is written. After a divergence, neither
-        a comparison nor pictures nor metrics.json are written.
+        The file metrics.json is written last. The recording is omitted if Rerun is not
+        installed. If a plant diverges, the remaining plants are still simulated, and
+        each trajectory is written. After a divergence, neither a comparison nor
+        pictures nor metrics.json are written.
 
         Args:
             progress: callback with the name of the plant and the completed fraction.
@@ -347,7 +348,7 @@ class PreparedRun:
     ) -> None:
         # These modules are imported here because importing rerun takes half a second.
         from srs_twin.viewing.html.report import write_report
-        from srs_twin.viewing.rerun.recording import write_recording
+        from srs_twin.viewing.rerun.viewer import has_rerun
 
         title = self.scenario.title
         report = fresh / REPORT
@@ -358,7 +359,10 @@ class PreparedRun:
             metrics=metrics,
             attribution=attribution,
         )
-        write_recording(fresh / RECORDING, content, title=title)
+        if has_rerun():
+            from srs_twin.viewing.rerun.recording import write_recording
+
+            write_recording(fresh / RECORDING, content, title=title)
         (fresh / METRICS).write_text(
             json.dumps(metrics, indent=2, allow_nan=False) + "\n", "utf-8"
         )

@@ -316,7 +316,7 @@ def _print_result(
         if not report.quiet:
             if not report.as_json:
                 show(result.run)
-            say(f"files in {case.folder}; `srs-twin view {case.folder}` shows the run")
+            say(f"files in {case.folder}; {_viewing_hint(case.folder)}")
             _suggest_explanation(case, result, changes)
         elif report.fails and not report.as_json:
             shown = report.fails | {"holds", "not_judged"}
@@ -324,6 +324,15 @@ def _print_result(
     for error in result.errors:
         show_traceback(error)
         say(str(error))
+
+
+def _viewing_hint(folder: Path) -> str:
+    """Return the command that shows a run, or why the run has no recording."""
+    from srs_twin.experiment import RECORDING
+
+    if (folder / RECORDING).is_file():
+        return f"`srs-twin view {folder}` shows the run"
+    return "no recording was written, because rerun-sdk is not installed"
 
 
 def _suggest_explanation(

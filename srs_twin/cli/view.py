@@ -49,6 +49,9 @@ def view(
     with tempfile.TemporaryDirectory(prefix="srs-twin-view-") as folder:
         recording = recordings[0]
         if len(recordings) > 1:
+            from srs_twin.viewing.rerun.viewer import require_rerun
+
+            require_rerun()
             from srs_twin.viewing.rerun.recording import write_side_by_side
 
             recording = Path(folder) / "side-by-side.rrd"

@@ -294,6 +294,9 @@ def _live_views(
         return [], ""
     from srs_twin.io.files import create_numbered_file
     from srs_twin.live.session import RECORDINGS
+    from srs_twin.viewing.rerun.viewer import require_rerun
+
+    require_rerun()
     from srs_twin.viewing.rerun.live import live_view
 
     recording = None

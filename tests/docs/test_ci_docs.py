@@ -40,7 +40,7 @@ def workflow(name):
 ACTION = yaml.safe_load(
     (ROOT / ".github/actions/rollouts/action.yml").read_text("utf-8")
 )
-TEMPLATE = yaml.safe_load((ROOT / "ci/gitlab.yml").read_text("utf-8"))[
+TEMPLATE = yaml.safe_load((ROOT / "examples/ci/gitlab.yml").read_text("utf-8"))[
     ".srs_twin_rollouts"
 ]
 
@@ -202,7 +202,7 @@ def test_inputs_are_never_executed(text, room):
 
 
 def test_no_workflow_pastes_an_expression_into_a_shell():
-    files = [*ROOT.glob(".github/**/*.yml"), ROOT / "ci/gitlab.yml"]
+    files = [*ROOT.glob(".github/**/*.yml"), ROOT / "examples/ci/gitlab.yml"]
 
     def scripts(value):
         for key, each in value.items() if isinstance(value, dict) else enumerate(value):
@@ -311,7 +311,7 @@ def container(tmp_path):
     """The start script of the container, and a program that prints the cache folders it gets."""
     for name in ("start", "bin", "tmp"):
         (tmp_path / name).mkdir()
-    shutil.copy(ROOT / "ci/container.sh", tmp_path / "start/srs-twin")
+    shutil.copy(ROOT / "examples/ci/container.sh", tmp_path / "start/srs-twin")
     program = tmp_path / "bin/srs-twin"
     program.write_text(
         '#!/bin/sh\necho "$NUMBA_CACHE_DIR"; echo "$MPLCONFIGDIR"; echo "$@"\n'
@@ -361,9 +361,11 @@ def test_caches_of_the_container_are_private_to_its_user(before, container):
 
 def test_the_container_starts_with_private_caches():
     last = CONTAINERFILE.rpartition("FROM ")[2]
-    assert "COPY ci/container.sh /opt/srs-twin/start/srs-twin\n" in last
+    assert "COPY examples/ci/container.sh /opt/srs-twin/start/srs-twin\n" in last
     assert "ENV PATH=/opt/srs-twin/start:/opt/srs-twin/bin:$PATH\n" in last
-    assert "CACHE_DIR" not in last and os.access(ROOT / "ci/container.sh", os.X_OK)
+    assert "CACHE_DIR" not in last and os.access(
+        ROOT / "examples/ci/container.sh", os.X_OK
+    )
 
 
 def test_containerfile_installs_the_remedies_of_doctor():

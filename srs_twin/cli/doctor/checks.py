@@ -83,7 +83,7 @@ PURPOSES = {
     "recordings": "recordings in C3D and MCAP files and ROS bags",
     "optimize": "studies (`srs-twin optimize`)",
     "video": "videos (`srs-twin render RUN --video out.mp4`)",
-    "rl": "training of policies (examples/train_ppo.py)",
+    "rl": "training of policies (benchmarks/train_ppo.py)",
 }
 """Purpose of each extra in pyproject.toml."""
 
@@ -97,6 +97,9 @@ _LISTED_PACKAGES = (
     "rerun-sdk",
 )
 """Packages whose versions are printed, because they affect results most."""
+
+_OMITTABLE_PACKAGES = ("dm-control", "rerun-sdk")
+"""Packages that are installed by default, but that `run` and `compare` do without."""
 
 # Modules whose names differ from the name of the package. For rerun-sdk, only the
 # bindings are imported, because the Python part takes as long as all other packages.
@@ -199,7 +202,12 @@ def python_check(version: str, allowed: str) -> Check:
 
 def packages_check(packages: Sequence[RequiredPackage], *, checkout: bool) -> Check:
     """Check that suitable versions of all required packages are installed."""
-    always = [package for package in packages if not package.extra]
+    always = [
+        package
+        for package in packages
+        if not package.extra
+        and not (package.installed is None and package.name in _OMITTABLE_PACKAGES)
+    ]
     versions = _versions(
         package for package in always if package.name in _LISTED_PACKAGES
     )

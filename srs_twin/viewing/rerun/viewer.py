@@ -22,11 +22,29 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.util import find_spec
 from pathlib import Path
 from typing import IO, Any
 from urllib.parse import quote, urlsplit
 
 from srs_twin.errors import InputError
+
+_INSTALL = "pip install 'rerun-sdk>=0.41,<0.42'"
+
+
+def has_rerun() -> bool:
+    """Return whether Rerun is installed; without it, runs have no recording."""
+    return find_spec("rerun") is not None
+
+
+def require_rerun() -> None:
+    """Check that Rerun is installed.
+
+    Raises:
+        InputError: Rerun is missing.
+    """
+    if not has_rerun():
+        raise InputError(f"rerun-sdk is not installed; install it with: {_INSTALL}")
 
 
 def rerun_executable() -> Path:
@@ -35,10 +53,7 @@ def rerun_executable() -> Path:
         "rerun.exe" if os.name == "nt" else "rerun"
     )
     if not program.is_file():
-        raise InputError(
-            f"{program} is missing; install it with: pip install"
-            " 'rerun-sdk>=0.41,<0.42'"
-        )
+        raise InputError(f"{program} is missing; install it with: {_INSTALL}")
     return program
 
 
