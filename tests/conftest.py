@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 from filelock import FileLock
 from hypothesis import settings
+from subsets import mark_other_cases_slow
 
 ROOT = Path(__file__).parents[1]
 
@@ -40,6 +41,12 @@ sys.dont_write_bytecode = False
 
 ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 Command = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark the cases that `default_cases` leaves out as slow before pytest selects by markers."""
+    mark_other_cases_slow(items)
 
 
 @pytest.fixture(scope="session")

@@ -165,6 +165,7 @@ def test_compare_imports_what_its_scenario_names(tmp_path):
     assert len(names) <= MAX_MODULES
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("part", "source", "words"),
     [

@@ -60,12 +60,14 @@ def start(*words: str) -> None:
     assert not left.value.code
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 25, 34, 37, 52])
 @pytest.mark.parametrize("name", shipped_names("scenario"))
 def test_loading_builds_no_plant_and_no_controller(built, name):
     load_scenario(name)
     assert not built
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("command", "twins"), [("compare", 1), ("run", 0)])
 def test_a_command_builds_each_plant_and_each_controller_once(
     built, tmp_path, monkeypatch, command, twins
@@ -91,6 +93,7 @@ def way_from_compare() -> list[str]:
     raise AssertionError("not called by compare")
 
 
+@pytest.mark.default_cases(at=[0, 1])
 @pytest.mark.parametrize(("text", "way"), [(BRIEF, "play"), (LEARNING, "advance")])
 def test_call_stack_to_the_plant_has_eight_frames_in_six_files(
     tmp_path, monkeypatch, text, way

@@ -7,7 +7,6 @@ import inspect
 from collections.abc import Iterator
 from pathlib import Path
 
-import pytest
 from pydantic import BaseModel
 
 import srs_twin.scenario
@@ -65,18 +64,18 @@ def keys_in_sources() -> Iterator[tuple[str, str, ast.expr]]:
                     )
 
 
-@pytest.mark.parametrize("section", SECTIONS, ids=lambda item: item.__name__)
-def test_defaults_equal_those_of_the_constructors(section):
-    for key, field in section.model_fields.items():
-        parameter = section.parameter(key)
-        if (
-            parameter is None
-            or parameter.default is parameter.empty
-            or field.default is None
-        ):
-            continue
-        if f"{section.__name__}.{key}" not in OTHER and not field.is_required():
-            assert field.default == parameter.default, key
+def test_defaults_equal_those_of_the_constructors():
+    for section in SECTIONS:
+        for key, field in section.model_fields.items():
+            parameter = section.parameter(key)
+            if (
+                parameter is None
+                or parameter.default is parameter.empty
+                or field.default is None
+            ):
+                continue
+            if f"{section.__name__}.{key}" not in OTHER and not field.is_required():
+                assert field.default == parameter.default, (section, key)
 
 
 def test_no_default_is_declared_twice():
@@ -113,17 +112,17 @@ def test_no_unit_is_declared_twice():
     )
 
 
-@pytest.mark.parametrize("section", SECTIONS, ids=lambda item: item.__name__)
-def test_schema_contains_bounds_and_units(section):
-    for key, shown in section.model_json_schema().get("properties", {}).items():
-        numbers = [
-            item
-            for item in (shown, *shown.get("anyOf", ()))
-            if item.get("type") in ("number", "integer")
-        ]
-        for number in numbers:
-            assert {"minimum", "maximum"} <= number.keys(), key
-            assert shown.get("unit"), key
+def test_schema_contains_bounds_and_units():
+    for section in SECTIONS:
+        for key, shown in section.model_json_schema().get("properties", {}).items():
+            numbers = [
+                item
+                for item in (shown, *shown.get("anyOf", ()))
+                if item.get("type") in ("number", "integer")
+            ]
+            for number in numbers:
+                assert {"minimum", "maximum"} <= number.keys(), (section, key)
+                assert shown.get("unit"), (section, key)
 
 
 def test_every_section_of_a_file_is_a_section():

@@ -41,6 +41,7 @@ def kinds(kind: type) -> set[type]:
     return {kind}.union(*map(kinds, kind.__subclasses__()))
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
 def test_error_is_unchanged_by_pickling(error):
     copy = pickle.loads(pickle.dumps(error))
@@ -129,6 +130,7 @@ TYPOS = [
 ]
 
 
+@pytest.mark.default_cases(at=[0, 5, 9, 22, 33])
 @pytest.mark.parametrize(("text", "available", "suggested"), TYPOS)
 def test_closest_names_are_suggested(text, available, suggested):
     *first, last = suggested
@@ -136,6 +138,7 @@ def test_closest_names_are_suggested(text, available, suggested):
     assert did_you_mean(text, sorted(available)) == f"; did you mean {listed}?"
 
 
+@pytest.mark.default_cases(at=[0, 49, 60])
 @pytest.mark.parametrize(
     "text",
     ["zzz", "banana", "x", "", "...", "on", "hello_world", "\u202erobot", "/", "?"],
@@ -220,6 +223,7 @@ FILES = {
 }
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 7, 8, 10, 11])
 @pytest.mark.parametrize(("arguments", "message"), COMMANDS)
 def test_every_command_suggests_the_closest_name(
     arguments, message, tmp_path, monkeypatch, capsys

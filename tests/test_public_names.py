@@ -55,6 +55,7 @@ def run_script(folder: Path, source: str) -> str:
     return done.stdout
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.fast
 @pytest.mark.parametrize("package", LAZY)
 def test_public_names_exist_where_type_checkers_look_for_them(package):
@@ -84,6 +85,7 @@ def test_rollout_is_the_function_whatever_is_imported_first(first, tmp_path):
     assert run_script(tmp_path, code) == "rollout True\n"
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.fast
 @pytest.mark.parametrize("package", LAZY)
 def test_packages_are_pickled_by_name(package):
@@ -92,6 +94,7 @@ def test_packages_are_pickled_by_name(package):
     assert copy.deepcopy(module) is module
 
 
+@pytest.mark.slow
 def test_function_of_a_script_runs_in_another_process_by_cloudpickle(tmp_path):
     """Joblib, Ray and the subprocess environments of Stable-Baselines3 send functions in this way."""
     send = (
@@ -106,6 +109,7 @@ def test_function_of_a_script_runs_in_another_process_by_cloudpickle(tmp_path):
     assert run_script(tmp_path, receive) == sent
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
 def test_function_of_a_script_runs_in_a_process_pool(method, tmp_path):
     pool = f"""
@@ -118,6 +122,7 @@ if __name__ == "__main__":
     assert run_script(tmp_path, SPEED + pool) == "True\n"
 
 
+@pytest.mark.slow
 def test_type_checkers_understand_a_users_script_and_a_new_controller(
     srs_twin, tmp_path, request
 ):
@@ -155,6 +160,7 @@ run = srs.rollout(twin, srs.Gait(1.0), 1.0)
 """
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("line", "names"),
     [

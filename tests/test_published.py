@@ -37,6 +37,7 @@ def by_offset():
     return {run.offset: run for run in published_runs()}
 
 
+@pytest.mark.default_cases(at=[0, 1, 5, 9])
 @pytest.mark.parametrize("name", TABLES)
 def test_every_table_loads_under_its_own_name(name):
     table = load_table(name)
@@ -71,6 +72,7 @@ def printed_number(text):
     return match and float(match[1])
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", ["table2", "table5", "table6", "table9"])
 def test_values_are_the_printed_numbers(name):
     table = load_table(name)
@@ -262,6 +264,7 @@ REFUSED = [
 ]
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 4, 5])
 @pytest.mark.parametrize(("old", "new", "words"), REFUSED)
 def test_what_a_table_is_refused_for(tmp_path, old, new, words):
     text = (data_root() / "calibration/published/table2.yaml").read_text("utf-8")

@@ -365,6 +365,7 @@ def test_a_footprint_is_that_of_its_file(place, capsys):
     assert body.speeds == pytest.approx([path.speed for path in found.steady], rel=1e-3)
 
 
+@pytest.mark.default_cases(at=[0, 3, 4, 5, 6, 7, 8, 9])
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -403,6 +404,7 @@ def test_wrong_names_have_the_messages_of_the_commands(call, words):
         call()
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 4, 8])
 @pytest.mark.parametrize(
     ("call", "words"),
     [

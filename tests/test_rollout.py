@@ -110,6 +110,7 @@ class Scripted(Controller):
         )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("record_hz", "step", "samples"),
     [(50, 0.02, 51), (200, 0.005, 201), (10, 0.1, 11), (25, 0.04, 26)],
@@ -158,6 +159,7 @@ def test_incompatible_times_are_rejected_with_a_remedy():
         AnalyticalSnake(SPEC, timestep=np.nan)
 
 
+@pytest.mark.default_cases(at=[0, 13, 28])
 @pytest.mark.parametrize(
     "record_hz", [7.14286, 2.94118, 3.33333, 50 / 7.0001, 333.3, 1.00003e-3, 123456.7]
 )
@@ -190,6 +192,7 @@ def test_only_one_start_is_accepted():
     assert placed == [3]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("record_hz", [0, -50, np.nan, np.inf])
 def test_invalid_record_hz_is_rejected(record_hz):
     with pytest.raises(
@@ -229,6 +232,7 @@ def test_analytical_steps_end_on_samples(timestep):
     assert coarse.com == pytest.approx(fine.com, abs=1e-3)
 
 
+@pytest.mark.default_cases(at=[0, 2, 10])
 @pytest.mark.parametrize("record_hz", [100, 25, 1000])
 @pytest.mark.parametrize(
     ("frequency", "offset"), [(2.0, 0.0), (1.7, -0.3), (0.9, 0.94), (49.0, 0.1)]
@@ -445,6 +449,7 @@ def spoil_twin(plant: TwinSnake, value: float) -> None:
     plant.physics.data.qvel[0] = value
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 5])
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e7])
 @pytest.mark.parametrize(
     ("build", "spoil"),

@@ -148,6 +148,7 @@ def test_numbered_columns_are_stacked():
         run.stack("measured_bend")
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("name", "unit"),
     [

@@ -94,6 +94,7 @@ def recorded(kind, plant):
     return {re.sub(r"_\d+$", "", name): run.unit(name) for name in run.columns}
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.parametrize("kind", CONTROLLERS)
 def test_every_column_of_a_run_has_the_unit_written_here(kind, plant):
@@ -157,6 +158,7 @@ PLANNING = {
 }
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("units", "written"),
     [

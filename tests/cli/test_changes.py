@@ -55,6 +55,7 @@ def test_a_resolved_scenario_can_be_changed_again():
     assert first.robot.friction.mu_t != 0.1  # what it was made from stays
 
 
+@pytest.mark.default_cases(at=[0, 1, 8, 9, 10, 11, 14, 15, 16])
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -109,6 +110,7 @@ def test_a_mistake_names_the_option_and_the_remedy(srs_twin, tmp_path, words, sa
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("typed", "offered"),
     [
@@ -285,6 +287,7 @@ COMPLIANCE = (
 CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 4, 5, 6, 7])
 @pytest.mark.parametrize(
     ("metrics", "said"),
     [
@@ -354,6 +357,7 @@ def test_headline_states_the_range_over_plausible_segments(speeds, said):
     assert sentence in headline(metrics)
 
 
+@pytest.mark.default_cases(at=[0, 56, 84, 139])
 @pytest.mark.parametrize("averaged", [False, True])
 @pytest.mark.parametrize("twin", [0.05, 0.1234, 0.15, 0.196, 0.2049, 0.25, 0.31])
 @pytest.mark.parametrize(

@@ -220,6 +220,7 @@ def commands(of=None, words=()):
 HELPS = [words for words, _ in commands()]
 
 
+@pytest.mark.default_cases(at=[0, 22, 37])
 @pytest.mark.parametrize("words", HELPS, ids=" ".join)
 def test_help_is_complete_and_not_truncated(start, monkeypatch, words):
     monkeypatch.setenv("COLUMNS", "80")
@@ -235,6 +236,7 @@ def test_help_is_complete_and_not_truncated(start, monkeypatch, words):
     assert not re.findall(r"\[default: [^]]*\]\s+\[default", left.out)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -253,6 +255,7 @@ def test_usage_error_exits_with_2(start, words, said):
     assert not set("─│╭╰") & set(left.err)
 
 
+@pytest.mark.default_cases(at=[0, 8, 12, 13, 14, 15, 16])
 @pytest.mark.parametrize(
     ("words", "ending", "code"),
     [
@@ -325,6 +328,7 @@ def test_output_follows_the_order_of_the_scenarios(start):
     ]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("metric", "met", "more", "asks"),
     [
@@ -431,6 +435,7 @@ def test_interrupt_names_complete_runs(start):
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("jobs", ["0", "-1", "two", "1.5"])
 def test_an_impossible_number_of_jobs_is_a_usage_error(start, jobs):
     left = start("run", "a", f"--workers={jobs}", a="met")
@@ -667,6 +672,7 @@ def test_closed_pipe_stops_output_but_not_the_runs(tmp_path, last, code, closed)
     assert len(ElementTree.parse(tmp_path / "r.xml").findall(".//testsuite")) == 3
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("comparison", "shown"),
     [

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from srs_twin.cli import console
-from srs_twin.cli.console import RunCounter
+from srs_twin.cli.console import Display, RunCounter
 from srs_twin.identification.fitting import FitProgress
 
 pytestmark = pytest.mark.fast
@@ -82,3 +82,42 @@ def test_a_terminal_shows_a_bar(clock, monkeypatch):
         and "4/4" in terminal.getvalue()
         and "0.333/s" in terminal.getvalue()
     )
+
+
+def test_a_bar_is_drawn_once_and_filled_by_the_fraction_done(clock, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with RunCounter("grid", 8) as done:
+        clock.now += 1.9
+        done(failed=False)
+        assert done._progress is None  # short tasks show no bar
+        for _ in range(5):
+            clock.now += 0.1
+            done(failed=False)
+        (bar,) = done._progress.tasks
+        assert (bar.description, bar.percentage) == ("grid", 75.0)
+
+
+def test_a_bar_of_unknown_length_has_no_percentage(clock, monkeypatch):
+    class Search(Display):
+        def _line(self):
+            return "searching"
+
+        def _bar(self):
+            return self.title, None, "searching"
+
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with Search("fit") as search:
+        clock.now += 3.0
+        search._show()
+        search._show()
+        (bar,) = search._progress.tasks
+        assert bar.total is None

@@ -73,6 +73,7 @@ FAILURES = [
 ]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(("check", "status", "finding", "remedy"), FAILURES)
 def test_each_failure_has_its_remedy(check, status, finding, remedy):
     assert (check.status, finding in check.detail, remedy in check.remedy) == (
@@ -82,6 +83,7 @@ def test_each_failure_has_its_remedy(check, status, finding, remedy):
     ), check
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "check",
     [
@@ -139,6 +141,7 @@ def test_wrong_machine_code_is_broken(monkeypatch):
         probes.kernels()
 
 
+@pytest.mark.slow
 def test_kernels_without_cache_folder_report_a_remedy(srs_twin_process, tmp_path):
     """Numba has no cache folder if neither the package nor the home folder is writable."""
     broken = (

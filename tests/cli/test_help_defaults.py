@@ -171,6 +171,7 @@ def test_documented_defaults_equal_those_of_the_commands():
     assert {key: texts[key] for key in values()} == values()
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", PLACES)
 def test_default_output_is_the_documented_one(name, srs_twin, tmp_path):
     """A file blocks the stated folder: the command must report it before it runs anything."""

@@ -257,6 +257,7 @@ def test_characters_outside_xml_are_escaped(tmp_path):
     assert words.startswith("\\x1b[31mred\\x00 \\ud800 \\ufffe <&\"'> é 🐍\n")
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", ["", ".", "/", "out", "gen2.yaml", "reports/", ".xml"])
 def test_report_name_without_xml_suffix_is_refused(name):
     # A scenario after a bare --junit must not be overwritten.

@@ -75,6 +75,7 @@ def test_a_new_robot_with_servos_asks_for_no_air(srs_twin, tmp_path):
     assert "silicone" not in (tmp_path / "arm.yaml").read_text("utf-8")
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "kinds", [(), ("--skin",), ("--servo",), ("--skin", "--servo")]
 )
@@ -123,6 +124,7 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
     assert run.returncode == 0 and run.stdout.count(" m in 3 s") == 2, run.stderr
 
 
+@pytest.mark.default_cases(at=[0, 1, 4, 7])
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -267,6 +267,7 @@ def test_command_keeps_ignored_interrupts(tmp_path):
     assert (tmp_path / "runs/long/metrics.json").is_file()
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -219,6 +219,7 @@ def test_robots_with_equally_many_connectors_can_be_compared():
     assert compare(Snake().trajectory(), other).metrics["shape_rms_m"] > 0
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 3])
 @pytest.mark.parametrize(
     ("candidate", "words"),
     [

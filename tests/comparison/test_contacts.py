@@ -76,6 +76,7 @@ def test_a_world_without_obstacles_has_no_contacts():
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("reference", "value", "unit", "near"),
     [

@@ -207,6 +207,7 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
     assert code == 1 and "[red]x" in out and not set(out) & set("\x1b\x9b")
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 5, 7, 8, 9])
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -375,6 +376,7 @@ def test_numbers_that_json_does_not_have_are_printed_as_text(
     assert (code, json.loads(out)) == (0, {"moved": [], "same": 2})
 
 
+@pytest.mark.default_cases(at=[0, 7, 29])
 @pytest.mark.parametrize(
     "content",
     [

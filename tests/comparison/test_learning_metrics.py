@@ -84,6 +84,7 @@ def test_amplitudes_and_duties_by_period():
     assert found["duty_lowest"] == found["duty_highest"] == pytest.approx(0.6)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("errors", "period"),
     [
@@ -131,6 +132,7 @@ def test_lost_readings_are_ignored():
     json.dumps(found, allow_nan=False)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("speed", "yaw_rate"),
     [(0.12, 0.3), (0.12, -0.3), (0.15, 0.08), (-0.1, 0.2), (0.1, 0.0)],
@@ -161,6 +163,7 @@ def test_path_metrics_recover_the_prescribed_circle(speed, yaw_rate):
         )
 
 
+@pytest.mark.default_cases(at=[0, 2, 4])
 @pytest.mark.parametrize("yaw_rate", [0.4, -0.4, 0.0])
 @pytest.mark.parametrize("width", [None, 0.05])
 def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
@@ -246,6 +249,7 @@ def test_mirroring_swaps_the_sides(real):
     assert theirs["extent_left_m"] == pytest.approx(ours["extent_right_m"], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_real_run_has_all_metrics(real):
     found = plant_metrics(real)
     # Equal modules have a straight path before learning, so no ratio of curvatures is
@@ -277,6 +281,7 @@ def test_a_short_run_has_no_path_metrics():
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("begins", [None, [[0.0, 0.25]], "now", [[math.nan, 0.0]] * 4])
 def test_runs_without_fill_starts_are_refused(begins):
     run = with_metadata(

@@ -89,6 +89,7 @@ def test_speed_of_a_straight_run_is_recovered(speed, frequency, phase, angle):
     assert found["turning_radius_m"] is None
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("record_hz", [25, 60, 100, 1000 / 7])
 def test_speed_does_not_depend_on_the_recording_rate(record_hz):
     run = Snake(
@@ -268,6 +269,7 @@ def test_a_window_needs_three_whole_periods():
     assert plant_metrics(exactly)["com_speed_m_s"] == pytest.approx(0.03, rel=1e-6)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     "snake",
     [
@@ -330,6 +332,7 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
     return with_columns(run, **{name: column})
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 4, 5, 8])
 @pytest.mark.parametrize(
     ("run", "words"),
     [

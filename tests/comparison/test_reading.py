@@ -117,6 +117,7 @@ def test_a_constant_reading_has_no_r_squared():
     assert found["reading_backstep_rad"] == 0
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("sensor", [{"kind": "ideal"}, {}, None, "hall"])
 def test_an_ideal_sensor_or_none_has_no_metrics(sensor):
     bend = there_and_back(1.0)

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from srs_twin.comparison.metrics import MEASURED_UNITS, METRIC_UNITS
@@ -90,6 +91,7 @@ def judged(
     return row
 
 
+@pytest.mark.default_cases(at=[0, 3, 7, 10, 14, 15, 16, 17, 18])
 @pytest.mark.parametrize(
     ("document", "changes", "metric", "reason"),
     [
@@ -354,6 +356,7 @@ def test_a_published_value_is_compared_in_a_sentence():
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("published", [0.10004, 0.1, 0.09996, 0.25, 0.25004])
 def test_the_printed_interval_shows_on_which_side_a_published_value_lies(published):
     row = within(0.2, published=published, interval_95=[0.100031, 0.250033])
@@ -365,6 +368,7 @@ def test_the_printed_interval_shows_on_which_side_a_published_value_lies(publish
     )
 
 
+@pytest.mark.default_cases(at=[0, 3, 5])
 @pytest.mark.parametrize(
     ("published", "error", "state", "verdict_by_interval"),
     [
@@ -402,6 +406,7 @@ def test_an_undecided_value_names_its_distance_from_the_nearest_end():
     assert "lies near an end of the 95 % interval" in row["allowed"]
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize("high", [0.25, 0.2])
 @pytest.mark.parametrize("digits", [1e-9, -1e-9, 4e-6])
 def test_rounding_differences_keep_the_interval_valid(high, digits):
@@ -415,6 +420,7 @@ def test_rounding_differences_keep_the_interval_valid(high, digits):
     assert row["state"] == "met"
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("row", "state"),
     [
@@ -444,6 +450,7 @@ def test_a_parameter_is_named_only_if_it_stands_out_from_the_error_of_its_index(
     assert largest_parameter({}) is None
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 10, 14, 25, 37, 52])
 @pytest.mark.parametrize("name", sorted(shipped_names("scenario")))
 def test_shipped_intervals_are_for_the_shipped_scenarios(name):
     """None is unjudged; `tests/scenarios` checks this in the runs."""
@@ -476,3 +483,14 @@ def test_an_interval_for_another_contact_is_reported():
         "is for a twin with contact loaded, not preloaded"
         in stored_intervals(other)["stale"]
     )
+
+
+@pytest.mark.parametrize(("step_at", "passed"), [(0, 2.0), (50, 1.5)])
+def test_the_time_after_a_step_begins_at_its_first_sample(step_at, passed):
+    time = np.arange(201) / 100
+    reference = np.where(np.arange(201) < step_at, 0.0, 0.4)
+    run = Trajectory({"time": time, "reference_1": reference, "bend_1": 0 * time})
+    values = {"error_rms_rad": 0.1, "overshoot_rel": 0.0}
+    metrics = {"plants": {"twin": values}, "comparison": {}}
+    found = why_undefined("settling_5_s", "twin", metrics, {"twin": run})
+    assert found.reason == f"it is not reached within the {passed:g} s after the step"

@@ -71,6 +71,7 @@ def foreign(folder):
     os.chown(folder, 65534, 65534)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("place", "change", "reason"),
     [

@@ -115,6 +115,7 @@ for frequency, end in ends.items():
 """
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("plant", ["AnalyticalSnake", "TwinSnake"])
 def test_one_of_two_rollouts_on_a_plant_is_right_and_the_other_is_refused(
     plant, tmp_path
@@ -147,6 +148,7 @@ USES: dict[str, Callable[[Plant], Any]] = {
 }
 
 
+@pytest.mark.default_cases(6)
 @pytest.mark.parametrize("use", USES)
 def test_rollout_claims_its_plant_until_it_ends(use):
     plant = AnalyticalSnake(SPEC)
@@ -185,6 +187,7 @@ class Slow(AnalyticalSnake):
         return super().identity()
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize("use", ["step", "advance", "reset", "place", "save"])
 def test_methods_claim_the_plant_while_they_run(use):
     plant = Slow(SPEC)
@@ -387,6 +390,7 @@ BATCH_USES: dict[str, Callable[[TwinBatch], Any]] = {
 }
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("use", BATCH_USES)
 @pytest.mark.parametrize("run", ["run_batch", "run_scripts"])
 def test_runs_of_a_batch_claim_it_until_they_end(run, use):
@@ -452,6 +456,7 @@ ENVIRONMENT_USES = {
 }
 
 
+@pytest.mark.default_cases(at=[0, 2, 4, 6])
 @pytest.mark.parametrize("kind", ENVIRONMENTS)
 @pytest.mark.parametrize("use", ENVIRONMENT_USES)
 def test_steps_of_an_environment_claim_it(kind, use, monkeypatch):
@@ -496,6 +501,7 @@ def run_in_worker(plant: Plant, controller: Controller) -> bytes:
     return rollout(plant, controller, 0.2)["com_x"].tobytes()
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
 def test_process_pools_give_the_bits_of_this_process(method):
     """The kernels are loaded, the engine has run, and a thread exists when the workers are forked."""

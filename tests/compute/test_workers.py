@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from functools import partial
 from multiprocessing import active_children
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 from conftest import exists, wait_until
 
-from srs_twin.compute.workers import START_METHOD, run_tasks
+from srs_twin.compute.workers import START_METHOD, Workers, run_tasks
 from srs_twin.errors import (
     DivergedError,
     InputError,
@@ -370,3 +371,30 @@ def test_errors_of_workers_are_srs_errors():
     assert issubclass(WorkerDiedError, SrsError)
     assert issubclass(TaskFailedError, SrsError)
     assert (WorkerDiedError.exit_code, TaskFailedError.exit_code) == (4, 4)
+
+
+def test_a_failed_task_cancels_only_the_tasks_after_it():
+    """Task 2 of 4 fails first; tasks with lower numbers still decide the result."""
+    failed = threading.Event()
+    started = threading.Barrier(4)
+    seen = {}
+
+    def task(number, is_cancelled):
+        started.wait(60)
+        if number == 2:
+            failed.set()
+            raise ValueError("task 2")
+        failed.wait(60)
+        if number == 3:
+            wait_until(is_cancelled, 60)
+        seen[number] = is_cancelled()
+        if number == 1:
+            raise ValueError("task 1")
+        return number
+
+    done = []
+    with pytest.raises(ValueError, match="task 1"):
+        Workers(4).run(4, task, done.append)
+    assert seen[0] is False and seen[3] is True
+    assert Workers(2).run(3, lambda k, _: k, done.append) == [0, 1, 2]
+    assert done[-3:] == [1, 2, 3]

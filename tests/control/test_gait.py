@@ -78,6 +78,7 @@ def test_edges_are_at_the_zeros_of_the_sine_within_a_slot(f, offset, phase, j):
         assert abs(len(found) - len(expected)) <= len(border)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("offset", [-0.4, 0.0, 0.25, 0.7])
 @pytest.mark.parametrize("f", [0.33, 1.7, 2.0])
 def test_duty_follows_the_offset(f, offset):
@@ -157,12 +158,14 @@ def test_opposite_offset_and_half_a_period_swap_the_chambers():
     assert (left == -right).all()
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("frequency", [0.0, -1.0, math.nan, math.inf])
 def test_invalid_frequencies_are_refused(frequency):
     with pytest.raises(InputError, match=r"gait frequency .* Hz .* finite and above 0"):
         Gait(frequency)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("offset", [1.0, -1.0, 2.0, math.nan])
 def test_offsets_without_a_wave_are_refused(offset):
     with pytest.raises(

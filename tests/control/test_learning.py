@@ -403,6 +403,7 @@ def test_full_duties_equal_the_open_loop_gait(frequency):
 # ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("offset", [0.31, -0.4, math.nan, math.inf])
 def test_offsets_without_targets_are_refused(offset):
     words = "ilc offset .* is not allowed; it must lie between -0.3 and 0.3"
@@ -414,6 +415,7 @@ def test_offsets_without_targets_are_refused(offset):
     assert controller.offset == 0.1
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 5, 6, 7, 10])
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -111,6 +111,7 @@ def test_a_new_duty_does_not_change_the_current_period():
     assert first.sum() in (41, 42) and rest.all()
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("bad", [-1e-9, 1 + 1e-9, math.nan, math.inf])
 def test_duties_outside_0_to_1_are_refused(bad):
     with pytest.raises(
@@ -127,6 +128,7 @@ def test_duties_of_another_shape_are_refused():
         PulseWidthModulator(60.0, 1e-3, 1).step(np.zeros((2, 2)))
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("carrier", [0.0, -60.0, math.nan, math.inf])
 def test_invalid_carrier_frequencies_are_refused(carrier):
     with pytest.raises(InputError, match="carrier_hz"):

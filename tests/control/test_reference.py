@@ -136,6 +136,7 @@ def test_limited_references_have_their_own_type():
     assert isinstance(Constant(1.0).limited(0.5, "saturate"), ClippedReference)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("limit", [0.0, -1.0, math.nan, math.inf])
 def test_invalid_range_limits_are_refused(limit):
     with pytest.raises(InputError, match=r"range limit .* rad is not allowed"):
@@ -147,6 +148,7 @@ def test_an_unknown_policy_lists_the_known_ones():
         Constant(0.1).limited(1.0, "refused")  # type: ignore[arg-type]
 
 
+@pytest.mark.default_cases(at=[0, 4, 5, 7])
 @pytest.mark.parametrize(
     ("make", "words"),
     [

@@ -61,6 +61,7 @@ def test_the_runs_are_equal_until_the_change():
     assert straight["heading"][-1] != turning["heading"][-1]
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     "times", [(0.0,), (-1.0,), (0.5, 0.5), (0.5, 0.2), (float("nan"),)]
 )

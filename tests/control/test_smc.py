@@ -176,6 +176,7 @@ def test_iterative_controller_has_no_steady_error_on_a_first_order_module():
     assert abs(error[0]) < 0.01
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("off", [0.9, -0.9, 1.1, -1.1])
 def test_dead_zone_is_epsilon_over_d_at_rest(off):
     controller = ready(DirectSMC(Constant(0.2), D=50.0, epsilon=0.5))
@@ -241,6 +242,7 @@ def test_reset_restores_the_initial_state(kind):
 # -------------------------------------------------------------------------
 
 
+@pytest.mark.default_cases(at=[0, 5, 6])
 @pytest.mark.parametrize("kind", BOTH)
 @pytest.mark.parametrize("lost", [math.nan, math.inf, -math.inf, 7.0])
 def test_a_lost_reading_is_replaced_by_the_last_valid_one(kind, lost):
@@ -318,6 +320,7 @@ def test_controllers_name_their_valve_layouts():
     assert set(Controller.layouts) == set(LAYOUTS)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
 @pytest.mark.parametrize(
     ("kind", "name"),
@@ -361,6 +364,7 @@ def filtered(
     return np.array(out).T
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("cutoff", [5.0, 16.0, 80.0, 400.0])
 def test_filter_equals_the_analog_butterworth_filter_for_linear_readings(cutoff):
     """SciPy integrates the same transfer function by matrix exponentials, for a linear input."""

@@ -73,6 +73,7 @@ def arguments(line):
     return words[words.index("srs-twin") + 1 :]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("line", shell_lines())
 def test_commands_and_options_exist(line):
     """Parsed as the command line parses them, without running anything."""
@@ -185,6 +186,7 @@ HOSTILE = [
 ]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("text", HOSTILE)
 def test_inputs_are_never_executed(text, room):
     (room / "bin/uv").write_text('#!/bin/sh\nprintf "%s\\n" "$@" >> "$RECORD"\n')
@@ -333,6 +335,7 @@ def started(container):
     return Path(kernels).parent
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "before", ["nothing", "private", "open", "link", "file", "foreign"]
 )

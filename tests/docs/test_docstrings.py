@@ -50,28 +50,32 @@ def section(text, title):
     return set(re.findall(r"^    \**(\w+):", found[1], re.M)) if found else set()
 
 
-@pytest.mark.parametrize("given", CALLABLE, ids=lambda given: given.__qualname__)
-def test_every_argument_is_named(given):
+def test_every_argument_is_named():
     """A single argument may be described in the first sentence."""
-    named = section(given.__doc__, "Args")
-    arguments = {name for name in inspect.signature(given).parameters if name != "self"}
-    assert named == arguments or (not named and len(arguments) < 2)
+    for given in CALLABLE:
+        named = section(given.__doc__, "Args")
+        arguments = {
+            name for name in inspect.signature(given).parameters if name != "self"
+        }
+        assert named == arguments or (not named and len(arguments) < 2), (
+            given.__qualname__
+        )
 
 
-@pytest.mark.parametrize("given", DATA, ids=lambda each: each.__name__)
-def test_every_field_is_named(given):
-    assert {each.name for each in dataclasses.fields(given)} == section(
-        given.__doc__, "Attributes"
-    )
+def test_every_field_is_named():
+    for given in DATA:
+        assert {each.name for each in dataclasses.fields(given)} == section(
+            given.__doc__, "Attributes"
+        ), given.__name__
 
 
-@pytest.mark.parametrize("given", CALLABLE, ids=lambda given: given.__qualname__)
-def test_raised_errors_are_documented(given):
+def test_raised_errors_are_documented():
     """Return the errors of srs_twin that a function raises in its body, with their base classes."""
-    documented = tuple(
-        getattr(errors, name, KeyError) for name in section(given.__doc__, "Raises")
-    )
-    for name in re.findall(r"raise (\w+Error)\(", inspect.getsource(given)):
-        assert not hasattr(errors, name) or issubclass(
-            getattr(errors, name), documented
-        ), name
+    for given in CALLABLE:
+        documented = tuple(
+            getattr(errors, name, KeyError) for name in section(given.__doc__, "Raises")
+        )
+        for name in re.findall(r"raise (\w+Error)\(", inspect.getsource(given)):
+            assert not hasattr(errors, name) or issubclass(
+                getattr(errors, name), documented
+            ), (given.__qualname__, name)

@@ -73,11 +73,13 @@ def lost(text: str) -> list[str]:
     return [*missing.elements(), *breaks, *env.get("references", {}), *comments]
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_the_site_shows_every_word_of_a_page(page):
     assert lost(page.text) == []
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "dropped",
     [

@@ -116,3 +116,16 @@ def test_images_are_those_of_gymnasium():
     larger = env.physics.render()
     assert (image == other.render()).all() and larger.shape == (240, 320, 3)
     other.close()
+
+
+def test_a_physics_step_is_a_step_of_the_task():
+    env = dm.load("GoTo", seed=3, limit_s=1.0)
+    assert env.physics.time() == 0.0
+    env.reset()
+    physics = env.physics
+    step = physics.timestep()
+    physics.set_control(np.array([0.0, 2.0, 45.0]))
+    physics.step(3)
+    assert physics.time() == pytest.approx(3 * step)
+    physics.step()
+    assert physics.time() == pytest.approx(4 * step)

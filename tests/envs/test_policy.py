@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
-from srs_twin.envs import make_task
+from srs_twin.envs import make_task, policy as policy_module
 from srs_twin.envs.policy import NetworkPolicy, load_policy, play_episode
 from srs_twin.errors import InputError
 
@@ -69,3 +71,38 @@ def test_the_shipped_policy_reaches_goals():
     assert [score.ending for score in scores] == ["goal_reached"] * 2
     with pytest.raises(InputError, match="unknown policy 'go'; did you mean goto"):
         load_policy("go")
+
+
+def test_places_seen_from_the_head_are_turned_into_the_world():
+    """To the left of a snake that looks along y lies −x."""
+    values = {
+        "x_m": 1.0,
+        "y_m": 2.0,
+        "heading_sin": 1.0,
+        "heading_cos": 0.0,
+        "obstacle_1_ahead_m": 3.0,
+        "obstacle_1_left_m": 0.5,
+        "obstacle_1_radius_m": 0.1,
+        "obstacle_2_ahead_m": -1.0,
+        "obstacle_2_left_m": 0.0,
+        "obstacle_2_radius_m": 0.2,
+    }
+    pose = policy_module._pose(values)
+    assert pose.heading == pytest.approx(math.pi / 2)
+    seen = [
+        (circle.x, circle.y, circle.radius)
+        for circle in policy_module._circles(values, pose)
+    ]
+    assert np.array(seen) == pytest.approx(np.array([[0.5, 5, 0.1], [1, 1, 0.2]]))
+
+
+def test_the_score_of_an_episode_is_the_sum_of_its_rewards():
+    task = make_task("GoTo", limit_s=0.3)
+    rewards = []
+    episode = task.begin(np.random.default_rng(4))
+    action = np.array([0.0, 2.0, 45.0])
+    while not episode.ending:
+        rewards.append(episode.step(action).reward)
+    score = play_episode(task, lambda seen: action, np.random.default_rng(4))
+    assert len(rewards) > 1 and score.reward == pytest.approx(sum(rewards))
+    assert (score.ending, score.time) == (episode.ending, pytest.approx(0.3))

@@ -1,4 +1,4 @@
-"""Parameter lists of which the default run uses the first few, and `-m slow` the rest."""
+"""Selection of the cases of parametrised tests that run by default; the others are slow tests."""
 
 from __future__ import annotations
 
@@ -22,3 +22,42 @@ def _slow(value: Any) -> Any:
     if isinstance(value, tuple):
         return pytest.param(*value, marks=pytest.mark.slow)
     return pytest.param(value, marks=pytest.mark.slow)
+
+
+def mark_other_cases_slow(items: Iterable[pytest.Item]) -> None:
+    """Mark the cases of tests that `@pytest.mark.default_cases` leaves out as slow.
+
+    ``default_cases(4)`` keeps the first and the last case and two between them. Cases
+    that differ in kind are chosen by position: ``default_cases(at=[0, 3, 7])``. Cases
+    that are slow already are not counted.
+    """
+    families: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if item.get_closest_marker("default_cases") and "slow" not in item.keywords:
+            families.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for cases in families.values():
+        marker = cases[0].get_closest_marker("default_cases")
+        assert marker is not None
+        kept = chosen(len(cases), *marker.args, **marker.kwargs)
+        for position, item in enumerate(cases):
+            if position not in kept:
+                item.add_marker(pytest.mark.slow)
+
+
+def chosen(count: int, number: int = 0, at: Iterable[int] = ()) -> set[int]:
+    """Return the positions of the cases that run by default.
+
+    Args:
+        count: number of cases that were collected.
+        number: number of cases to keep, from the first to the last at equal distances.
+        at: positions of the cases to keep. All are kept if one of them is missing, as
+            when a single case is started by its name.
+    """
+    positions = set(at)
+    if positions:
+        return positions if max(positions) < count else set(range(count))
+    if number >= count:
+        return set(range(count))
+    if number == 1:
+        return {0}
+    return {round(k * (count - 1) / (number - 1)) for k in range(number)}

@@ -73,6 +73,7 @@ def test_malformed_files_are_distinct():
     )
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 5, 9, 11, 12, 13, 14])
 @each_parser
 def test_valid_file_is_read(parser: Parser, folder: Path):
     path = parser.path_in(folder)
@@ -80,6 +81,79 @@ def test_valid_file_is_read(parser: Parser, folder: Path):
     assert parser.same(parser.parse(path), (parser.quick or parser.parse)(path))
 
 
+@pytest.mark.default_cases(
+    at=[
+        0,
+        6,
+        125,
+        134,
+        135,
+        138,
+        140,
+        144,
+        156,
+        159,
+        166,
+        179,
+        184,
+        189,
+        190,
+        194,
+        196,
+        228,
+        269,
+        307,
+        308,
+        310,
+        313,
+        315,
+        316,
+        319,
+        322,
+        323,
+        325,
+        326,
+        333,
+        348,
+        355,
+        356,
+        360,
+        367,
+        369,
+        372,
+        374,
+        381,
+        383,
+        387,
+        389,
+        392,
+        394,
+        396,
+        397,
+        406,
+        414,
+        416,
+        427,
+        431,
+        436,
+        440,
+        442,
+        449,
+        451,
+        458,
+        459,
+        461,
+        462,
+        464,
+        465,
+        471,
+        476,
+        478,
+        479,
+        480,
+        481,
+    ]
+)
 @pytest.mark.parametrize(("parser", "malformed"), CASES)
 def test_malformed_file_is_rejected_with_its_position(
     parser: Parser,
@@ -103,6 +177,7 @@ def test_malformed_file_is_rejected_with_its_position(
     assert sorted(os.listdir()) == before, "a file was written"
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.skipif(os.geteuid() == 0, reason="root can read every file")
 @each_parser
 def test_unreadable_file_is_rejected(parser: Parser, folder: Path):

@@ -391,6 +391,7 @@ NUMBERS = [
 ]
 
 
+@pytest.mark.default_cases(at=[0, 5, 9, 14, 16, 17, 21, 22, 23, 24, 25, 27])
 @pytest.mark.parametrize(("command", "message"), COMMANDS)
 def test_mistyped_command_is_rejected_with_a_remedy(
     srs_twin, tmp_path, command, message
@@ -401,6 +402,7 @@ def test_mistyped_command_is_rejected_with_a_remedy(
     assert not done.stdout and not list(tmp_path.iterdir())
 
 
+@pytest.mark.default_cases(at=[0, 7, 8, 10, 15, 20, 21, 24, 26, 29])
 @pytest.mark.parametrize(("old", "new", "message"), SCENARIO_EDITS)
 def test_mistake_in_a_scenario_is_rejected_with_a_remedy(
     srs_twin, tmp_path, old, new, message
@@ -439,6 +441,7 @@ def test_byte_order_mark_and_windows_line_ends_are_accepted(tmp_path):
     assert load_scenario(tmp_path / "x.yaml").warnings == ()
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 4, 7, 8, 10, 13])
 @pytest.mark.fast
 @pytest.mark.parametrize(("written", "description"), NUMBERS)
 def test_invalid_frequency_is_described(rejected, written, description):
@@ -452,6 +455,7 @@ def test_invalid_frequency_is_described(rejected, written, description):
     )
 
 
+@pytest.mark.default_cases(at=[0, 8, 9, 10, 11, 14, 15, 17, 21, 24, 27])
 @pytest.mark.fast
 @pytest.mark.parametrize(("old", "new", "message"), POSITIONS)
 def test_mistake_is_reported_with_line_and_column(rejected, old, new, message):

@@ -257,6 +257,7 @@ def immutable(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     subprocess.run(["chattr", "-i", str(folder)], check=True)
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 5, 6, 14, 17, 18, 19, 22, 34])
 @pytest.mark.parametrize(
     ("command", "message"),
     REJECTED,
@@ -266,6 +267,7 @@ def test_rejected_command_changes_no_file(folder, capsys, command, message):
     assert message in rejection(capsys, *command.split(" "))
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 6, 7, 8, 13, 14])
 @each_command
 def test_unusable_output_folder_is_rejected(folder, capsys, command):
     for name, unusable in UNUSABLE_FOLDERS.items():
@@ -273,6 +275,7 @@ def test_unusable_output_folder_is_rejected(folder, capsys, command):
         assert "cannot" in message and "internal" not in message, f"{name}: {message}"
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 6, 7, 8, 14])
 @each_command
 def test_read_only_file_system_is_rejected(folder, capsys, read_only, command):
     for output in (read_only, read_only / "new/folder"):
@@ -280,6 +283,7 @@ def test_read_only_file_system_is_rejected(folder, capsys, read_only, command):
         assert "Read-only file system" in message
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 6, 7, 8, 14])
 @each_command
 def test_immutable_folder_is_rejected(folder, capsys, immutable, command):
     message = rejection(capsys, *command.replace("{}", str(immutable / "new")).split())
@@ -294,12 +298,14 @@ def test_a_hundred_levels_of_new_folders_are_created(folder, capsys):
     assert (deep / "plan.json").is_file()
 
 
+@pytest.mark.default_cases(at=[0, 8, 16, 20, 25, 31, 40, 47, 48])
 @pytest.mark.parametrize("name", LONG_NAMES, ids=lambda name: f"{name[:4]} {len(name)}")
 @pytest.mark.parametrize("command", FILE_COMMANDS)
 def test_too_long_file_name_is_rejected(folder, capsys, command, name):
     assert "internal" not in rejection(capsys, *command.replace("{}", name).split())
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", LONG_NAMES, ids=lambda name: f"{name[:4]} {len(name)}")
 def test_too_long_name_of_a_start_is_rejected(folder, capsys, name):
     start = f"start={{from: {name}, time_s: 0.1}}"
@@ -312,6 +318,7 @@ def test_empty_recording_name_is_rejected(folder, capsys):
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("command", ANY_COMMANDS)
 def test_every_command_rejects_a_removed_current_folder(
     tmp_path, monkeypatch, capsys, command
@@ -333,6 +340,7 @@ def test_every_command_rejects_a_removed_current_folder(
     )  # the folder may also be removed later
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("number", "code"),
     [(errno.EROFS, 2), (errno.ENAMETOOLONG, 2), (errno.ENOSPC, 2), (errno.ENOENT, 4)],

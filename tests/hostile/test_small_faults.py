@@ -74,6 +74,7 @@ def test_a_number_in_place_of_an_inner_block_is_refused_with_set(tmp_path, capfd
     assert "mine.yaml:2:31: robot.friction: must be a block of keys, not 3" in error
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("fraction", ["1e400%", "nan", "-5%", "0%", "inf", "much"])
 def test_impossible_accuracy_is_refused(capfd, fraction):
     error = refused(
@@ -87,6 +88,7 @@ def test_impossible_accuracy_is_refused(capfd, fraction):
     assert "must be NAME=PERCENT" in error
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "error",
     [

@@ -156,6 +156,7 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
     assert load_fit(tmp_path / "calibration/fits/gen2_friction.yaml") == fit
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 4, 5, 6, 8, 9, 10, 11, 12, 14])
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -103,6 +103,7 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
     ]
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 5, 6, 7, 10, 12, 13, 17, 18])
 @pytest.mark.parametrize(
     ("options", "message"),
     [

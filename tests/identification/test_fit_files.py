@@ -58,6 +58,7 @@ def bench() -> FitFile:
     return fit_file(fit, **ABOUT, data=DATA)
 
 
+@pytest.mark.slow
 def test_a_fit_file_is_read_back(tmp_path: Path):
     fit = bench()
     path = write_fit(fit, tmp_path / "fits" / "bench.yaml")
@@ -105,6 +106,7 @@ def test_a_fit_is_applied_to_the_robot_of_a_scenario():
     assert robot.actuator.gain == pytest.approx(MODULE.actuator.gain)
 
 
+@pytest.mark.default_cases(at=[0, 4, 5, 14, 17, 19, 26])
 @pytest.mark.parametrize("name", parameter_names())
 def test_every_parameter_reaches_the_robot(name):
     """Value, unit, status and source pass through the file and the override."""

@@ -73,6 +73,7 @@ def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float,
     )
 
 
+@pytest.mark.default_cases(at=[0, 5, 8])
 @pytest.mark.parametrize("curvature", [-4.0, -0.3, 0.0, 1e-5, 0.3, 4.0])
 @pytest.mark.parametrize("aside", [0.0, 0.006])
 def test_speed_curvature_and_edges_of_a_bar_on_a_circle(curvature, aside):
@@ -447,6 +448,7 @@ def test_default_changes_of_a_measurement():
 GEN2 = load_robot("gen2")
 
 
+@pytest.mark.default_cases(at=[0, 3, 6, 7, 9, 10, 12, 16, 18])
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

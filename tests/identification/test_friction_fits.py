@@ -74,6 +74,7 @@ def test_a_direction_without_pulls_is_not_identifiable():
     assert fit["friction.mu_t"].value == pytest.approx(0.105)
 
 
+@pytest.mark.default_cases(at=[0, 1, 4])
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -143,6 +144,7 @@ def thrown(
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("degrees", [0, 20, 45, 80, 90])
 def test_a_sliding_point_stops_at_the_distance_of_sharp_friction(degrees):
     """Reference: the independent integrators of the friction tests."""

@@ -396,6 +396,7 @@ def test_recordings_without_plateaus_are_refused(tmp_path):
         plateau_tables([taken(path, MODULE)], MODULE, 48e3)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("rows", [2, 3, 4, 20])
 def test_plateaus_are_found_in_logs_with_few_rows_per_plateau(tmp_path, rows):
     """In the two shortest logs most second differences are from steps, not from noise."""

@@ -12,6 +12,7 @@ import pytest
 import srs_twin as srs
 from srs_twin.errors import InputError
 from srs_twin.io.arguments import checked
+from srs_twin.io.validation import describe_schema
 
 pytestmark = pytest.mark.fast
 
@@ -31,6 +32,7 @@ def run(snake):
     return srs.rollout(snake, srs.Gait(2.0), 0.2)
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize("plant", [srs.AnalyticalSnake, srs.TwinSnake])
 @pytest.mark.parametrize("given", ["gen2", Path("gen2.yaml"), None])
 def test_plants_need_a_loaded_robot(plant, given):
@@ -40,6 +42,7 @@ def test_plants_need_a_loaded_robot(plant, given):
         plant(given)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("plant", [srs.AnalyticalSnake, srs.TwinSnake])
 @pytest.mark.parametrize(
     ("supply_pa", "unit"),
@@ -58,6 +61,7 @@ def test_impossible_supply_pressures_are_refused(spec, supply_pa):
         srs.TwinSnake(spec, supply_pa=supply_pa)
 
 
+@pytest.mark.default_cases(at=[0, 1, 6, 9])
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
@@ -84,6 +88,7 @@ def test_rollout_of_a_robot_says_how_to_build_a_plant(spec):
         srs.rollout(spec, srs.Gait(2.0), 0.2)
 
 
+@pytest.mark.default_cases(at=[0, 8, 10, 11])
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -182,3 +187,13 @@ def test_a_data_frame_without_pandas_names_the_package(run, monkeypatch):
         InputError, match="needs pandas; install it with: pip install pandas"
     ):
         run.to_pandas()
+
+
+def test_three_kinds_of_blocks_are_described_as_one():
+    def block(key):
+        return {"type": "object", "properties": {key: {"type": "number"}}}
+
+    two = {"anyOf": [block("a"), block("b")]}
+    assert describe_schema(two, {}) == "a block of keys (a) or a block of keys (b)"
+    three = {"anyOf": [block("a"), {"type": "boolean"}, block("b"), block("c")]}
+    assert describe_schema(three, {}) == "a block of keys or true or false"

@@ -44,6 +44,7 @@ def copies(original: Any) -> dict[str, Any]:
     return {name: method(original) for name, method in METHODS.items()}
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "case", first_by_default(4, map(pytest.param, CASES)), ids="-".join
 )
@@ -163,6 +164,7 @@ class ScheduledOffset(Gait):
         self.extra = extra
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
     ("extra", "message"),

@@ -149,6 +149,7 @@ def in_a_fork(call):
     return os.waitpid(pid, 0)[1]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("pair", PAIRS)
 def test_earlier_set_is_restored_if_a_file_cannot_be_moved(room, monkeypatch, pair):
     """Every move fails once, as with an immutable file, a mount point or a full disk."""

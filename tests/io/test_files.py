@@ -112,6 +112,7 @@ def test_folder_is_rejected_with_an_example(tmp_path):
         find_file("scenario", f"{tmp_path}/")
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 4])
 @pytest.mark.parametrize(
     "name", ["a\0b.yaml", "x" * 5000 + ".yaml", "/dev/null/x.yaml", "a\0b", "x" * 5000]
 )
@@ -153,6 +154,7 @@ def test_file_size_is_limited(tmp_path):
         read_text(path)
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 4, 8, 10, 12, 15])
 @pytest.mark.parametrize(
     ("text", "value"),
     [
@@ -202,6 +204,7 @@ def test_all_rejected_features_are_reported_at_once():
     )
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 3, 4, 5, 6, 13, 14, 15, 16])
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -330,6 +333,7 @@ def test_dumped_data_is_read_back_unchanged(data):
     assert document.data == {"data": data}
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 7, 8, 12])
 @pytest.mark.parametrize(
     "text",
     [

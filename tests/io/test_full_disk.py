@@ -62,6 +62,7 @@ def largest_file(size):
         sys.dont_write_bytecode = bytecode
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("size", [0, 4_000, 8_000, 60_000])
 def test_file_size_limit_keeps_the_earlier_run(room, size):
     before = contents(room)
@@ -112,6 +113,7 @@ def full_at(monkeypatch):
     return fake
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("at", range(1, FILES + 1))
 def test_full_disk_at_any_write_keeps_the_earlier_run(room, full_at, at):
     before = contents(room)

@@ -144,6 +144,7 @@ def written_and_read(state: SavedState, tmp_path: Path) -> SavedState:
     return SavedState.read(tmp_path / "state.npz")
 
 
+@pytest.mark.default_cases(at=[0, 3, 6, 7, 9])
 @pytest.mark.parametrize(
     "case", first_by_default(10, map(pytest.param, thirds(cases()))), ids="-".join
 )
@@ -310,6 +311,7 @@ def test_file_of_another_version_is_rejected(tmp_path):
         SavedState.read(tmp_path / "state.npz")
 
 
+@pytest.mark.default_cases(at=[0, 3, 4, 5])
 @pytest.mark.parametrize(
     "damage", ["empty", "text", "half", "no state", "code", "object"]
 )
@@ -365,6 +367,7 @@ MOVING = {
 }
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 3, 4, 8])
 @pytest.mark.parametrize("name", MOVING)
 @pytest.mark.parametrize("seed", range(3))
 def test_placed_plant_has_the_given_state(name, seed):

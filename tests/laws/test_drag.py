@@ -28,6 +28,7 @@ def dragged(spec: RobotSpec, drag: float = DRAG, **changes: float) -> RobotSpec:
     return replace(spec, friction=replace(spec.friction, drag=drag, **changes))
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("plant", "rolls"),
     [

@@ -48,6 +48,7 @@ def test_loads_of_a_crawling_snake_vary_less_than_their_mean(crawling_loads):
 
 # gen3's tail weighs five times the rest and sinks deeper, so that the chain leans on it
 # a little.
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("floor", FLOORS)
 @pytest.mark.parametrize(
     ("name", "fraction"), [("gen2", 0.03), ("gen4", 0.03), ("gen3", 0.06)]

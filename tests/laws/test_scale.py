@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from srs_twin import (
 from srs_twin.pneumatics.valves import count_slots
 from srs_twin.robot.scale import SHIPPED, Scale, divide
 from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.plants import TwinFile
 
 GEN2 = load_robot("gen2")
 SPEC = replace(GEN2, friction=replace(GEN2.friction, drag=0.02))
@@ -69,6 +71,7 @@ def test_default_settings_between_the_powers_are_of_similar_accuracy(name, s):
     assert np.abs(deviations(name, SPEC, s, (), reference(name, ()))).max() < 5e-3
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize("s", [0.05, 20.0])
 @pytest.mark.parametrize(
     ("name", "settings"),
@@ -92,11 +95,13 @@ def test_settings_that_differ_between_the_powers_are_known(name, settings, s):
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4", "gen4_module"])
 def test_shipped_robots_have_the_scale_of_the_declared_settings(name):
     assert load_robot(name).scale == SHIPPED
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("factor", "time"),
     [(0.26, 0.5), (0.24, 0.5), (1 / 16, 0.25), (16.0, 4.0), (4.0, 2.0)],
@@ -105,6 +110,7 @@ def test_time_unit_is_the_power_of_two_next_to_the_root_of_the_scale(factor, tim
     assert scaled(SPEC, factor).scale == Scale(time)
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 4])
 @pytest.mark.parametrize(
     "time",
     [0.223606797749979, 0.3162277660168379, 0.7071067811865476, 1.0, 4.47213595499958],
@@ -115,6 +121,7 @@ def test_scaled_tick_has_the_slots_of_the_original(time):
     assert divide(0.02 * time, 0.001 * scale.time) == pytest.approx(0.001 * time)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("interval", "part", "result"),
     [
@@ -167,3 +174,12 @@ def test_robot_that_mujoco_would_take_as_massless_is_refused(contact):
         match=r"moment of inertia .* MuJoCo needs more .* too small for the twin",
     ):
         TwinSnake(scaled(SPEC, 0.01), contact=contact)
+
+
+def test_defaults_of_a_plant_scale_with_the_time_unit_and_given_values_do_not():
+    scale = SimpleNamespace(time=4.0)
+    default = TwinFile().timestep_s
+    scaled = TwinFile().scaled_to(scale, 0.08)
+    assert (scaled.timestep_s, scaled.tick_s) == (4 * default, 0.08)
+    given = TwinFile(timestep_s=default).scaled_to(scale, 0.08)
+    assert given.timestep_s == default

@@ -75,6 +75,7 @@ def sliding_wheel(velocity: tuple[float, float], spin_fraction: float) -> np.nda
     return place
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 @pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
 def test_analytical_stops_along_and_across(law, heading):
@@ -171,6 +172,7 @@ def sliding_skid(velocity: tuple[float, float]) -> np.ndarray:
     return place
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("heading", [0.0, 2.0])
 @pytest.mark.parametrize("speed", [0.5, 1.0])
 def test_skids_stop_along_and_across(speed, heading):

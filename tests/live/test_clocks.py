@@ -66,6 +66,7 @@ def stepped(step, at, *, once, rate=50.0, seed=0):
     return buffer, np.array(used)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("step", STEPS)
 def test_a_single_wrong_stamp_is_ignored(step):
     buffer, used = stepped(step, 8.0, once=True)
@@ -74,6 +75,7 @@ def test_a_single_wrong_stamp_is_ignored(step):
     assert np.abs(used[:, 1] - used[:, 2]).max() < 0.06
 
 
+@pytest.mark.default_cases(at=[0, 14, 35])
 @pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("rate", [10.0, 50.0, 200.0])
 def test_a_clock_that_is_set_is_followed_within_half_a_second(step, rate):
@@ -119,6 +121,7 @@ def test_what_is_handed_out_is_in_order_and_nothing_twice(delays, random):
         assert late == 0
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("jitter", "longest", "late"),
     [(0.02, 0.03, 0.0), (0.08, 0.08, 0.05), (0.5, 0.1, 0.9), (3.0, 0.1, 1.0)],
@@ -146,6 +149,7 @@ def test_hold_follows_the_jitter_up_to_a_tenth_of_a_second(jitter, longest, late
     assert buffer.counts["robot", BENDS, "late"] <= late * len(delay)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "kinds", list(itertools.permutations([VALVES, BENDS, PRESSURES]))
 )

@@ -87,6 +87,7 @@ def test_faults_do_what_they_say():
     ]
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 4, 5])
 @pytest.mark.parametrize(
     ("text", "why"),
     [

@@ -335,6 +335,7 @@ def test_the_client_never_waits_for_a_link_that_takes_nothing(tmp_path):
     assert found["longest_s"] < 0.1
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "greeting",
     [b"\x20\x02\x00\x05", b"\xff\xff\xff\xff\xff\xff", b"HTTP/1.1 400 Bad", b""],

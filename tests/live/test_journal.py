@@ -131,6 +131,7 @@ POSE = b'{"t": 1, "poses": [[0, 0, 0, 0]], "names": ["a"]}'
 SECOND = 10**9
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("records", "words"),
     [
@@ -174,6 +175,7 @@ def test_frames_alone_are_played(tmp_path):
         assert [each.kind for each in link.received()] == [POSES]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("times", "played"),
     [

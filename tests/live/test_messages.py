@@ -64,6 +64,7 @@ def test_units_and_names_of_keys_are_the_fixed_ones():
     }
 
 
+@pytest.mark.default_cases(at=[0, 4, 6, 10])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("wrong", [math.nan, math.inf])
 def test_every_message_is_strict_json(kind, wrong):
@@ -83,6 +84,7 @@ def test_a_bend_that_nobody_read_is_none():
     assert back(STATUS, "fine").names == ("fine",)
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 8, 13, 14])
 @pytest.mark.parametrize(
     ("payload", "why"),
     [
@@ -112,6 +114,7 @@ def test_what_is_no_command_is_refused(payload, why):
     assert len(b"[" * 60_000) < LARGEST_BYTES
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("kind", "low", "high"),
     [
@@ -146,6 +149,7 @@ def test_values_are_accepted_up_to_their_limits_in_every_place(kind, low, high):
         read(document([0.0] * 2 * SEGMENTS, 9.001e9))
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("word", WORDS)
 def test_a_control_is_json_or_the_plain_word(word):
     for payload in (word.encode(), encode(CONTROL, 1.0, word)):

@@ -159,6 +159,7 @@ def test_addresses(given, found):
     assert address(given, 7) == found
 
 
+@pytest.mark.default_cases(at=[0, 14, 31])
 @pytest.mark.parametrize(
     "given",
     [
@@ -214,6 +215,7 @@ def test_an_address_or_a_name_that_cannot_be_used_has_exit_code_2(
     )
 
 
+@pytest.mark.default_cases(at=[0, 6, 7, 8])
 @pytest.mark.parametrize(
     ("content", "words"),
     [

@@ -32,6 +32,7 @@ def read(packet: bytes, version: natnet.Version) -> Frame:
     return natnet.read_frame(content, version)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_a_frame_comes_back(version):
     found = read(packets.write_frame(FRAME, version), version)
@@ -43,6 +44,7 @@ def test_a_frame_comes_back(version):
         assert found.bodies[key].tracked == body.tracked
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_names_and_versions_come_back(version):
     names = {1: "connector_1", 2: "Körper"}
@@ -64,6 +66,7 @@ def test_names_and_versions_come_back(version):
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("version", VERSIONS)
 def test_another_program_reads_our_frames(version):
     theirs = pytest.importorskip("natnet.data_frame")
@@ -118,6 +121,7 @@ def strange(version: natnet.Version) -> bytes:
     return natnet.closed(natnet.Packet.FRAME, content + b"\0" * 40)
 
 
+@pytest.mark.default_cases(at=[0, 2, 9])
 @pytest.mark.parametrize("version", VERSIONS)
 def test_what_is_not_ours_is_passed_over(version):
     found = read(strange(version), version)
@@ -288,6 +292,7 @@ def test_a_name_that_no_host_has_is_refused(monkeypatch, given):
         NatNetLink(**given)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("turn", "heading"),
     [
@@ -316,6 +321,7 @@ def test_places_beyond_a_kilometre_are_not_seen():
     assert [each.tracked for each in found.bodies.values()] == [False, True]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("time", [1e11, -1e11, 1e300, math.nan])
 def test_frames_with_an_impossible_time_are_refused(time):
     with pytest.raises(BadMessageError, match="the time of the frame"):

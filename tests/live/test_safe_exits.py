@@ -141,6 +141,7 @@ def breaks(*_, **__):
     raise Broken("as a test wants it")
 
 
+@pytest.mark.default_cases(at=[0, 2, 5])
 @pytest.mark.parametrize(
     "where",
     ["shadow.update", "shadow.save", "view", "stop", "journal.write", "steering.step"],
@@ -467,6 +468,7 @@ def burdened(found, seconds, monkeypatch):
     found.shadow._use = slow
 
 
+@pytest.mark.default_cases(at=[0, 1])
 @pytest.mark.parametrize("overload", [2, 5])
 def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(
     tmp_path, monkeypatch, overload
@@ -494,6 +496,7 @@ def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(
     was_made_safe(wire)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("speed", [2.0, 50.0, 1000.0])
 def test_every_message_of_a_journal_is_used_at_any_speed(tmp_path, monkeypatch, speed):
     """On a machine that needs a multiple of the time in which the messages are played."""

@@ -76,6 +76,7 @@ def test_the_command_prints_the_schema(srs_twin, tmp_path):
     )
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 5])
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -58,6 +58,7 @@ def test_messages_have_a_list_per_chamber_and_two_bends():
     assert back(PRESSURES, 1e4 * FULL).values == pytest.approx(1e4 * FULL)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("kind", "values", "chambers", "words"),
     [

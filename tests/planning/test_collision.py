@@ -69,6 +69,7 @@ def pin(pieces: list[tuple[float, float]], piece: int, s: float, n: float) -> Wo
     return World((Circle(x + c * s - sn * n, y + sn * s + c * n, STEP),))
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("s", "n", "out"),
     [
@@ -94,6 +95,7 @@ def test_body_collides_exactly_at_its_edges(s, n, out):
         assert frees(pieces, world) == (free, free)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("s", "n", "out"),
     [
@@ -135,6 +137,7 @@ def wall(request):
     return WALLS[request.param]
 
 
+@pytest.mark.default_cases(3)
 def test_crossing_a_bound_is_reported_on_each_side(wall):
     x, y, east, north = wall
     world = World(bounds=ROOM)
@@ -169,6 +172,7 @@ def turned(world: World, quarters: int) -> World:
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("quarters", range(4))
 def test_least_length_respects_each_bound(quarters):
     """The shortest path passes the near end of a wall if the gap to the bound is wide enough."""
@@ -187,6 +191,7 @@ def test_least_length_respects_each_bound(quarters):
         )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("quarters", range(4))
 def test_passages_at_a_bound_rotate_with_the_world(quarters):
     world = World((Circle(0.0, -0.5, 0.35),), Bounds((-9, 9), (-9, 0.15)))

@@ -109,6 +109,7 @@ def test_never_shorter_than_the_straight_line_and_longer_for_wider_turns(
     assert path <= length(a, b, radius * more) + 1e-6
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("seed", range(5))
 def test_no_three_pieces_found_by_search_are_shorter(seed):
     """All words of three pieces, their lengths by a root finder from many guesses."""

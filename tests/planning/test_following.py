@@ -114,6 +114,7 @@ def beside(plan, way, since=0.0):
     return ReferencePath(plan.segments).coordinates(way[way[:, 0] >= since, 1:3])[1]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("aside", [0.1, -0.1])
 def test_follower_converges_to_a_straight_path(aside):
     plan = a_plan()
@@ -345,6 +346,7 @@ BESIDE = World((Circle(2.0, 0.25, 0.15),))
 """Obstacle 50 mm from the body on a straight path; this is the whole margin of the plan."""
 
 
+@pytest.mark.default_cases(at=[0, 1])
 @pytest.mark.parametrize("least", [0.0, 0.5])
 def test_run_ends_without_the_required_margin(least):
     """The obstacle and weak law of the test below; plans exist with a quarter of the margin only."""

@@ -195,6 +195,7 @@ def test_run_command_follows_and_writes_all_files(file, srs_twin):
     assert again.world == load_scenario(file / "way.yaml").world
 
 
+@pytest.mark.slow
 def test_both_plants_follow_one_plan_and_are_drawn_together(tmp_path):
     scenario = parse_scenario(data(plants={"analytical": {}, "twin": {}}), name="both")
     result = prepare(scenario, tmp_path).execute()
@@ -339,6 +340,7 @@ def test_goal_of_a_given_path_is_its_end():
     )
 
 
+@pytest.mark.default_cases(at=[0, 1, 4, 6, 7])
 @pytest.mark.parametrize(
     ("changes", "says"),
     [

@@ -31,6 +31,7 @@ TABLE_8 = (
 BOX = Footprint.box(0.05, 0.01, speed=0.2, curvature=math.pi / 3 / 0.2)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("row", TABLE_8, ids=lambda row: str(row[0]))
 def test_shipped_table_8_equals_the_printed_table(row):
     offset, speed, left, right, radius = row
@@ -55,6 +56,7 @@ def test_shipped_boxes_are_those_of_the_dissertation():
     ] == pytest.approx([0.25] * 3)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", shipped_names("footprint"))
 def test_shipped_footprints_are_valid_and_round_trip(name, tmp_path):
     validate_footprint(load_footprint(name))
@@ -136,6 +138,7 @@ def test_edges_may_reach_the_centre_of_their_turn():
         validate_footprint(replace(body, transients=(replace(out, left=0.06),)))
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 3, 4, 5, 7, 8])
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -188,6 +191,7 @@ def test_unknown_footprint_error_lists_the_names():
         load_footprint("gen4_table7")
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 4])
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -56,6 +56,7 @@ def test_min_path_length_is_infinite_without_a_path():
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("seed", range(12))
 def test_no_plan_is_shorter_than_the_min_path_length(seed):
     answer = plan(drawn_problem(seed))
@@ -72,6 +73,7 @@ def test_clearance_is_the_distance_of_the_edge_from_the_nearest_obstacle():
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", first_by_default(1, bodies()))
 def test_ends_of_a_known_path_are_never_disconnected(kind, name):

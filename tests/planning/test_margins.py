@@ -43,6 +43,7 @@ def tried(path: list[float], **other: object) -> ExcursionsFile:
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("draw", ["lognormal", "uniform", "standard_cauchy"])
 @pytest.mark.parametrize("probability", [0.5, 0.9, 0.95])
 def test_quantile_has_the_stated_coverage(draw, probability):
@@ -184,6 +185,7 @@ def test_shipped_footprints_contain_a_hundred_runs_per_plant(name):
         assert len(each.path_m) == 100 and each.path_m == sorted(each.path_m)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("ending", ENDINGS)
 def test_only_runs_that_reach_the_goal_count_by_their_excursion(monkeypatch, ending):
     """The run-up ends at 1 s, and the largest excursions before and after it are separate results."""

@@ -31,6 +31,7 @@ def square(x: float, y: float, side: float) -> Polygon:
     return Polygon(((x, y), (x + side, y), (x + side, y + side), (x, y + side)))
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     "world",
     [
@@ -109,6 +110,7 @@ def test_search_and_checker_agree_on_the_width_of_arcs(seed, one, other, length)
             break
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("ratio", first_by_default(1, [1.05, 1.3]))
 @pytest.mark.parametrize("name", bodies())
 def test_plans_pass_narrow_gaps(name, ratio):

@@ -56,6 +56,7 @@ def ring(
     )
 
 
+@pytest.mark.default_cases(at=[0, 2, 7, 30, 59])
 @pytest.mark.parametrize("seed", SEEDS)
 def test_plans_are_free_continuous_and_reach_the_goal(seed):
     problem = drawn_problem(seed)
@@ -118,6 +119,7 @@ def test_fig_53():
     assert best.duration == pytest.approx(best.length)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(("count", "seed"), [(3, 0), (5, 0), (5, 1), (8, 0), (18, 0)])
 def test_fig_54(count, seed):
     problem = fig54(count, seed)
@@ -127,6 +129,7 @@ def test_fig_54(count, seed):
     assert math.hypot(2, 1) <= answer.length < 1.1 * math.hypot(2, 1)
 
 
+@pytest.mark.default_cases(at=[0, 2, 4, 6, 9, 11])
 @pytest.mark.parametrize("seed", range(12))
 def test_lower_bound_is_below_all_plan_lengths(seed):
     """At the start, and at the start of every segment."""
@@ -327,6 +330,7 @@ def test_worlds_with_a_plan_are_never_disconnected(seed):
         )
 
 
+@pytest.mark.default_cases(at=[0, 4, 5, 6, 7, 8, 9, 10, 11, 12])
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -49,6 +49,7 @@ def hard(problem: Problem) -> Problem:
     return replace(problem, footprint=LIMITS.hard)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("seed", range(8))
 def test_the_edges_that_must_stay_free_are_free(seed):
     """Sampling shares no code with the planner; the edges contain the body everywhere."""
@@ -214,6 +215,7 @@ def scenario(**changes: object) -> dict:
     }
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

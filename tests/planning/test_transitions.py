@@ -31,6 +31,7 @@ def curvature(footprint, offset):
     return footprint.curvatures[footprint.offsets.index(offset)]
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     "t", LEARNT.transients, ids=lambda t: f"{t.before:g} to {t.after:g}"
 )

@@ -136,6 +136,7 @@ def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, headin
     assert last < 1e-12
 
 
+@pytest.mark.default_cases(at=[0, 18, 28])
 @pytest.mark.parametrize("degrees", range(0, 91, 5))
 @LAWS
 def test_newton_converges_when_a_coasting_snake_stops(law, degrees):
@@ -162,6 +163,7 @@ def test_spinning_snake_decelerates_by_the_friction_moment(law):
     assert state.heading == pytest.approx(inertia * 10.0**2 / (2 * moment), rel=0.01)
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @LAWS
 @pytest.mark.parametrize("connectors", [2, 4, 9])
 def test_any_number_of_connectors_runs(law, connectors):

@@ -497,6 +497,7 @@ def test_changing_the_model_of_one_twin_does_not_affect_others():
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("record_hz", [25, 100])
 def test_batch_policy_equals_one_controller_per_twin(threads, record_hz):

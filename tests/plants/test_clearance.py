@@ -109,6 +109,7 @@ def trajectory_of(seen: SimpleNamespace) -> Trajectory:
     return Trajectory(columns | numbered("connector_heading", seen.connector_heading))
 
 
+@pytest.mark.default_cases(at=[0, 10, 15])
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 @pytest.mark.parametrize(
     ("hinges", "unequal"), [(1, True), (2, True), (3, False), (5, False)]

@@ -153,6 +153,7 @@ def slope_at_zero(f, h: float) -> float:
     ) / (60 * h)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9])
 def test_momenta_equal_the_sum_over_the_masses(connectors):
     body, q, u, moment = draw(connectors, connectors)
@@ -164,6 +165,7 @@ def test_momenta_equal_the_sum_over_the_masses(connectors):
     assert momentum == pytest.approx(expected @ u, rel=1e-12, abs=1e-15)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9])
 def test_inertial_forces_are_derivatives_of_the_kinetic_energy(connectors):
     body, q, u, _ = draw(
@@ -181,6 +183,7 @@ def test_inertial_forces_are_derivatives_of_the_kinetic_energy(connectors):
         )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("seed", range(4))
 def test_power_is_balanced(seed):
     """The energy changes by the power of the air less that of dampers and a viscous floor."""
@@ -233,6 +236,7 @@ def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(law):
     assert missed(1e-2) / missed(1e-3) == pytest.approx(100, rel=0.3)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("law", MARKED_LAWS)
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9, 65])
 def test_linear_cost_solve_equals_dense_solve(connectors, law):

@@ -241,6 +241,7 @@ def with_one(value: float) -> np.ndarray:
     return valves
 
 
+@pytest.mark.default_cases(at=[0, 5, 8])
 @pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
 @pytest.mark.parametrize("value", WILD)
 def test_diverged_controller_is_named_with_the_time(build, value):
@@ -277,6 +278,7 @@ def test_script_may_have_float_states(build):
     assert len(rollout(build(SPEC), Runaway(with_one(1.0), scripted=True), 0.1)) == 11
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("valves", "words"),
     [
@@ -292,6 +294,7 @@ def test_invalid_finite_commands_are_input_errors(valves, words):
             rollout(plant, Runaway(valves), 0.3)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("value", WILD)
 def test_invalid_command_error_lists_the_allowed_states(value):
     for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
@@ -299,6 +302,7 @@ def test_invalid_command_error_lists_the_allowed_states(value):
             plant.step(with_one(value))
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("spoil", first_by_default(4, [*TWIN, *LAG]))
 def test_diverged_twin_ends_alone_in_its_batch(spoil):
     batch = TwinBatch([SPEC, SPEC, SPEC], threads=2)
@@ -319,6 +323,7 @@ def test_diverged_twin_ends_alone_in_its_batch(spoil):
             )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("value", WILD)
 def test_policy_diverging_for_one_run_ends_that_run_only(value):
     batch = TwinBatch([SPEC, SPEC], threads=1)

@@ -231,6 +231,7 @@ def recorded_work(plant: TwinSnake, h: SnakeState, offset: float = 0.2) -> np.nd
     return cumulative_trapezoid(each, h.time, initial=0.0)
 
 
+@pytest.mark.default_cases(2)
 @CONTACTS
 @pytest.mark.parametrize("offset", [0.0, 0.4])
 def test_twin_work_is_the_integral_of_torque_times_bend_rate(contact, offset):

@@ -112,6 +112,7 @@ def driven(
 LAG = {"bending": {"damping_time_s": 0.008}}
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("robot", "supply_kpa", "largest"),
     [
@@ -170,6 +171,7 @@ def test_exported_model_follows_the_preloaded_twin(
     assert data.qpos[:3] == pytest.approx(qpos[-1, :3], abs=largest)
 
 
+@pytest.mark.slow
 def test_shipped_model_gets_the_supply_of_every_shipped_scenario(root):
     """No supply of a scenario or sweep exceeds the range of the controls."""
     limits = {}
@@ -238,6 +240,7 @@ FREE_BEND_ONLY = {"actuator.tau_mode_s"}
 """Numbers that the twin does not use: the bodies lag by their own damping."""
 
 
+@pytest.mark.slow
 def test_every_number_reaches_the_files_or_is_named_as_missing():
     robot = complete_robot()
     before = robot_files(robot.spec(), linear=True)
@@ -350,6 +353,7 @@ def test_home_has_the_rest_bends_of_unequal_modules(tmp_path):
     assert np.abs(data.qfrc_spring).max() < 1e-15
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("name", SCENES)
 def test_mjx_scene_moves_as_the_scene(root, name):
     """It lacks what MJX and MuJoCo Warp refuse; its integrator changes the distance by up to 2 %."""

@@ -211,6 +211,7 @@ CASES = {
 }
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("name", CASES)
 def test_kernel_satisfies_newtons_law(name):
     swim = CASES[name]
@@ -383,6 +384,7 @@ def test_smooth_friction_needs_no_substeps_and_keeps_the_order():
     assert np.diff(np.log(errors)) / np.log(0.5) == pytest.approx([2, 2], abs=0.2)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("speed", [0.05, 0.0633, 0.11, 0.173])
 def test_stop_within_a_step_has_the_exact_position(speed):
     """v̇ = −μ g v/√(v² + ε²) from v₀ to rest: μ g s = ½ [v₀ √(v₀² + ε²) + ε² asinh(v₀/ε)]."""

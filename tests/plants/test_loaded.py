@@ -124,6 +124,7 @@ def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, fracti
     assert traction[:2] == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
+@pytest.mark.default_cases(at=[0, 21, 38])
 @pytest.mark.parametrize("slip", [1e-2, 10.0])  # slides; sticks
 @pytest.mark.parametrize("seed", range(20))
 def test_rolling_friction_slopes_match_finite_differences(seed, slip):
@@ -343,6 +344,7 @@ def test_contact_rejects_unknown_options():
         LoadedContact(preload=3.0)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("normal", [(0.0, 2.0), (1e-12, 2.0), (0.5, 1.5), (0.0, 0.0)])
 def test_wheels_of_an_axle_fraction_its_weight_in_the_ratio_of_their_normal_forces(
     normal,

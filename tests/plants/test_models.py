@@ -65,6 +65,7 @@ def at_home(model):
     return data
 
 
+@pytest.mark.default_cases(3)
 def test_shipped_mjcf_files_are_current(root, spec, tmp_path):
     written = export_robot(spec, tmp_path)
     assert [path.name for path in written] == [f"{spec.name}.xml", SCENE, SCENE_MJX]
@@ -84,6 +85,7 @@ def with_lags(spec):
     return scene.compile()
 
 
+@pytest.mark.default_cases(3)
 def test_exported_files_compile_to_the_model_of_the_twin_bit_for_bit(spec, shipped):
     twin = with_lags(spec)
     for part in ("opt", "stat", "vis"):
@@ -108,6 +110,7 @@ def test_exported_files_compile_to_the_model_of_the_twin_bit_for_bit(spec, shipp
     ]
 
 
+@pytest.mark.default_cases(2)
 def test_exported_and_built_models_move_equally(spec, shipped):
     rng = np.random.default_rng(1)
     twin = with_lags(spec)
@@ -129,6 +132,7 @@ def test_exported_and_built_models_move_equally(spec, shipped):
     np.testing.assert_array_equal(other.sensordata, one.sensordata)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_exported_model_is_stable_under_random_control(root, tmp_path, name):
     fill_time = str(load_robot(name).actuator.tau_fill)
@@ -148,6 +152,7 @@ def test_exported_model_is_stable_under_random_control(root, tmp_path, name):
     assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT
 
 
+@pytest.mark.default_cases(3)
 def test_home_keyframe_rests_with_weight_and_preload_on_the_floor(spec, shipped):
     data = at_home(shipped)
     home = data.qpos.copy()
@@ -169,6 +174,7 @@ def test_home_keyframe_rests_with_weight_and_preload_on_the_floor(spec, shipped)
     )
 
 
+@pytest.mark.default_cases(3)
 def test_compiled_model_has_the_parameters_of_the_robot(spec, shipped):
     data = at_home(shipped)
     g = spec.geometry
@@ -194,6 +200,7 @@ def test_compiled_model_has_the_parameters_of_the_robot(spec, shipped):
         assert shipped.actuator(f"plus_{j}").ctrlrange[1] == pytest.approx(limit)
 
 
+@pytest.mark.default_cases(3)
 def test_plus_pressure_gives_the_free_bend_to_the_left(spec, shipped):
     data = at_home(shipped)
     pressure = 0.2 / spec.actuator.gain
@@ -215,6 +222,7 @@ def test_plus_pressure_gives_the_free_bend_to_the_left(spec, shipped):
     assert 0.08 < bend < 0.2 + 1e-3  # what is missing is held by the wheels
 
 
+@pytest.mark.default_cases(3)
 def test_robot_file_contains_the_robot_only(root, spec):
     robot = mujoco.MjModel.from_xml_path(
         str(root / "models" / spec.name / f"{spec.name}.xml")
@@ -224,6 +232,7 @@ def test_robot_file_contains_the_robot_only(root, spec):
     assert not (robot.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any()
 
 
+@pytest.mark.default_cases(3)
 def test_files_have_the_layout_of_menagerie(spec):
     texts = robot_files(spec)
     robot = texts[f"{spec.name}.xml"]

@@ -59,6 +59,7 @@ def module(**changes):
     return parse_scenario(data | changes, name="module")
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 4])
 @pytest.mark.parametrize(
     ("controller", "layout"),
     [
@@ -418,6 +419,7 @@ class Blindfolded(Plant):
         return replace(state, **blank)
 
 
+@pytest.mark.default_cases(2)
 @plants
 @controls
 def test_controllers_read_only_the_sensor(kind, control):
@@ -476,6 +478,7 @@ def test_report_shows_reference_tracking(tmp_path):
     assert load_scenario(tmp_path / "scenario.resolved.yaml") == scenario
 
 
+@pytest.mark.default_cases(at=[0, 1])
 @pytest.mark.parametrize(
     ("reference", "period"),
     [

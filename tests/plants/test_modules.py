@@ -250,6 +250,7 @@ def test_bend_accelerations_are_derivatives_of_the_rates(kind):
         assert np.quantile(np.abs(derivative - rate[1:-1])[50:], 0.995) < 0.01 * size
 
 
+@pytest.mark.slow
 def test_unequal_orifice_chambers_conserve_air_and_reach_the_static_bend():
     spec = unlike()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY)
@@ -319,6 +320,7 @@ def test_snake_at_rest_has_the_rest_bends(kind):
     assert run["bend_2"][-1] == pytest.approx(spec.modules.bias[1], abs=1e-3)
 
 
+@pytest.mark.default_cases(at=[0, 7, 11, 12])
 @both
 @pytest.mark.parametrize(
     ("side", "fraction", "supply", "chambers"),
@@ -412,6 +414,7 @@ def test_exported_model_has_module_gains_and_rest_bends():
 # Faults
 
 
+@pytest.mark.default_cases(at=[0, 1, 2])
 @both
 @pytest.mark.parametrize(("state", "level"), [(1, 1.0), (-1, 0.0)])
 def test_stuck_valve_ignores_commands(kind, state, level):
@@ -542,6 +545,7 @@ def test_scenario_with_modules_and_faults(tmp_path):
     assert load_scenario(tmp_path / "two.yaml").robot != scenario.robot
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 4, 6, 7])
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -52,6 +52,7 @@ def test_preset_names_match_the_scenario_key():
     assert TwinFile().preset is None and TwinFile() == TwinFile.model_validate({})
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("twin", "used"),
     [

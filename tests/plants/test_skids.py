@@ -33,6 +33,7 @@ def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
     return model, data, request.param
 
 
+@pytest.mark.default_cases(3)
 def test_each_skid_touches_once_at_the_track(scene):
     _, data, name = scene
     g = load_robot(name).geometry
@@ -49,6 +50,7 @@ def test_each_skid_touches_once_at_the_track(scene):
     )
 
 
+@pytest.mark.default_cases(3)
 def test_skids_have_the_mass_and_inertia_of_wheels(scene):
     model, data, name = scene
     spec = load_robot(name)
@@ -74,6 +76,7 @@ def test_skids_have_the_mass_and_inertia_of_wheels(scene):
     )
 
 
+@pytest.mark.default_cases(3)
 def test_preloaded_skid_has_the_friction_of_its_static_load(scene):
     model, _, name = scene
     spec = load_robot(name)
@@ -89,6 +92,7 @@ def test_preloaded_skid_has_the_friction_of_its_static_load(scene):
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("heading", [0.0, 0.5, 2.0, -2.5])
 def test_contact_frames_turn_with_the_skids(heading):
     plant = twin()
@@ -117,6 +121,7 @@ def test_skids_stay_on_the_floor_and_off_their_tips():
     assert set(contacts[1:]) == {10}
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 def test_sideways_slide_does_not_roll_the_snake_over(name):
     plant = TwinSnake(robot(name, stiffness=20.0), contact=PreloadedContact("skid"))

@@ -59,6 +59,7 @@ def on_slope(plant: str, direction: str, fraction: float):
     return com[-1] - com[0], (com[-1] - com[-2]) * 50, run
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize("direction", MU)
 @pytest.mark.parametrize("plant", MARKED_PLANTS)
 def test_snake_at_rest_on_a_slope_does_not_creep(plant, direction):
@@ -68,6 +69,7 @@ def test_snake_at_rest_on_a_slope_does_not_creep(plant, direction):
     )  # just below the friction angle
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("direction", MU)
 @pytest.mark.parametrize("plant", MARKED_PLANTS)
 def test_slide_beyond_the_friction_angle_follows_coulomb(plant, direction):

@@ -48,6 +48,7 @@ def with_directions(*degrees):
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("filled", "component", "sign"), [(0, 0, 1), (1, 0, -1), (2, 1, 1), (3, 1, -1)]
 )

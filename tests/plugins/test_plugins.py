@@ -28,7 +28,7 @@ import srs_twin as srs
 from srs_twin.envs.tasks import make_task
 from srs_twin.errors import InputError, TaskFailedError
 from srs_twin.experiment import load_run, run_scenario
-from srs_twin.extensions import PLUGINS, allow_plugin, owners, plugins
+from srs_twin.extensions import PLUGINS, _PluginFinder, allow_plugin, owners, plugins
 from srs_twin.recordings.formats import identify, read_markers
 from srs_twin.scenario.loading import (
     load_scenario,
@@ -401,6 +401,7 @@ def test_keys_cover_all_files_and_the_version_of_a_distribution(site, tmp_path):
 # What is refused
 
 
+@pytest.mark.default_cases(at=[0, 5, 14])
 @pytest.mark.parametrize(
     ("kind", "module"),
     [
@@ -447,6 +448,7 @@ def test_popen_is_not_imported_by_the_command_line(tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "kind",
     [
@@ -473,6 +475,7 @@ def test_other_names_are_refused_before_the_import(kind, plugin):
     assert path.stem not in sys.modules
 
 
+@pytest.mark.default_cases(at=[0, 5, 7])
 @pytest.mark.parametrize(
     ("name", "source"),
     [
@@ -505,6 +508,7 @@ def test_a_class_needs_the_right_base_before_it_is_called(name, source, plugin):
     )
 
 
+@pytest.mark.default_cases(at=[0, 1, 3])
 @pytest.mark.parametrize(
     ("source", "message"),
     [
@@ -547,6 +551,7 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
     )
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 6])
 @pytest.mark.parametrize(
     ("source", "message"),
     [
@@ -623,3 +628,11 @@ def test_editors_accept_parts_from_outside():
     assert not list(validator.iter_errors(data))
     assert list(validator.iter_errors(document("nothing")))
     assert list(validator.iter_errors({**data, "pneumatics": {"kind": "nothing"}}))
+
+
+def test_only_files_of_plugins_are_found_by_their_name(monkeypatch):
+    monkeypatch.setenv(PLUGINS, os.pathsep.join(["/lab/arm.py", "", "json"]))
+    assert plugins() == {"arm": "/lab/arm.py", "json": "json"}
+    assert _PluginFinder.find_spec("arm").origin == "/lab/arm.py"
+    assert _PluginFinder.find_spec("json") is None
+    assert _PluginFinder.find_spec("leg") is None

@@ -88,6 +88,7 @@ def test_flow_is_continuous_at_the_sonic_and_laminar_limits():
 # Small signals
 
 
+@pytest.mark.default_cases(at=[0, 3, 6])
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 @pytest.mark.parametrize("critical", [0.2, 0.5])
 def test_small_pressure_steps_decay_with_the_fitted_time_constants(name, critical):
@@ -498,6 +499,7 @@ def test_settings_are_recorded_in_their_units():
 # Invalid settings
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -551,6 +553,7 @@ def limited(l_per_min: float, **options: float) -> OrificePneumatics:
     return OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow, **options)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "inertia", [pytest.param("point", marks=pytest.mark.slow), "connector"]
 )

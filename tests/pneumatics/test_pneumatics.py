@@ -196,6 +196,7 @@ def test_fill_and_vent_have_separate_time_constants():
     assert emptied == pytest.approx(filled * np.exp(-1))
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("excess", [0.0, 1e-8, 1e-7, 3e-6, 1e-4])
 def test_equal_time_constants_have_a_finite_limit(excess):
     """For τ₁ → τ₂ the step response tends to 1 − (1 + t/τ) e^{−t/τ}."""
@@ -209,6 +210,7 @@ def test_equal_time_constants_have_a_finite_limit(excess):
     assert bend == pytest.approx(expected, abs=(1e-6 + excess) * GAIN * SUPPLY)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("excess", [0.0, 1e-9, -1e-9, 5e-7, -5e-7, 1e-3])
 def test_a_lag_with_the_time_constant_of_the_filling_follows_the_equations(excess):
     tau = 0.1
@@ -292,6 +294,7 @@ def test_air_of_one_fill_is_pressure_times_volume():
     assert pneumatics.pneumatic_energy == 0.0
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize("kind", ["lag", "orifice"])
 @pytest.mark.parametrize("delay", [0.003, 0.02, 0.0535])
 def test_valve_delay_shifts_the_response_across_ticks(kind, delay):

@@ -107,6 +107,7 @@ def everything(make):
 BODIES = {"/a": 0, "/b": 1, "/odom": 2, "d": 0, "e": 1, "f": 2, "/path": 0, "/point": 1}
 
 
+@pytest.mark.default_cases(at=[0, 3, 8])
 @pytest.mark.parametrize("container", CONTAINERS)
 def test_all_message_types_of_all_containers_are_read(tmp_path, container):
     found = read_topics(written(tmp_path, container, everything))
@@ -139,6 +140,7 @@ def only(kind):
     return lambda make: (row for row in everything(make) if row[1] == kind)
 
 
+@pytest.mark.default_cases(at=[0, 4, 8, 12, 19, 20, 25])
 @pytest.mark.parametrize("container", ["bag", "db3", "mcap", "mcap ros1"])
 @pytest.mark.parametrize(
     "kind",
@@ -213,6 +215,7 @@ def test_transforms_relative_to_another_body_are_composed(tmp_path):
     assert "1 transforms relative to another body: composed" in table.corrections
 
 
+@pytest.mark.default_cases(at=[0, 1, 3])
 @pytest.mark.parametrize("container", ["bag", "db3", "mcap", "mcap ros1"])
 def test_a_bag_without_positions_is_a_log(tmp_path, container, capsys):
     path = written(tmp_path, container, only("std_msgs/Int8MultiArray"))
@@ -229,6 +232,7 @@ def test_a_bag_without_positions_is_a_log(tmp_path, container, capsys):
     assert not left.value.code and '"/valves.data[1]"' in capsys.readouterr().out
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("container", ["bag lz4", "mcap"])
 def test_truncated_bags_are_read_up_to_the_cut(tmp_path, container):
     path = written(
@@ -299,6 +303,7 @@ def test_foreign_databases_are_refused(tmp_path):
         read_markers(tmp_path / "c.db3")
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("zeros", [1, 4, 8, 4096])
 def test_zeros_before_the_index_of_a_ros1_bag_are_skipped(tmp_path, zeros):
     path = written(tmp_path, "bag", everything)

@@ -40,6 +40,7 @@ def motive_bodies(path, truth, names, mounted=0.0):
     path.write_text("\n".join([*head, *rows]) + "\n")
 
 
+@pytest.mark.default_cases(at=[0, 9, 10])
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("speed", SPEEDS)
 def test_bodies_are_read_at_any_rate(tmp_path, rate, speed):

@@ -178,6 +178,7 @@ def same(path, points, *, step=None, first=0.0, unit=1e-3):
     return found
 
 
+@pytest.mark.default_cases(at=[0, 4, 9])
 @pytest.mark.parametrize("analog", [0, 3])
 @pytest.mark.parametrize("first", [0, 1, 250])
 @pytest.mark.parametrize("units", [("mm",), ("mm",) * 4])
@@ -188,6 +189,7 @@ def test_files_written_by_ezc3d_are_read(tmp_path, analog, first, units):
     same(tmp_path / "a.c3d", points, first=first / RATE)
 
 
+@pytest.mark.default_cases(at=[0, 7, 8])
 @pytest.mark.parametrize("analog", [0, 3])
 @pytest.mark.parametrize("step", [None, 0.05])
 @pytest.mark.parametrize("first", [0, 1, 250])
@@ -202,6 +204,7 @@ def test_files_written_by_c3d_are_read(tmp_path, analog, step, first):
     )
 
 
+@pytest.mark.default_cases(at=[0, 2, 10])
 @pytest.mark.parametrize("processor", [84, 85, 86])
 @pytest.mark.parametrize("step", [None, 0.05])
 @pytest.mark.parametrize("analog", [0, 5])
@@ -216,6 +219,7 @@ def test_processors_and_analog_channels_without_parameters(
     same(tmp_path / "a.c3d", points, step=step)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("count", [65534, 65535, 65536, 70001])
 def test_files_with_65535_frames_and_more_are_read(tmp_path, count):
     points = walk(count, 1)
@@ -255,6 +259,7 @@ def test_parameters_in_conflict_with_the_file_are_ignored(tmp_path):
     same(tmp_path / "a.c3d", points)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("first", "begins"), [(0, 0.0), (1, 0.0), (2, 0.01), (9000, 89.99)]
 )
@@ -319,6 +324,7 @@ def test_of_parameters_that_differ_in_case_the_first_is_used(tmp_path):
     same(tmp_path / "a.c3d", points)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("processor", [84, 85, 86])
 @pytest.mark.parametrize(("analog", "used"), [(12, 4), (0, 12), (12, 0)])
 def test_the_analog_count_that_fills_the_file_is_used(

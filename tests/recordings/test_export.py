@@ -128,6 +128,7 @@ def test_the_command_writes_each_format(run, srs_twin, tmp_path):
     }
 
 
+@pytest.mark.default_cases(at=[0, 2, 3])
 @pytest.mark.parametrize(
     ("words", "message"),
     [

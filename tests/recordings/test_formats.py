@@ -408,6 +408,7 @@ def same(found, points=TRUTH, *, time=TIME, most=1e-6):
     assert np.abs(found.time - time).max() < 1e-6
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 4, 5, 9, 10])
 @pytest.mark.parametrize("kind", FORMATS)
 def test_formats_are_known_by_their_content(tmp_path, kind):
     path = written(tmp_path, FILES[kind](), "take.bin")
@@ -447,6 +448,7 @@ def test_vicon_positions_and_rotations_are_read(tmp_path):
         read_markers(written(tmp_path, devices.encode()))
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("columns", [False, True])
 @pytest.mark.parametrize("header", [False, True])
 @pytest.mark.parametrize("trailing", [False, True])
@@ -499,6 +501,7 @@ def test_deeplabcut_positions_are_scaled(tmp_path, animals):
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("version", ["1.0", "1.1", "1.2", "1.23", "1.24", "1.25"])
 def test_motive_rigid_bodies_have_rotations(tmp_path, version):
     found = read_markers(
@@ -638,6 +641,7 @@ def test_declared_sizes_allocate_no_memory(tmp_path):
     assert time.perf_counter() - began < 5
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
 @pytest.mark.parametrize("kind", ["one large message", "many small messages"])
 def test_compression_bombs_are_refused_before_unpacking(
@@ -770,6 +774,7 @@ def refusals(folder, kind, seed):
 KINDS = [*FORMATS, "MCAP unchecked"]
 
 
+@pytest.mark.default_cases(10)
 @pytest.mark.parametrize("kind", KINDS)
 def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind, capfd):
     assert refusals(tmp_path, kind, len(kind)) >= 10
@@ -798,6 +803,7 @@ def test_files_that_unpack_to_gigabytes_are_refused(tmp_path):
         read_markers(written(tmp_path, stream.getvalue()))
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 7, 8, 9, 10])
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [

@@ -20,6 +20,7 @@ def test_duration_of_a_gap_is_measured_between_its_neighbours(missing):
     assert longest_complete(time, tracks, lasts - 1e-6) == slice(20 + missing, 60)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("place", [0.0, 10.0])
 @pytest.mark.parametrize("hidden", [False, True], ids=["seen", "between gaps"])
 def test_outliers_are_detected_at_any_position(place, hidden):
@@ -35,6 +36,7 @@ def test_outliers_are_detected_at_any_position(place, hidden):
     assert np.argwhere(outliers(points, 1e-3)).tolist() == [[59, 0], [121, 1]]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("seed", range(20))
 def test_only_the_outlier_among_missing_samples_is_detected(seed):
     """Any samples around it may be missing; near the ends there are too few of them."""

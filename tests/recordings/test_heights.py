@@ -61,6 +61,7 @@ def test_markers_on_masts_are_detected_and_used(tmp_path, heights):
     assert bend_error(read_motion(path, SPEC)) < 0.04
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("seed", range(12))
 def test_tilted_floor_is_levelled_with_markers_on_masts(seed):
     """Up to half of the markers are on masts and the tilt is 0 to 20°; the error is below 0.1°."""

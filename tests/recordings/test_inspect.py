@@ -17,9 +17,10 @@ from srs_twin.cli import main
 from srs_twin.cli.options import print_json
 from srs_twin.io.validation import load_model
 from srs_twin.recordings.facts import RecordingFacts, in_words, proposed_map
-from srs_twin.recordings.inspection import inspect_file
+from srs_twin.recordings.inspection import _stated_quantity, inspect_file
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
+from srs_twin.recordings.signals.units import Meaning
 
 
 def inspected(folder, take, **known):
@@ -116,6 +117,7 @@ def test_facts_of_a_log(tmp_path):
     assert first.openings_per_s == pytest.approx(2.0, rel=0.02)
 
 
+@pytest.mark.default_cases(at=[0, 4, 5, 10, 12])
 @pytest.mark.parametrize(
     ("column", "values", "said"),
     [
@@ -293,3 +295,15 @@ def test_unknown_files_are_refused(tmp_path):
     path.write_text("hello\nworld\n")
     with pytest.raises(InputError, match="not a known motion recording"):
         inspect_file(path, NO_MAP, None)
+
+
+def test_a_unit_of_the_map_is_used_where_the_column_states_none():
+    values = np.array([0.1, 0.3])
+    given = Meaning("pressure", "pressure_plus", 1, default="kPa", unit="bar")
+    assert _stated_quantity("P1", values, given) == "pressure, bar: 10 to 30 kPa"
+    of_key = given._replace(unit="")
+    assert _stated_quantity("P1", values, of_key) == "pressure, kPa: 0.1 to 0.3 kPa"
+    assert _stated_quantity("P1 (psi)", 10 * values, given) == (
+        f"pressure, psi: {6.894757293168:g} to {3 * 6.894757293168:g} kPa"
+    )
+    assert _stated_quantity("P1", values, None) == "unknown"

@@ -59,6 +59,7 @@ def outcome(points):
     return "noted" if any("not levelled" in note for note in notes) else "level"
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("lift", LIFTS)
 @pytest.mark.parametrize("in_step", [True, False])
 def test_level_takes_are_never_levelled(lift, in_step):
@@ -67,6 +68,7 @@ def test_level_takes_are_never_levelled(lift, in_step):
     assert "levelled" not in found
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("lift", LIFTS)
 def test_tilted_takes_of_a_turning_snake_are_levelled(lift):
     random = np.random.default_rng(1)

@@ -50,6 +50,7 @@ def hidden(path):
     return np.flatnonzero(np.isnan(table.points[:, 1, 0])).tolist()
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("blank", [" ", "   ", ""])
 @pytest.mark.parametrize("separator", [",", ";", "\t"])
 def test_a_cell_of_spaces_is_empty(tmp_path, blank, separator):
@@ -89,6 +90,7 @@ def test_odometry_may_begin_at_the_origin(tmp_path):
     assert np.isfinite(table.points).all()
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "text",
     [

@@ -76,6 +76,7 @@ CLOCKS = {
 }
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 53, 67])
 @pytest.mark.parametrize("clock", CLOCKS)
 @pytest.mark.parametrize(
     ("separator", "decimal"),
@@ -107,6 +108,7 @@ def test_tables_of_pandas_are_read(tmp_path, clock, separator, decimal, index):
     )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
 def test_times_since_1970_keep_their_resolution(tmp_path, unit):
     """Steps of one unit in the last digit at 1.7e9 s are recovered exactly."""
@@ -155,6 +157,7 @@ def text(separator=",", point=".", header=True, comments="", end="\n", bom=""):
 COLUMNS = ("time", *NAMES)
 
 
+@pytest.mark.default_cases(at=[0, 10, 13, 16, 17, 20])
 @pytest.mark.parametrize(
     ("content", "dialect"),
     [
@@ -202,6 +205,7 @@ def test_layouts_are_detected_or_given(tmp_path, content, dialect):
     assert facts.frames == FRAMES and len(facts.markers) == 5
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 4, 6, 7, 8])
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -285,6 +289,7 @@ def test_given_names_apply_only_to_files_without_names(tmp_path):
     assert found.time.tolist() == [0.0, 1.5]
 
 
+@pytest.mark.default_cases(at=[0, 13, 17])
 @pytest.mark.parametrize(
     "names",
     [
@@ -347,6 +352,7 @@ def test_markers_with_unusual_names_are_kept():
 VALVES = "time,valve_plus_1,valve_minus_1\n"
 
 
+@pytest.mark.default_cases(at=[0, 1, 4])
 @pytest.mark.parametrize(
     ("unit", "name"),
     [
@@ -370,6 +376,7 @@ def test_logs_with_times_since_1970_are_read(tmp_path, unit, name):
     assert inspect_file(path, NO_MAP, None)[0].starts_s == 1.7e9
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "times",
     [

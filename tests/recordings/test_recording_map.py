@@ -106,6 +106,7 @@ def test_one_marker_per_connector_is_refused_for_a_body_that_stretches(tmp_path)
     recorded(tmp_path, Take(layout="head"), stretched(motion(), 0.25))
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("segments", "layout"),
     [(1, "head"), (1, "middles"), (1, "pair"), (2, "middles"), (2, "head")],
@@ -141,6 +142,7 @@ def test_insufficient_markers_are_refused_and_the_remedy_works(tmp_path):
     read_motion(path, SPEC, map=read_map({"markers": whole}))
 
 
+@pytest.mark.default_cases(at=[0, 4, 6])
 @pytest.mark.parametrize(
     ("data", "said"),
     [
@@ -269,3 +271,13 @@ def test_pairs_with_equal_distances_are_resolved_by_their_order(tmp_path, apart)
     found = recorded(tmp_path, Take(layout="pair", apart=apart, labeled=True))
     assert found.summary.markers.layout == "pair"
     assert np.abs(found.trajectory.stack("bend") - motion().stack("bend")).max() < 0.06
+
+
+def test_options_of_a_map_are_given_as_text():
+    """A list of columns is split at commas, and separators have names."""
+    given = given_map(
+        None, {"columns": "time, x ,y", "separator": "\t", "decimal": None}, []
+    )
+    assert given == {"columns": ["time", "x", "y"], "separator": "tab"}
+    assert given_map(None, {"separator": " "}, []) == {"separator": "space"}
+    assert given_map(None, {"separator": ";"}, []) == {"separator": ";"}

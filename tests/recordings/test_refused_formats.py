@@ -99,6 +99,7 @@ def said(words, capsys):
     return out.err.strip()
 
 
+@pytest.mark.default_cases(at=[0, 16, 20])
 @pytest.mark.parametrize("name", REFUSED)
 def test_inspect_and_replay_refuse_with_the_same_message(
     tmp_path, monkeypatch, capsys, name

@@ -235,6 +235,7 @@ def test_sweep_and_run_agree_on_recorded_pressures(perfect):
     assert row.values["analytical.pneumatic_power_w"] is None
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 5, 6])
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -271,6 +272,7 @@ def test_missing_sections_of_a_replay_are_reported(perfect, changes, message):
         replayed(perfect, **changes)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("line", "place"),
     [

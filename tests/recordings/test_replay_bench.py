@@ -107,6 +107,7 @@ def driven(scenario, kind, robot=None):
     return MeasuredDifference.between(scenario.measured, run)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("motion", "valves", "recording"),
     [
@@ -211,6 +212,7 @@ def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
     )
 
 
+@pytest.mark.default_cases(at=[0, 3, 5])
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -272,6 +274,7 @@ def test_bench_velocities_are_the_slopes_of_the_positions(bench):
         assert np.corrcoef(speed, slope)[0, 1] > 0.95
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("changes", "message"),
     [

@@ -56,6 +56,7 @@ def trc(points, unit="mm", *, rate=RATE, blank=True, tab=False, first=1, decimal
     return "\r\n".join([*head, *(row + "\t" * tab for row in rows)]) + "\r\n"
 
 
+@pytest.mark.default_cases(at=[0, 2, 10])
 @pytest.mark.parametrize("unit", UNITS)
 @pytest.mark.parametrize("blank", [False, True])
 @pytest.mark.parametrize("tab", [False, True])
@@ -97,6 +98,7 @@ def test_damaged_trc_is_refused(tmp_path, old, new, words):
         read_markers(tmp_path / "a.trc")
 
 
+@pytest.mark.default_cases(at=[0, 14, 25])
 @pytest.mark.parametrize(
     "head", ["# timestamp tx ty tz qx qy qz qw\n", "", "# by evo\n#\n"]
 )
@@ -177,6 +179,7 @@ def tracker(points, turns, unit, angle):
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("unit", ["mm", "m"])
 @pytest.mark.parametrize("angle", ["rad", "deg", "quaternion"])
 def test_vicon_tracker_objects_are_read(tmp_path, unit, angle):

@@ -92,11 +92,11 @@ def rows_of(claim):
     return [row for row in CLAIMS if row.id == claim or row.id.startswith(f"{claim}.")]
 
 
-@pytest.mark.parametrize("claim", ORIGINAL)
-def test_every_original_claim_has_rows(claim):
-    assert rows_of(claim)
+def test_every_original_claim_has_rows():
+    assert [claim for claim in ORIGINAL if not rows_of(claim)] == []
 
 
+@pytest.mark.default_cases(at=[0, 4, 10])
 @pytest.mark.parametrize(
     "claim", [claim for claim, tol in ORIGINAL.items() if tol is not None]
 )
@@ -217,6 +217,7 @@ ROW = """\
 """
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 17])
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

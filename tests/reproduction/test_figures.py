@@ -30,6 +30,7 @@ FIGURE = (
 )
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

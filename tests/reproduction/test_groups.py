@@ -56,6 +56,7 @@ def test_groups_partition_the_holdouts():
     assert all(rows[name] for name in GROUPS)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "claim", [claim for claim in HOLDOUTS if claim.group == "headline"], **NAMES
 )
@@ -74,6 +75,7 @@ def test_measurement_errors_are_the_differences_of_published_speeds():
     assert rows["gen2-top-speed"].allowed.high == pytest.approx(0.220)
 
 
+@pytest.mark.default_cases(at=[0, 7, 10, 15, 32, 45, 55])
 @pytest.mark.parametrize("claim", HOLDOUTS, **NAMES)
 def test_limitations_agree_with_the_runs(claim):
     runs = list(documents(claim))
@@ -177,6 +179,7 @@ def test_mirror_image_of_a_gait_shifts_the_phase_by_half_a_period():
         assert (plus == mirrored[..., ::-1]).all(), time
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("title", TITLES.values())
 def test_page_counts_the_rows_of_the_claims_file(title):
     page = (ROOT / "docs/reproduction.md").read_text("utf-8")

@@ -43,6 +43,7 @@ def test_every_prediction_is_of_a_robot_whose_intervals_have_sources():
         assert low <= numbers.median <= high
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("value", "inside"), [(0.05, True), (0.2, True), (0.049, False), (0.21, False)]
 )
@@ -55,6 +56,7 @@ def test_published_value_is_inside_the_interval_or_not(folder, value, inside):
     assert (row.prediction_commit, row.comparison_commit) == (None, None)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("robots", "value", "verdict"),
     [

@@ -177,6 +177,7 @@ def rows(**verdicts):
     return (JudgedClaim(claim(), outcomes),)
 
 
+@pytest.mark.default_cases(at=[0, 1, 8])
 @pytest.mark.parametrize(
     ("before", "now"), list(product(("met", "explained", "missed"), repeat=2))
 )
@@ -191,6 +192,7 @@ def test_a_new_row_is_not_a_change():
     assert Baseline({}, {}).changes(rows(twin="missed")) == []
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "text", ["", "[]", "{}", '{"rows": {"a": 1}, "versions": {}}', '{"rows": 3}']
 )

@@ -68,6 +68,7 @@ def test_a_lognormal_distribution_may_have_a_median_of_its_own():
     assert high / low == pytest.approx(1.6**2, rel=1e-4)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("time", [3e-4, 5e-4, 6.6e-4, 7e-4, 2e-3])
 def test_steps_of_the_twin_suit_the_damping(time):
     step = stable_step(0.001, time)

@@ -141,6 +141,7 @@ def spinning_wheel(
     return f_t, f_n
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("mu_t", [0.043, 0.3, 0.9])
 @pytest.mark.parametrize(
     ("v_t", "v_n"),

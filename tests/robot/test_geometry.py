@@ -46,6 +46,7 @@ def test_first_derivative_of_the_chord_matches_finite_differences(bend, length, 
     assert chord_derivatives(bend, length, gap)[1] == pytest.approx(expected, abs=1e-10)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("bend", [-2.0, -0.1001, -0.0999, -1e-3, 0.0, 0.05, 0.3, 6.0])
 def test_second_derivative_of_the_chord_matches_finite_differences(bend):
     h = 1e-2
@@ -65,6 +66,7 @@ def test_second_derivative_of_the_chord_matches_finite_differences(bend):
     )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     "bend", [0.0, 1e-300, 1e-9, -1e-6, 1e-3, 9.999e-3, 1.0001e-2, -2e-2, 0.0999]
 )

@@ -124,6 +124,7 @@ def write(tmp_path, robot):
     return path
 
 
+@pytest.mark.default_cases(at=[0, 10, 11, 14, 19])
 @pytest.mark.parametrize(("numbers", "is_error", "words"), MISTAKES)
 def test_number_in_another_unit_is_reported_with_its_line(
     tmp_path, monkeypatch, numbers, is_error, words
@@ -148,6 +149,7 @@ def test_number_in_another_unit_is_reported_with_its_line(
     } | {("mine.yaml", "nominal_kpa")}
 
 
+@pytest.mark.default_cases(at=[0, 5, 8, 10, 17, 29])
 @pytest.mark.parametrize("path", ROBOTS, ids=lambda path: path.stem)
 @pytest.mark.parametrize("scale", [1 / 16, 1.0, 16.0])
 def test_robot_scaled_as_a_whole_is_plausible(tmp_path, path, scale):
@@ -172,6 +174,7 @@ def test_robot_scaled_as_a_whole_is_plausible(tmp_path, path, scale):
         load_robot(write(tmp_path, robot))
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 25, 34, 37, 52])
 @pytest.mark.parametrize("name", shipped_names("scenario"))
 def test_shipped_scenario_has_no_doubtful_number(name):
     assert not [
@@ -211,6 +214,7 @@ def test_scenario_warns_about_its_robot_file_and_its_own_numbers(tmp_path, monke
     assert warning.endswith("; 0.8 cm would be 0.008 m")
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 4])
 @pytest.mark.parametrize(
     ("words", "message"),
     [

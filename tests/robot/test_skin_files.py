@@ -134,6 +134,7 @@ DATA = {
 }
 
 
+@pytest.mark.default_cases(at=[0, 2, 4, 5])
 @pytest.mark.parametrize(
     ("plants", "message"),
     [

@@ -46,6 +46,7 @@ def refusal(path) -> tuple[str, ...]:
     return tuple(line.removeprefix(f"{path.parent}/") for line in error.value.lines)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_published_robots_load(name):
     robot = load_robot(name)
@@ -53,6 +54,7 @@ def test_published_robots_load(name):
     assert robot.geometry.connectors == 5 == len(robot.mass.connectors)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("name", "length", "psi_for", "bend", "limit_psi"),
     [
@@ -81,6 +83,7 @@ def test_gen4_actuator_has_the_published_coefficients():
     assert 0.8366 / (fill * mode) == pytest.approx(3532.2, rel=1e-3)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("name", "pressure", "volume"),
     [
@@ -110,6 +113,7 @@ def test_phase_steps_differ_by_generation():
     assert {load_robot(n).phase_step for n in ROBOTS[1:]} == {math.pi / 2}
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_number_has_a_source(name):
     sources = load_robot_file(name).records()
@@ -121,6 +125,7 @@ def test_every_number_has_a_source(name):
         assert record.status != "calibrated", f"{path}: there are no fits yet"
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_written_robot_is_read_back_unchanged(name, tmp_path):
     path = tmp_path / "again.yaml"
@@ -217,6 +222,7 @@ def test_number_of_connectors_is_free(write, count):
     assert robot.segments == count - 1 == len(robot.mass.connectors) - 1
 
 
+@pytest.mark.default_cases(at=[0, 3, 4, 6])
 @pytest.mark.parametrize(
     ("part", "changes", "words"),
     [

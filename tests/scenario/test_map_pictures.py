@@ -170,6 +170,7 @@ WRITERS = {
 }
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("library", WRITERS)
 def test_cells_agree_with_ros(tmp_path, library):
     """Formats × bit depths × modes × negate: 88 maps."""
@@ -209,6 +210,7 @@ WALL = np.full((20, 40), 254, dtype=np.uint8)
 WALL[5:, 18:20] = 0
 
 
+@pytest.mark.default_cases(at=[0, 4, 9, 17, 18, 20])
 @pytest.mark.parametrize(
     ("levels", "more", "cells"),
     [
@@ -246,6 +248,7 @@ RETIRED = {
 }
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", RETIRED)
 def test_refused_pictures_are_told_what_is_allowed(tmp_path, name):
     RETIRED[name].save(tmp_path / name)
@@ -366,6 +369,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 10, 22, 23])
 @pytest.mark.parametrize("name", HOSTILE)
 def test_invalid_pictures_are_rejected(tmp_path, name):
     """By content, before Pillow reads it, with one message that names the place in the map."""

@@ -95,6 +95,7 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
     )
 
 
+@pytest.mark.default_cases(at=[0, 7, 8, 9, 11, 14, 17, 18, 23])
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

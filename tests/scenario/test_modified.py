@@ -39,6 +39,7 @@ def changed(scenario):
     return {each["field"]: (each["from"], each["to"]) for each in scenario.changes}
 
 
+@pytest.mark.default_cases(at=[0, 5, 7, 8, 9, 10, 13])
 @pytest.mark.parametrize(
     ("fields", "listed"),
     [
@@ -184,6 +185,7 @@ def test_the_list_of_changes_cannot_be_set():
 OURS = [("comparison", "shape_rms_body")]
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 6, 7])
 @pytest.mark.parametrize(
     ("fields", "left_out"),
     [

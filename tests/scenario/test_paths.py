@@ -113,6 +113,7 @@ def refusal(load, path: Path) -> str:
     return str(error.value)
 
 
+@pytest.mark.default_cases(at=[0, 4, 5, 7, 10, 25, 32])
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("places", "expected"),
@@ -131,6 +132,7 @@ def test_path_is_relative_to_its_file_then_to_the_current_folder(
     assert f"{name}: no such file" not in message
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 5, 6, 8, 12])
 @pytest.mark.parametrize("kind", KINDS)
 def test_message_about_a_missing_file_names_both_places(lab, kind):
     load, data, name = KINDS[kind]

@@ -65,6 +65,7 @@ def test_plants_touch_pegs_with_the_stated_friction():
     assert pegs().world.friction == 0.5
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 5])
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -198,6 +198,7 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
     assert scenario(robot={"base": "./mine.yaml", "name": "ours"}).robot.name == "ours"
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 6, 7, 8, 10, 12, 13])
 @pytest.mark.parametrize(
     ("robot", "words"),
     [
@@ -278,6 +279,7 @@ def test_the_default_pneumatics_are_written_out():
     }
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 4])
 @pytest.mark.parametrize("plant", ["analytical", "twin"])
 @pytest.mark.parametrize(
     ("given", "described"),
@@ -431,6 +433,7 @@ def test_the_limit_follows_an_override():
 # Times
 
 
+@pytest.mark.default_cases(at=[0, 1, 3, 4, 5])
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -476,6 +479,7 @@ def test_times_that_are_no_multiples_are_rejected(changes, words):
     assert words in refusal(**changes)[0]
 
 
+@pytest.mark.default_cases(at=[0, 9, 10])
 @pytest.mark.parametrize("record_hz", [7.14286, 3.33333, 0.100001, 333.3, 9999.0])
 @pytest.mark.parametrize(
     "ticks", [(0.02, 0.02, 0.001), (0.02, 0.03, 0.0005), (0.001, 0.02, 0.0005)]
@@ -504,6 +508,7 @@ def test_no_recording_rate_is_proposed_for_incompatible_ticks():
     assert "no rate suits the plants' ticks; change tick_s" in line
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("record_hz", [0.5, 10, 25, 50, 200, 1000])
 def test_valid_recording_rates(record_hz):
     from srs_twin.rollout import rollout
@@ -530,6 +535,7 @@ def expectation(**keys):
     return each
 
 
+@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize(
     ("keys", "inside", "outside", "allowed"),
     [
@@ -552,6 +558,7 @@ def test_what_expectations_allow(keys, inside, outside, allowed):
     assert all(map(met, inside)) and not any(map(met, outside))
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "metrics",
     [
@@ -585,6 +592,7 @@ def test_row_contains_the_published_value():
     }
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("known", "value", "expected"),
     [
@@ -617,6 +625,7 @@ def test_expectations_of_the_comparison():
     assert each.check({"comparison": {"com_speed_rel": -0.05}})["met"]
 
 
+@pytest.mark.default_cases(at=[0, 2, 3, 5, 6, 8, 11])
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
@@ -834,6 +843,7 @@ def other_than_default(field):
     return math.ceil(number + 1) if int in (field.annotation, *choices) else number
 
 
+@pytest.mark.default_cases(at=[0, 2, 14, 24, 29, 31, 32, 41])
 @pytest.mark.parametrize(
     ("section", "key"),
     [
@@ -876,6 +886,7 @@ def test_document_is_independent_of_its_source_data():
     assert data == MINIMAL
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("file", "name"),
     [
@@ -896,6 +907,7 @@ def test_invalid_names_are_rejected_as_folders(tmp_path, file, name):
 # Shipped scenarios
 
 
+@pytest.mark.default_cases(at=[0, 2, 5, 31, 34, 37, 52])
 @pytest.mark.parametrize("name", shipped_names("scenario"))
 def test_shipped_expectations_can_fail_and_cite_sources(name):
     s = load_scenario(name)

@@ -62,6 +62,7 @@ def ball(x, y=0.0, radius=0.03):
     return {"objects": [item]}
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "plants",
     [BOTH, {"analytical": {}}, {"twin": {}}, {"twin": {"contact": "preloaded"}}],
@@ -97,6 +98,7 @@ def test_message_has_the_line_of_each_obstacle(tmp_path, srs_twin):
     )
 
 
+@pytest.mark.default_cases(at=[0, 4, 5])
 @pytest.mark.parametrize(
     ("world", "key", "overlap"),
     [
@@ -187,6 +189,7 @@ def test_objects_are_refused(box):
         scenario(world, plants={"twin": {}})
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("gap", [0.0, 1e-4])
 @pytest.mark.parametrize("heading", [0.0, 0.7])
 def test_touching_is_allowed(gap, heading):
@@ -218,6 +221,7 @@ def test_bends_at_the_start_count():
         scenario(beside, start=start | {"y_m": 0.05}, plants={"twin": {}})
 
 
+@pytest.mark.default_cases(at=[0, 4, 7, 9])
 @pytest.mark.parametrize("snake", ["gen1", "gen2", "gen3", "gen4", "skin_example"])
 @pytest.mark.parametrize("kind", ["analytical", "twin"])
 def test_checked_start_is_that_of_the_plants(snake, kind):

@@ -291,6 +291,7 @@ def test_nan_bend_gives_nan_reading():
 # The chambers
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("robot", ["gen1", "gen2", "gen3", "gen4"])
 def test_reading_is_monotonic_with_semicircular_chambers_only(robot):
     spec = load_robot(robot)
@@ -435,6 +436,7 @@ def test_splitmix64_matches_reference_values():
     ]
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("seed", [0, 1, -1, 2**64 - 2, 12345678901234567890123])
 def test_noise_is_standard_normal_and_white(seed):
     n = 40_000
@@ -577,6 +579,7 @@ def test_sensors_are_selected_by_name():
     assert hall.describe()["calibration"]["r_squared"] > 0.99
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 3, 4, 7, 10, 15, 16, 18, 19, 20])
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -648,6 +651,7 @@ def test_invalid_sensor_options_raise(options, words):
         assert isinstance(error.value, UnknownNameError)
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("voltage", "angle", "words"),
     [

@@ -65,6 +65,7 @@ def run(window: FakeWindow, time: FakeTime | None = None) -> LiveSnake:
     return snake
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("key", "name", "step"),
     [

@@ -21,7 +21,7 @@ from srs_twin.trajectory import Event, Trajectory
 from srs_twin.viewing.content import RunContent, events_of
 from srs_twin.viewing.plots.signals import kind_of, wheel_turns
 from srs_twin.viewing.plots.style import STYLES
-from srs_twin.viewing.rerun import scene
+from srs_twin.viewing.rerun import recording as recording_module, scene
 from srs_twin.viewing.rerun.recording import subsample, write_recording
 
 
@@ -156,6 +156,7 @@ def read_back(path):
     return found
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("kind", KINDS)
 def test_kind_of_run_follows_from_its_signals(kind):
     assert kind_of(of_kind(kind, duration=0.5)) == kind
@@ -186,6 +187,7 @@ SIGNALS = {
 }
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("kind", SIGNALS)
 def test_signals_of_each_kind(kind, tmp_path):
     path = tmp_path / "r.rrd"
@@ -354,4 +356,23 @@ def test_a_spatial_snake_is_drawn_above_the_floor_where_it_lifts_itself():
     turned = Rotation.from_quat(scene._along(steps)).apply([0.0, 0.0, 1.0])
     assert turned == pytest.approx(
         steps / np.linalg.norm(steps, axis=1, keepdims=True), abs=1e-6
+    )
+
+
+def test_the_axis_of_the_speeds_contains_zero_and_all_speeds():
+    runs = pair()
+    shown = recording_module._layout(RunContent(robot(), runs), {})
+    speeds = [recording_module._speed(run)[1] for run in runs.values()]
+    low = min(0.0, *(float(values.min()) for values in speeds))
+    high = max(float(values.max()) for values in speeds)
+    assert high == pytest.approx(0.22, rel=0.3)  # the faster of the two
+    assert shown.speeds == pytest.approx((1.1 * low, 1.1 * high))
+    assert shown.separation == pytest.approx(
+        max(
+            np.hypot(*(a - b))
+            for a, b in zip(
+                *(np.column_stack([r["com_x"], r["com_y"]]) for r in runs.values()),
+                strict=True,
+            )
+        )
     )

@@ -411,6 +411,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 4, 5, 6, 10, 11])
 @pytest.mark.parametrize("name", REFUSED)
 def test_invalid_options_are_refused(runs, srs_twin, tmp_path, name):
     options, words = REFUSED[name]

@@ -722,6 +722,7 @@ def test_report_contains_results_and_expectations(report, parsed):
     assert rows["mujoco"] == ["mujoco", "3.17"]
 
 
+@pytest.mark.slow
 def test_twin_and_report_need_neither_rerun_nor_pyplot_nor_glfw(monkeypatch):
     """Without MUJOCO_GL, MuJoCo imports glfw, which starts a process to look for its library."""
     monkeypatch.delenv("MUJOCO_GL", raising=False)

@@ -401,6 +401,7 @@ def test_sweep_agrees_with_the_cpu_engine(tmp_path):
             )
 
 
+@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("settings", "named"),
     [

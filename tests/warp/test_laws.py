@@ -90,6 +90,7 @@ def evaluated():
     return evaluate
 
 
+@pytest.mark.default_cases(at=[0, 5, 6])
 @pytest.mark.parametrize(
     "skin", [False, True], ids=["same both ways", "differs backwards"]
 )

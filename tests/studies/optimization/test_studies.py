@@ -186,6 +186,7 @@ def test_the_printed_table_holds_the_values_of_the_formulas(tmp_path, capsys):
     ]
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 5))]
 )
@@ -246,9 +247,19 @@ def test_designs_on_a_bound_are_marked_in_document_and_text(tmp_path):
     )
     assert "beyond such a bound" in last
     write_result(answer, tmp_path / "written")
-    assert "2.8†" in (tmp_path / "written/report.html").read_text("utf-8")
+    page = (tmp_path / "written/report.html").read_text("utf-8")
+    assert "2.8†" in page
+    parts = (row.split("</tr>")[0] for row in page.split("<tr")[1:])
+    rows = [re.findall(r">([^<>]+)</t[dh]>", part) for part in parts]
+    (initial,) = (row for row in rows if "initial scenario" in row)
+    best_row = next(row for row in rows if "best/1.yaml" in row)
+    p = best["variables"]["controller.phase_step_rad"]
+    assert float(initial[1]) == pytest.approx(slope(1.0, 1.0, "twin"), rel=1e-3)
+    assert best_row[1] == "2.8†"
+    assert float(best_row[3]) == pytest.approx(slope(2.8, p, "twin"), rel=1e-3)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("fraction", "bound"),
     [(0.0, "low"), (0.009, "low"), (0.011, None), (0.995, "high")],
@@ -261,6 +272,7 @@ def test_a_design_within_one_per_cent_of_the_range_is_on_the_bound(
     assert space.bounds(np.array([fraction])) == ({} if bound is None else {"a": bound})
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("scale", ["linear", "log"])
 @pytest.mark.parametrize("whole", [False, True])
 def test_fractions_map_to_both_bounds_and_back(scale, whole):
@@ -300,6 +312,7 @@ def test_constraints_are_met(tmp_path):
     assert best.metric("com_speed_m_s") > 0.95 * speed(math.sqrt(2), 1.45, "twin")
 
 
+@pytest.mark.slow
 def test_an_optimum_that_violates_a_constraint_of_the_low_fidelity_model_is_found(
     tmp_path,
 ):
@@ -538,6 +551,7 @@ def test_the_best_scenario_of_the_command_can_be_run(srs_twin, tmp_path):
     assert json.loads(srs_twin(*options, cwd=tmp_path).stdout) == printed
 
 
+@pytest.mark.default_cases(at=[0, 1, 4, 8])
 @pytest.mark.parametrize("name", shipped_names("study"))
 def test_shipped_studies_load_and_their_designs_are_scenarios(name):
     question = load_study(name)

@@ -78,6 +78,7 @@ def test_results_do_not_depend_on_engine_or_number_of_workers(
     assert len(digests) == 1
 
 
+@pytest.mark.default_cases(at=[0, 3, 4, 6])
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -211,6 +211,7 @@ def test_the_digest_does_not_depend_on_order_or_wall_times():
         assert rows_digest([other, rows[1]]) != rows_digest(rows)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("old", "new"),
     [

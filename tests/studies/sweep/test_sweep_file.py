@@ -30,11 +30,13 @@ def test_a_grid_makes_documents_with_the_varied_fields(tmp_path):
     assert scenario.robot == load_scenario("gen2_straight").robot
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", first_by_default(5, shipped_names("sweep")))
 def test_shipped_sweeps_load(name):
     assert len(load_sweep(name).points) > 1
 
 
+@pytest.mark.slow
 def test_shipped_grids_are_those_of_the_figures():
     """Sections 3.4.1 to 3.4.3: 56 frequencies by 31 pressures; the ranges of Fig. 32, 33, 38."""
     sizes = {
@@ -110,6 +112,9 @@ def test_an_element_of_a_list_is_varied(tmp_path):
     ] == [2, 3]
 
 
+@pytest.mark.default_cases(
+    at=[0, 3, 4, 5, 9, 10, 12, 13, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27]
+)
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -155,6 +155,7 @@ def keys(sweep):
     return {point.key for point in sweep.points}
 
 
+@pytest.mark.default_cases(at=[0, 3, 5])
 @pytest.mark.parametrize(("case", "name", "old", "new"), first_by_default(6, EDITS))
 def test_a_changed_byte_of_any_input_changes_the_keys(
     project, tmp_path, case, name, old, new
@@ -172,6 +173,7 @@ def test_a_changed_byte_of_any_input_changes_the_keys(
     assert before == keys(project(case))
 
 
+@pytest.mark.default_cases(at=[0, 4, 5, 9])
 @pytest.mark.parametrize("case", CASES)
 def test_every_opened_file_is_in_the_key(project, tmp_path, case):
     """Detects new kinds of input; the robot file is part of the resolved scenario."""

@@ -99,6 +99,7 @@ def test_invalid_exclusions_are_refused(exclude, says, tmp_path, srs_twin):
     )
 
 
+@pytest.mark.default_cases(at=[0, 3, 5])
 @pytest.mark.parametrize(
     ("text", "says"),
     [

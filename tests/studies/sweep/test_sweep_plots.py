@@ -344,6 +344,7 @@ def test_every_metric_has_a_label_with_its_unit():
     assert metric_label("bend_amplitude_rad_2") == "bend amplitude 2 (rad)"
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("field", "label"),
     [

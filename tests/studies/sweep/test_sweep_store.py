@@ -73,6 +73,7 @@ def test_the_folder_is_locked(tmp_path):
         assert list(store.rows()) == ROWS[:1]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "junk",
     [
@@ -127,6 +128,7 @@ def test_folders_of_a_store_without_rows_are_removed(tmp_path):
     assert [path.name for path in tmp_path.rglob("*")] == ["new", FILE]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("pages", range(8, 24))
 def test_a_full_disk_keeps_the_earlier_rows(tmp_path, pages):
     """The database may not exceed a number of pages."""
@@ -223,6 +225,7 @@ with RowStore(Path(".")) as store:
     ]
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "content",
     [

@@ -92,6 +92,7 @@ def test_samples_have_the_correlation_of_the_file():
     assert abs(drawn[i, k]) < 0.01
 
 
+@pytest.mark.default_cases(at=[0, 1, 2, 3, 4])
 @pytest.mark.parametrize(
     ("spread", "message"),
     [
@@ -121,6 +122,7 @@ def test_invalid_distributions_are_refused_with_their_location(spread, message):
     assert message in str(caught.value)
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("name", "pressure_kpa", "volume_ml"),
     [
@@ -141,6 +143,7 @@ def test_shipped_stiffness_stores_a_quarter_to_all_of_the_work_of_the_air(
     )  # two printed digits
 
 
+@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 def test_no_shipped_robot_has_uncertain_drag(name):
     record = load_robot_file(name).records().get("friction.drag_n")
