@@ -62,9 +62,9 @@ def one_blas_thread() -> Iterator[None]:
 
     OpenBLAS splits sums between its threads. The last digits of products of matrices
     larger than about 100 × 100 therefore depend on the number of threads. The limit
-    applies to the whole process. Therefore only one Python thread at a time can be in
-    such a block: the first thread that leaves its block would otherwise remove the
-    limit for the other threads.
+    applies to the whole process. Therefore only one Python thread at a time can execute
+    a block with this limit. Otherwise the end of one block would remove the limit for
+    the other blocks.
     """
     with _BLAS_LOCK, ThreadpoolController().limit(limits=1, user_api="blas"):
         yield

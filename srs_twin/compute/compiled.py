@@ -60,10 +60,10 @@ def notify_first_compilation(notice: Callable[[], None]) -> None:
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Code of a part of a kernel. The code remains in intermediate representation."""
+    """Code of a part of a kernel, which remains in intermediate representation."""
 
     def finalize(self) -> None:
-        """Declare the global variables that Numba sets, but no machine code."""
+        """Declare the global variables that Numba sets, but generate no code."""
         self._raise_if_finalized()
         names = [variable.name for variable in self._final_module.global_variables]
         lines = [
@@ -171,7 +171,7 @@ def compiled(function: Function) -> Kernel:
 
 
 def allocating(function: Function) -> Kernel:
-    """Compile a function that creates arrays. See `compiled` for the cache."""
+    """Compile a function that creates arrays, and cache it like `compiled`."""
     return Kernel(function, {})
 
 
@@ -191,8 +191,7 @@ def inlined(function: Function) -> Function:
     return part
 
 
-# Functions that are selected by types return no arrays, so they need no reference
-# counts.
+# These functions return no arrays, so they need no reference counts.
 overload_part: Function = functools.partial(
     overload, jit_options=_PART_OPTIONS | _NO_REFCOUNTS
 )
@@ -207,10 +206,8 @@ def is_given(kind: types.Type) -> bool:
 def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Function:
     """Return a decorator like `kernel_only` for calls that a condition enables.
 
-    Args:
-        condition: function of the Numba type of the first argument. If it returns
-            False, the call generates no code.
-        otherwise: number or tuple of numbers that a disabled call returns.
+    The condition is a function of the Numba type of the first argument. A disabled call
+    generates no code and returns `otherwise`.
     """
 
     def decorate(function: Function) -> Function:
@@ -261,8 +258,8 @@ def _with_cache(dispatcher: Any, function: Function) -> Function:
 class _Cache(FunctionCache):
     """Disk cache of one function, which is disabled if its folder cannot be used.
 
-    The cache is also disabled if other users can write to the folder. Cache files are
-    pickles, and a pickle can execute code.
+    The cache is also disabled if other users can write to the folder, because cache
+    files are pickles, and a pickle can execute code.
     """
 
     def load_overload(self, sig: object, target_context: object) -> Any:
@@ -282,15 +279,14 @@ class _Cache(FunctionCache):
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
-        """Continue without the cache after errors that Numba would raise."""
+        """Ignore errors of the cache, so that the compilation continues without it."""
         try:
             yield
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
         except (ReferenceError, AttributeError, ModuleNotFoundError):
-            # The cache index may refer to a kernel that was an argument in another
-            # process, or to a function that no longer exists. The index is therefore
-            # replaced by an empty index.
+            # The cache index is replaced by an empty index if it refers to a kernel
+            # from another process or to a function that no longer exists.
             self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError):
             _warn(f"{self._cache_path}: a damaged file; remove the folder")

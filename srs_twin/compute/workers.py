@@ -77,8 +77,8 @@ class Workers:
             count: number of tasks.
             task: function of the task number and of an `IsCancelled` function. A
                 cancelled task may return any value or raise any exception.
-            progress: function of the number of finished tasks. It is called on the
-                calling thread.
+            progress: function of the number of finished tasks, called on the calling
+                thread.
         """
         progress = progress or (lambda done: None)
         if self._pool is None:
@@ -140,17 +140,17 @@ _preloaded: list[str] = []
 
 
 def start_server(preload: str | None = None) -> None:
-    """Start the fork server if it is needed, and do not wait until it runs.
+    """Start the fork server if it is needed, without waiting until it runs.
 
-    `preload` is a module that the fork server imports in advance.
+    The fork server imports the module `preload` in advance.
     """
     if START_METHOD != "forkserver":
         return
     if preload is not None:
         _preloaded[:] = [preload]
     forkserver.set_forkserver_preload(_preloaded)  # instead of the main program
-    # The resource tracker is started first. If it were started in the block below, it
-    # would unblock Ctrl-C.
+    # Starting the resource tracker inside the block below would unblock Ctrl-C, so it
+    # is started first.
     resource_tracker.ensure_running()
     before = dict(os.environ)
     os.environ.update(_ENVIRONMENT)
@@ -198,9 +198,9 @@ class TaskResult(Generic[Result]):
     """Result or error of one task.
 
     Attributes:
-        error: exception if the task failed, otherwise None. An `SrsError` is the
-            exception of the task, a `TaskFailedError` stands for another exception, and
-            a `WorkerDiedError` means that the workers of the task died.
+        error: `SrsError` that the task raised, `TaskFailedError` if the task raised
+            another exception, `WorkerDiedError` if the workers of the task died, or
+            None.
     """
 
     number: int
@@ -358,7 +358,7 @@ class _Worker:
         remote_pipe.close()
 
     def receive(self) -> tuple[object, Exception | None]:
-        """Return the result and the error of a task. One of the two is None."""
+        """Return the result of a task and None, or None and the error of the task."""
         # If the fork server has died, the pipe does not report the end of the file.
         if not self.pipe.poll():
             raise EOFError
@@ -366,7 +366,7 @@ class _Worker:
         return answer
 
     def end(self, deadline: float) -> int:
-        """Return the exit code of the process. It is killed at the deadline."""
+        """Wait for the process until a deadline, kill it, and return its exit code."""
         self.process.join(max(0.0, deadline - time.monotonic()))
         self.process.kill()
         self.process.join()

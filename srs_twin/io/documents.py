@@ -90,7 +90,7 @@ class Override:
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
-        """Return overrides as a list. The input may be a mapping or a sequence."""
+        """Return overrides that are given as a mapping or a sequence as a list."""
         if not isinstance(changes, Mapping):
             return changes
         return [
@@ -108,9 +108,8 @@ class Document:
     """Data of one file with the positions of its values, and the problems found so far.
 
     Attributes:
-        values: line and column of each value, by the path of the value. Data in memory
-            have no positions.
-        keys: line and column of each key, by the path of the key.
+        values: line and column of each value in the file, by the path of the value.
+        keys: line and column of each key in the file, by the path of the key.
         refused: positions at which no further problems are reported.
         override_labels: labels of the applied overrides. Values of the k-th override
             have the position (−k, 0).
@@ -152,7 +151,7 @@ class Document:
             inner = child(data, key)
             if isinstance(inner, str):
                 inner = {"base": inner}
-            # In a file, the number of `value` may replace the whole mapping.
+            # A file may contain a number instead of a mapping with the key `value`.
             elif isinstance(inner, bool | int | float) and override.loc[k + 1 :] != (
                 "value",
             ):
@@ -228,9 +227,8 @@ class Document:
     def user_path(self, prefix: Loc, loc: Loc) -> Loc:
         """Return the path of a merged value in the file that the user wrote.
 
-        A robot override is validated after the override is merged into its base. An
-        error in ``stiffness.value`` of the merged robot is an error in ``stiffness`` of
-        the override.
+        For example, an error in ``stiffness.value`` of a merged robot is an error in
+        ``stiffness`` of the robot override.
         """
         existing = self.existing_prefix(prefix + loc)
         if len(existing) > len(prefix) + 1 or existing == prefix + loc:
@@ -240,7 +238,7 @@ class Document:
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a problem at a value or key.
 
-        The position of a problem with a missing value is the position of the parent.
+        If a value is missing, the problem has the position of the parent of the value.
         """
         existing = self.existing_prefix(loc)
         positions = self.values
@@ -272,7 +270,7 @@ class Document:
         try:
             yield
         except AbsentPartError:
-            pass  # missing and invalid parts are reported elsewhere
+            pass  # other functions report missing and invalid parts
         except InputError as error:
             self.report(loc, str(error))
 
@@ -363,7 +361,7 @@ def dump_yaml(data: object, *, compact: bool = False) -> str:
         Dumper=_CompactDumper if compact else _Dumper,
         default_flow_style=False,
         allow_unicode=True,
-        width=150 if compact else 110,  # wide enough for one row of a compact list
+        width=150 if compact else 110,  # a compact list fits on a line of this width
         sort_keys=False,
     )
     return text
@@ -442,13 +440,13 @@ class _Reader:
         self._check(event)
         scalar = isinstance(event, yaml.ScalarEvent)
         if scalar and event.implicit[0] and not event.value:
-            # If no value follows the colon, the position of the value is behind the
+            # If no value follows the colon, the parser returns a position behind the
             # colon or on the next line. The position of the key is used instead.
             self.last = self.document.keys.get(loc, self.last)
         self.document.values[loc] = self.last
         if scalar:
-            # A value may have several lines. Control characters could also disturb the
-            # output of a terminal.
+            # A value may have several lines, and control characters could disturb a
+            # terminal.
             text = self._text(event, keep="\n\t")
             if event.implicit[0]:
                 return _resolve_scalar(text)

@@ -3,8 +3,8 @@
 A run writes into a hidden staging folder ``.part-…`` inside the results folder. When
 all files are written, the results folder is locked. The earlier files are moved into
 ``.part-…/.aside``, and the new files are moved into the results folder. The first file
-of the set marks a complete set: it is the first file that is moved away and the last
-file that is moved in.
+of the set is its completion mark, because the first file is moved away before all other
+files and moved in after all other files.
 
 A process that was killed leaves its staging folder, but no lock. The next run in the
 folder restores the earlier set from the staging folder, unless all new files were moved
@@ -144,7 +144,7 @@ def _move(names: Iterable[Path], source: Path, target: Path) -> None:
 def _restore(folder: Path, staging: Path) -> None:
     """Restore the earlier set after an incomplete replacement.
 
-    The function can be called again after an interruption at any point.
+    The function can be called again if it was interrupted.
     """
     mark, *others = (staging / _PRODUCT_LIST).read_text("utf-8").splitlines()
     # If the completion mark exists, no file was moved away or all new files were moved
@@ -196,7 +196,7 @@ def _clean_up(folder: Path) -> None:
 def _lock(folder: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[bool]:
     """Lock a folder for a `with` block, and yield whether the folder was locked.
 
-    The yielded value is False if the file system has no locks.
+    Some file systems do not support locks.
     """
     deadline = time.monotonic() + timeout_s
     locked = False

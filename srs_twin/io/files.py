@@ -31,16 +31,16 @@ _FOLDERS = {
     "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
-# These are the control characters C0, DEL and C1, and surrogates. Python uses
-# surrogates for bytes in file names that are not UTF-8.
+# Control characters (C0, DEL and C1) and surrogates, which Python uses for bytes in
+# file names that are not UTF-8.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def data_root() -> Path:
     """Return the folder that contains calibration/, models/ and scenarios/.
 
-    In an installed wheel this folder is ``srs_twin/_data``. In a checkout it is the
-    root of the repository.
+    The folder is ``srs_twin/_data`` in an installed wheel, and otherwise the root of
+    the repository.
     """
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
@@ -202,7 +202,7 @@ def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
 
 
 def decode_text(raw: bytes, name: str) -> str:
-    """Decode UTF-8 bytes and remove a byte order mark. `name` appears in messages."""
+    """Decode UTF-8 bytes and remove a byte order mark."""
     try:
         return raw.decode("utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
@@ -294,7 +294,7 @@ def _temporary_file(target: Path) -> Iterator[Path]:
             lock = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW, 0o666)
             stack.callback(os.close, lock)
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            # Another process may have renamed the file between these two calls.
+            # Another process may have renamed the file before the lock was obtained.
             is_usable = os.path.samestat(os.fstat(lock), temporary.stat())
         except OSError:  # the file is locked, cannot be locked, or is not writable
             is_usable = False
@@ -395,11 +395,7 @@ def require_file(
 def check_output_folder(
     folder: Path, products: Sequence[str] = (), *, option: str = "--out"
 ) -> None:
-    """Check that files can be written to a folder that may not exist yet.
-
-    The folder remains unchanged. `option` is the option that sets the folder, or an
-    empty string.
-    """
+    """Check that files can be written to a folder, which may not exist yet."""
     check_printable(folder)
     try:
         target = Path(os.path.abspath(folder))

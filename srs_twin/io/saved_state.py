@@ -57,8 +57,8 @@ _PACKAGE = __name__.partition(".")[0] + "."
 class DeepCopied:
     """Base class of objects that share no state with their copies.
 
-    `copy.copy` makes a deep copy. With a shallow copy, simulating the copy would also
-    change the original.
+    `copy.copy` makes a deep copy, because simulating a shallow copy would also change
+    the original.
     """
 
     def __copy__(self) -> Self:
@@ -105,7 +105,7 @@ class Stateful(DeepCopied):
         return {name: _copy_state(getattr(self, name)) for name in self._state_names()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Set the state to a result of `state_dict`."""
+        """Restore the state that `state_dict` returned."""
         missing = [name for name in self._state_names() if name not in state]
         if missing:
             raise InputError(
@@ -270,9 +270,9 @@ def short_digest(*values: object) -> str:
 
 
 def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
-    """Convert a value to JSON data, and add its arrays to `arrays`.
+    """Convert a value to JSON data, in which names replace arrays.
 
-    In the JSON data, names replace the arrays.
+    The arrays are added to `arrays` under these names.
     """
     if isinstance(value, np.ndarray):
         name = f"array_{len(arrays)}"

@@ -1,15 +1,15 @@
 """Strict readers of untrusted JSON, Parquet and NumPy files.
 
 JSON: the reader of the standard library accepts ``NaN`` and ``Infinity``, which are not
-valid JSON. It also converts ``1e999`` to infinity, keeps the last of two equal keys,
-and overflows its stack on deeply nested data.
+valid JSON. The standard reader also converts ``1e999`` to infinity, keeps the last of
+two equal keys, and overflows its stack on deeply nested data.
 
 Parquet: a file of 200 kB can contain a hundred million rows, so the sizes in the footer
-are checked before data are read. Pages are verified against their checksums if the file
-contains checksums. Files that this package writes contain checksums.
+are checked before data are read. Pages are verified if the file contains checksums, as
+all files of this package do.
 
 NumPy: the size of an unpacked archive can be a thousand times the size of the file. The
-header of an array can also declare any size, which `numpy.load` allocates.
+header of an array can also declare any size, for which `numpy.load` allocates memory.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def read_json(path: Path) -> Any:
 
 
 def parse_json(text: str, name: str) -> Any:
-    """Return the data of JSON text. `name` is the file name in messages."""
+    """Return the data of JSON text."""
     try:
         data = json.loads(
             text,

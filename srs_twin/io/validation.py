@@ -42,7 +42,7 @@ Schema = Mapping[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
 
 _LIST_HINT = "`srs-twin schema`"
-# In these units, a wrong prefix (mm for m, Pa for kPa) is a common mistake.
+# A wrong prefix, such as mm for m or Pa for kPa, is a common mistake in these units.
 _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
 _WITH_UNIT = re.compile(
@@ -102,14 +102,14 @@ def _add_descriptions(schema: dict[str, Any], cls: type[StrictModel]) -> None:
 class StrictModel(BaseModel):
     """Base class of all models of files.
 
-    A model does not convert types. It rejects unknown keys and numbers that are not
+    A model does not convert types, and rejects unknown keys and numbers that are not
     finite. The docstring of a key is the description of the key in JSON schemas. The
     optional method `contradictions()` yields the path and the message of each violated
     constraint between keys.
 
     Attributes:
         elsewhere: correct path for each key that users may expect in this block but
-            that belongs to another block. Error messages suggest the correct path.
+            that belongs to another block.
     """
 
     elsewhere: ClassVar[dict[str, str]] = {}
@@ -345,7 +345,7 @@ def _describe_value(value: Any) -> str:
 
 
 def _format_number(value: float) -> str:
-    # this also includes an integer that is too large for a float
+    # including integers that are too large for a float
     if abs(value) > 1e300:
         return "infinity"
     if math.isnan(value):

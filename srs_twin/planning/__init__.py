@@ -2,10 +2,10 @@
 
 `plan(problem)` returns a `Plan`. The module `best_first` grows search trees of arcs and
 Dubins paths from the start and from the goal, with exact collision checks. If the first
-search does not succeed, `free_space` tries to prove that no path exists. `guidance`
-then computes a heuristic that takes obstacles into account, and entry poses of narrow
-passages. The modules `follower` and `steering` make a snake follow a plan by changing
-the offset of its gait.
+search does not succeed, `free_space` tries to prove that no path exists. The module
+`guidance` computes a heuristic that takes obstacles into account, and entry poses of
+narrow passages. The modules `follower` and `steering` make a snake follow a plan by
+changing the offset of its gait.
 """
 
 from typing import TYPE_CHECKING

@@ -1,24 +1,26 @@
 r"""Arcs of constant curvature, and exact checks of the area that the body sweeps.
 
 Let a point be at the distance u ahead of the middle of an arc of curvature κ and at the
-distance w to the left. Its path coordinates are
+distance w to the left. The path coordinates of the point are
 
 $$ n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
    s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw) , $$
 
 where n is the signed distance from the arc, positive to the left, and s is the position
-along the arc. These formulas are accurate even if κ is close to 0. While the centre of
-mass moves along the arc from s = -h to s = h, the body sweeps the annular sector |s| ≤
-h, -r ≤ n ≤ l (Fig. 52 and 58). A point with |s| ≤ h has the distance max(n - l, -r - n,
-0) from this sector. The distance of any other point is the distance from the nearer end
-of the sector, which is a straight line of length l + r across the path. A circle does
-not collide if the distance of its centre is at least its radius.
+along the arc. The formulas for n and s are accurate even if κ is close to 0. While the
+centre of mass moves along the arc from s = -h to s = h, the body sweeps the annular
+sector |s| ≤ h, -r ≤ n ≤ l (Fig. 52 and 58). A point with |s| ≤ h has the distance max(n
+- l, -r - n, 0) from this sector. The distance of any other point is the distance from
+the nearer end of the sector, which is a straight line of length l + r across the path.
+A circular obstacle does not overlap the sector if the distance of its centre is at
+least its radius.
 
-A side of a polygon is divided where it crosses the lines n = l and n = -r (quadratic
-equations) and s = ±h (linear equations). The side does not collide if no piece has its
-midpoint in the sector. A sector that lies entirely inside a polygon is not detected by
-this check, but a plan contains no such sector: the sectors of a plan are connected and
-start outside all polygons, so an earlier sector would cross a side.
+A side of a polygon is divided into pieces at its intersections with the edges n = l and
+n = -r (quadratic equations) and with the ends s = ±h (linear equations). The side does
+not overlap the sector if no piece has its midpoint in the sector. A polygon that
+contains the whole sector needs no check, because the sectors of a plan are connected
+and start outside all polygons. An earlier sector would therefore cross a side of this
+polygon.
 
 Motion primitives are the arcs from a search node to its children (Section 5.2.1). The N
 arcs have turns α from -α_max to α_max and the length v Δt. With θ' = θ + α and r =
@@ -57,7 +59,7 @@ _STRAIGHT = 1e-9
 def arc_end(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
     """Return the pose after a length (m) along an arc (Eq. 33, corrected by E7)."""
     half = curvature * length / 2
-    # The formula with chord and half turn avoids the cancellation of Eq. 33 at small
+    # The chord and half the turn are used, because Eq. 33 is inaccurate at small
     # curvatures.
     chord = length
     if abs(half) > _STRAIGHT:
@@ -303,12 +305,12 @@ def _fraction(numerator, denominator):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _roots(a, b, c):  # type: ignore[no-untyped-def]
-    """Return the roots of a t² + 2 b t + c between 0 and 1; a missing root is 0."""
+    """Return the roots of a t² + 2 b t + c between 0 and 1, or 0 for a missing root."""
     square = b * b - a * c
     if square < 0:
         return 0.0, 0.0
-    # The first root adds terms of equal sign, which avoids cancellation. The second
-    # root is computed from the product of the two roots.
+    # Adding terms of equal sign avoids cancellation in the first root. The second root
+    # is computed from the product of the two roots.
     if b >= 0:
         q = -(b + np.sqrt(square))
     else:
@@ -358,8 +360,8 @@ class Primitives:
     """Motion primitives: arcs of equal length with evenly spaced curvatures.
 
     Attributes:
-        count: number N of arcs. The number is odd and at least 3, so that the middle
-            arc is straight.
+        count: number N of arcs, which is odd and at least 3, so that the middle arc is
+            straight.
         turn: maximum turn α_max of one arc, less than π, rad.
         length: length v Δt of each arc, m.
     """

@@ -1,9 +1,9 @@
 """Best-first search from the start and from the goal at increasing resolution.
 
 The search grows a tree from the start. If the footprint has no transients, the search
-also grows a tree from the goal. If no tree succeeds within a first number of nodes, the
-planner tries to prove that no path exists, and grows another tree with the heuristic of
-`guidance`. Finally, Dubins paths between poses of the path shorten the path.
+also grows a tree from the goal. If no tree succeeds in the first round, the planner
+tries to prove that no path exists, and grows another tree with the heuristic of
+`guidance`. Finally, the path is shortened by Dubins paths between poses of the path.
 """
 
 from __future__ import annotations
@@ -76,9 +76,8 @@ after this number.
 class _LevelResult(NamedTuple):
     """Result of the search at one resolution.
 
-    `reason` explains why no path was found. If the search stopped because the node
-    budget was spent, `reason` is an empty string. `proven` tells whether it is proven
-    that no path exists at any resolution.
+    `reason` explains why no path was found. `proven` is true if it was proven that no
+    path exists at any resolution.
     """
 
     path: ArcSequence | None = None
@@ -142,9 +141,9 @@ class _Search:
     def start_trees(self, level: int) -> list[SearchTree]:
         """Return the tree from the start, and the tree from the goal if it is possible.
 
-        A tree from the goal is possible if the footprint has no transients. Each level
-        halves the lengths of the arcs and cells of the previous level. From the third
-        level on, the arcs have more curvatures.
+        The tree from the goal is possible only without transients. Each level halves
+        the lengths of the arcs and cells of the previous level. From the third level
+        on, the arcs have more curvatures.
         """
         problem = self.problem
         body = self.problem.footprint
@@ -206,11 +205,9 @@ class _Search:
     ) -> _LevelResult:
         """Search at one resolution, and optionally try to prove that no path exists.
 
-        The trees alternate and expand more nodes each time. The tree from the start
-        usually finds a path before the tree from the goal. But if no arc leads to the
-        goal, the tree from the goal runs out of nodes immediately. A guided tree is
-        added after the first round. The path of the guided tree may be longer than
-        necessary.
+        The trees take turns, and each tree expands more nodes in each round. The tree
+        from the goal detects immediately if no arc leads to the goal. A guided tree is
+        added after the first round, because its path may be longer than necessary.
         """
         for turn in count():
             if self.is_spent:

@@ -95,8 +95,7 @@ class PeriodMean(Stateful):
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Each entry contains the frame time and the integrals of x, y and heading since
-        # the first frame.
+        # Frame time, and integrals of x, y and heading since the first frame
         self._integrals: deque[tuple[float, np.ndarray]] = deque()
         self._last = np.zeros(3)
         self.time = 0.0

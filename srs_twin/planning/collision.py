@@ -32,7 +32,7 @@ _MIN_CELL_M = 1e-9
 
 
 class Box(NamedTuple):
-    """Bounds of a world. A bound is infinite if the world has no bound on this side."""
+    """Bounds of a world. Missing bounds are infinite."""
 
     west: float = -math.inf
     east: float = math.inf
@@ -45,13 +45,13 @@ class ObstacleGrid(NamedTuple):
 
     Attributes:
         circles: x, y and radius of the circles, m, shape (n, 3).
-        sides: x and y of the two ends of the polygon sides, m, shape (m, 4).
+        sides: x and y of the two ends of each polygon side, m, shape (m, 4).
         west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
-        cell_ranges: first and last index in `cell_items` for each grid cell, shape
+        cell_ranges: begin and end of the part of `cell_items` for each grid cell, shape
             (columns, rows, 2).
-        cell_items: indices of the obstacles that overlap each cell, shape (k,). The
-            sides are numbered after the circles.
+        cell_items: indices of the obstacles that overlap each cell, with circles before
+            polygon sides, shape (k,).
     """
 
     circles: np.ndarray
@@ -92,7 +92,7 @@ def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleG
         return ObstacleGrid(circles, sides, bounds, 0.0, 0.0, 1.0, no_cells, no_items)
     corner = low.min(axis=0)
     extent = np.ptp(np.vstack([low, high]), axis=0)
-    # About four obstacles per cell keep the lists short and the grid small.
+    # With about four obstacles per cell, the lists are short and the grid is small.
     divisions = min(max(math.isqrt(count // 4), 1), _MAX_GRID_CELLS)
     cell = max(float(extent.max()) / divisions, _MIN_CELL_M)
     columns, rows = (int(side / cell) + 1 for side in extent)
@@ -138,7 +138,7 @@ class Checker:
         length: float,
         wider: tuple[float, float] = (0.0, 0.0),
     ) -> bool:
-        """Return whether the body does not touch obstacles or bounds on an arc.
+        """Return whether the body touches neither obstacles nor bounds on an arc.
 
         Args:
             pose: initial pose of the centre of mass, outside all polygons.
@@ -159,8 +159,8 @@ class Checker:
         lasting = 0.0
         none = (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
-            # A change of offset starts a transient. While several transients overlap,
-            # the maximum width and length apply.
+            # A change of offset starts a transient. The maximum widths and lengths of
+            # overlapping transients are used.
             if before is not None:
                 left, right, length = self.footprint.transient(
                     before.offset, segment.offset
@@ -186,8 +186,7 @@ class Checker:
 
         The result is at most `MAX_CLEARANCE_M`.
         """
-        # The bisection reduces an interval whose lower end is collision-free and whose
-        # upper end collides.
+        # The lower end of the interval is collision-free, and the upper end collides.
         free, touching = (0.0, MAX_CLEARANCE_M)
         while touching - free > CLEARANCE_ERROR_M:
             middle = (free + touching) / 2
@@ -204,11 +203,11 @@ class Checker:
     ) -> str:
         """Describe an obstacle or bound that a straight path touches, if any.
 
-        The path has a length in m. `wider` is a width (m) added to each edge of the
-        footprint.
+        `length` is the length of the path (m), and `wider` is a width (m) that is added
+        to each edge of the footprint.
         """
         both = (wider, wider)
-        # One test of the whole world is faster, and the name of an obstacle is needed
+        # The whole world is tested first, because the name of an obstacle is needed
         # only after a collision.
         if self.is_arc_free(pose, 0.0, length, both):
             return ""

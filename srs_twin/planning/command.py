@@ -122,7 +122,7 @@ def _quality_words(quality: PathQuality, edges: str) -> str:
     length = "least length 0: the start is within the goal's radius"
     if ratio is not None:
         length = f"{ratio:.2f} times the least length around the obstacles"
-    # The clearance is computed only up to this maximum.
+    # Clearances above this maximum are not computed.
     if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M:
         more = "at least "
     else:

@@ -62,7 +62,7 @@ def shortest_path(
         start: start pose.
         x: x of the end, m.
         y: y of the end, m.
-        heading: heading at the end, rad. With None, the heading at the end is free.
+        heading: heading at the end, rad, or None if the heading at the end is free.
         radius: turning radius, m.
     """
     path = dubins_path(
@@ -125,8 +125,8 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
     turn = np.arctan2(cb - ca, d + sa - sb)
     if np.sqrt((d + sa - sb) ** 2 + (cb - ca) ** 2) < _ROUNDING:
-        # If the turning circles coincide, the straight line has no direction. The path
-        # is then a single arc.
+        # If the turning circles coincide, the straight line has no direction, and the
+        # path is a single arc.
         square = 0.0
         turn = b
     p = np.sqrt(max(square, 0.0))
@@ -187,7 +187,7 @@ def _shorter(best, turns, lengths):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _wrapped(angle):  # type: ignore[no-untyped-def]
-    """Return an angle in [0, 2π). A full turn within the tolerance gives 0."""
+    """Return an angle in [0, 2π), or 0 for a full turn within the tolerance."""
     angle = angle - _FULL_TURN * np.floor(angle / _FULL_TURN)
     if angle < _FULL_TURN - _ROUNDING:
         return max(angle, 0.0)

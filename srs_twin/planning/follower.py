@@ -122,13 +122,13 @@ class Conditions:
     Attributes:
         delay: command delay, s.
         response_length: response length ℓ of the curvature, m.
-        max_cross_track_error: cross-track error at which a new plan is requested, m.
-            With None, no new plan is requested.
+        max_cross_track_error: cross-track error at which a new plan is requested, m, or
+            None if cross-track errors cause no new plan.
         lead_in: length of the straight lead-in of the first path, m. At the end of the
             lead-in, the rest of the path is planned again from the measured pose, if
             possible.
-        lag: transport delay of the robot, s. The camera frames show the effect of a
-            command after this time.
+        lag: transport delay of the robot, after which camera frames show the effect of
+            a command, s.
     """
 
     camera: Camera
@@ -148,19 +148,17 @@ class Follower(Controller):
         gait: controller with an `offset`, which is a `Gait` or an `ILC`.
         plan: plan to follow. If the plan has no path, the run ends immediately.
         footprint: footprint of the snake, which limits the offset.
-        body: footprint with which the plan was computed. This footprint is recorded
-            with the run, and its default is `footprint`.
+        body: footprint with which the plan was computed, by default `footprint`.
         world: world, which is recorded with the run.
         replan: planner for new plans, or None if the run has no new plans.
-        submit: function that runs the planner in another thread. If `submit` is None,
-            the snake waits for the planner.
+        submit: function that runs the planner in another thread, or None if the snake
+            waits for the planner.
         min_margin_fraction: minimum fraction of the margin in a new plan. If this
             fraction is above 0, a run ends with `no_room` when no such plan is found,
             or when the body approaches an obstacle and no further plan is allowed.
-        allows_contact: whether the body may lean on obstacles. If so, an approaching
-            obstacle causes no new plan.
+        allows_contact: whether the body may lean on obstacles.
         ending: key of `ENDINGS`, or None if the run has not ended.
-        plans: time (s) and plan for each plan. The time of the first plan is 0.
+        plans: start time (s) of each plan, and the plan.
     """
 
     kind = "follow"
@@ -356,7 +354,7 @@ class Follower(Controller):
         turning = predictor.turning, predictor.disturbance, predictor.gain
         offset = steering.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
-        # An offset at its limit is sent even if it has changed only slightly.
+        # If the offset is at its limit, even a small change is sent.
         if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (
             self._low,
             self._high,
@@ -444,8 +442,8 @@ class Follower(Controller):
                     f"{ENDINGS['no_room']}: {reason}, and no new plan is left",
                 )
             elif self._tries == self.conditions.max_replans:
-                # The number of tries exceeds the maximum by one, so that the event is
-                # reported only once.
+                # Increasing the number of tries ensures that the event is reported only
+                # once.
                 self._tries += 1
                 text = (
                     f"{reason}: keeping the old plan, all {self.conditions.max_replans} new"

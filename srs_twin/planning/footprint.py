@@ -31,7 +31,7 @@ CURVATURE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class FootprintRow:
-    """Row of a footprint table, with the quantities of `Footprint`."""
+    """Row of a footprint table, whose quantities are defined in `Footprint`."""
 
     offset: float
     speed: float
@@ -46,7 +46,7 @@ class Transient:
     Attributes:
         before, after: offset before and after the change.
         left, right: extra widths of the left and right edges, m.
-        length: length of the path after the change along which the edges are wider, m.
+        length: length of the path along which the edges are wider after the change, m.
         dx, dy: final displacement forward and to the left, relative to an instantaneous
             change, m.
         dheading: final heading change to the left, relative to an instantaneous change,
@@ -77,8 +77,8 @@ class Footprint:
         left, right: distances of the left and right edges from the path, m.
         ahead, behind: distances from the centre of mass to the head and to the tail
             along the path, m.
-        transients: measured responses to changes of offset. Without measurements, a new
-            offset acts instantly, as the dissertation assumes.
+        transients: measured responses to changes of offset. If no responses were
+            measured, the path is assumed to respond instantly, as in the dissertation.
     """
 
     name: str
@@ -171,8 +171,8 @@ class Footprint:
         """
         low = turn_fraction * self.curvatures[0]
         high = turn_fraction * self.curvatures[-1]
-        # Rows close to the new limits are dropped, because the table intervals would
-        # have almost no width.
+        # Rows close to the new limits are dropped, because they would form table
+        # intervals of almost no width.
         inner = [
             k
             for k in self.curvatures
@@ -213,9 +213,10 @@ class Footprint:
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
         """Return the extra left width, extra right width and length of a transient, m.
 
-        The widths are interpolated between measured changes of different size. A change
-        larger than all measured changes has the widths of the largest measured change.
-        If several measured changes have equal size, the widest transient is used.
+        The widths are interpolated between measured changes of offset. If a change of
+        offset exceeds all measured changes, the widths of the largest measured change
+        are used. If several measured changes have equal size, the widest transient is
+        used.
         """
         measured = self._measured(after - before)
         if not measured:
@@ -233,8 +234,8 @@ class Footprint:
         """Response length ℓ of the curvature to a change of offset, m.
 
         After a change Δκ of the curvature, the heading of a first-order response lags
-        by Δκ ℓ = −dheading. The value is a least-squares estimate over all transients,
-        or None if the footprint has no transients.
+        by Δκ ℓ = −dheading. The response length is a least-squares estimate over all
+        transients, or None if the footprint has no transients.
         """
         changes = np.array(
             [
@@ -250,9 +251,9 @@ class Footprint:
     def lag(self, before: float, after: float) -> tuple[float, float]:
         """Return the delay δ and the length T of a transition arc (see `planner`), m.
 
-        The two lengths are interpolated between measured changes of different size, and
-        constant outside the measured range. If no change in this direction was
-        measured, the lengths are 0.
+        The delay and the length are interpolated between measured changes of different
+        size. If no change in this direction was measured, the delay and the length are
+        0.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):
@@ -269,7 +270,7 @@ class Footprint:
         return _interpolated(abs(after - before), means)
 
     def _measured(self, change: float) -> list[tuple[float, Transient]]:
-        # Rounding makes sizes such as 0.3 − 0.2 and 0.1 equal.
+        # Rounding ensures that 0.3 − 0.2 equals 0.1.
         return [
             (round(abs(t.after - t.before), 9), t)
             for t in self.transients

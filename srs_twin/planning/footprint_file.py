@@ -5,12 +5,12 @@ a unit, a status and a source. The directory calibration/footprints contains the
 published footprints, and the command `srs-twin calibrate footprint` measures new
 footprints.
 
-From the file, a margin can be computed that a run respects with a given probability.
-For this purpose the file contains the maximum excursion beyond the footprint in each of
-n runs on random paths. The probability that the excursion of a new run does not exceed
-the k-th smallest value is at least k/(n + 1), for any distribution. The method is split
-conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin for the probability
-p is the value with k = ⌈(n + 1) p⌉.
+A file may also contain the maximum excursion beyond the footprint in each of n runs on
+random paths. From the excursions, the margin is computed within which a new run stays
+with a given probability. The probability that the excursion of a new run does not
+exceed the k-th smallest excursion is at least k/(n + 1), for any distribution. The
+method is split conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin for
+the probability p is the k-th smallest excursion with k = ⌈(n + 1) p⌉.
 """
 
 from __future__ import annotations
@@ -112,8 +112,8 @@ class ConditionsFile(StrictModel):
     def covers(self, other: ConditionsFile) -> bool:
         """Return whether a margin measured under these conditions is valid for `other`.
 
-        The plant, contact model, chamber model, follower and lead-in must agree. No
-        number of the other conditions may make following more difficult.
+        The plant, contact model, chamber model, follower and lead-in must be equal.
+        None of the other quantities may be larger in `other`.
         """
         same = ("plant", "contact", "chambers", "follower", "lead_in_m")
         return all(
@@ -124,7 +124,7 @@ class ConditionsFile(StrictModel):
         )
 
     def excess_difficulty(self, other: ConditionsFile) -> float:
-        """Return the sum of relative differences by which `other` is less difficult."""
+        """Return the sum of relative amounts by which the numbers exceed `other`."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
         return float(
             sum((own - covered) / own for own, covered in pairs if own > covered)
@@ -252,10 +252,7 @@ class FootprintFile(StrictModel):
 
     @property
     def twin_contact(self) -> ContactName | None:
-        """Contact model of the twin on which the footprint was measured.
-
-        The value is None if the footprint was not measured on a twin.
-        """
+        """Contact model of the twin on which the footprint was measured, or None."""
         measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
         return self.contact or (UNSTATED_CONTACT if measured else None)
 
@@ -334,7 +331,7 @@ class Margin:
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return the excursion (m) that a new run respects with a given probability."""
+    """Return the excursion (m) that a new run does not exceed with probability p."""
     count = len(excursions)
     # The tolerance allows for the rounding error of products such as 20 · 0.95.
     rank = math.ceil((count + 1) * probability - 1e-9)
@@ -358,7 +355,7 @@ def margin_for(
     probability: float,
     conditions: Sequence[ConditionsFile],
 ) -> Margin:
-    """Return the margin with which a run succeeds under each of several conditions.
+    """Return the margin within which a run stays with a given probability.
 
     Args:
         measured: measured excursions.
@@ -376,8 +373,8 @@ def margin_for(
                 f"no deviations from the path have been measured for {text}; `srs-twin"
                 " calibrate margin` measures them"
             )
-        # Only one set of measurements is used. The minimum over several sets would be
-        # exceeded more often than the probability states.
+        # Only one set of measurements is used, because the minimum over several sets
+        # would be exceeded more often than the probability states.
         block = min(
             covering, key=lambda block: block.conditions.excess_difficulty(condition)
         )

@@ -44,7 +44,7 @@ def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
     Args:
         start: start pose.
-        goal: goal. The path may end anywhere within the radius of the goal.
+        goal: goal, in which the path may end anywhere within a radius.
         world: obstacles and bounds.
         clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """
@@ -56,7 +56,7 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
     Args:
         start: start pose.
-        goal: goal. The path may end anywhere within the radius of the goal.
+        goal: goal, in which the path may end anywhere within a radius.
         world: obstacles and bounds.
         clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """
@@ -119,8 +119,8 @@ def _free_component(
 
     here = shapely.Point(start.x, start.y)
     there = shapely.Point(goal.x, goal.y)
-    # The factor makes the polygons contain the discs around the two ends, because the
-    # free space must not be underestimated.
+    # With this factor, the polygons contain the discs around the two ends, so the free
+    # space is not underestimated.
     around = 1 / math.cos(math.pi / (4 * chords))
     ends = [
         here.buffer(2 * clearance * around, quad_segs=chords),

@@ -1,17 +1,20 @@
 """Guidance of the search in cluttered worlds: grid distances and narrow passages.
 
 The first search uses the Dubins length as heuristic, which ignores obstacles. If the
-first search does not succeed immediately, a second tree also uses
+first search does not succeed immediately, a second tree uses two further sources of
+information.
 
-- the distance to the goal on a grid around obstacles. This distance is not a lower
-bound, because grid paths are up to 8 % longer than straight lines. Passages narrower
-than a cell may be missing or too wide. The second tree therefore finds a path quickly,
-but the path may not be the shortest path.
-- entry poses of narrow passages. Arcs of fixed length rarely end at a pose from which
-the body fits through a passage that is hardly wider than the body. The centre of a
-passage is the middle of the shortest line between two obstacles, if no other obstacle
-is nearer. The second tree tries Dubins paths to an entry pose. The distance between the
-entry pose and the centre is so large that the last transient ends before the centre.
+The first source is the distance to the goal on a grid around obstacles. The grid
+distance is not a lower bound, because grid paths are up to 8 % longer than straight
+lines, and passages narrower than a cell may be missing or too wide. The second tree
+therefore finds a path quickly, but the path may not be the shortest path.
+
+The second source is the list of entry poses of narrow passages. Arcs of fixed length
+rarely end at a pose from which the body fits through a passage that is hardly wider
+than the body. The centre of a passage is the middle of the shortest line between two
+obstacles, if no other obstacle is nearer. The second tree tries Dubins paths to an
+entry pose. The entry pose is so far from the centre that the last transient ends before
+the centre.
 """
 
 from __future__ import annotations
@@ -58,9 +61,8 @@ class GridHeuristic(NamedTuple):
     """Distance to the goal on a grid.
 
     Attributes:
-        distance: distance from each cell to the goal, m, shape (columns, rows). The
-            distance is infinite if no path exists. An empty array disables the
-            heuristic.
+        distance: distance from each cell to the goal, or infinity if no path exists, m,
+            shape (columns, rows).
         west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
     """
@@ -77,7 +79,7 @@ NO_HEURISTIC = GridHeuristic(np.empty((0, 0)), 0.0, 0.0, 1.0)
 
 @compiled
 def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
-    """Return the grid distance (m) to the goal, or 0 if it is unknown."""
+    """Return the grid distance (m) from a position to the goal, or 0 if unknown."""
     column = int(np.floor((x - heuristic.west) / heuristic.cell))
     row = int(np.floor((y - heuristic.south) / heuristic.cell))
     if (
@@ -190,9 +192,9 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
 def find_passages(world: World, body: Footprint) -> np.ndarray:
     """Return the narrow passages of a world in each of the two directions.
 
-    A passage may have several entry poses. A row contains the entry pose x, y (m) and
-    heading (rad), and the length (m) of the straight path through the passage, shape
-    (n, 4).
+    A passage may have several entry poses. Each row contains an entry pose (x, y and
+    heading, m and rad) and the length (m) of the straight path through the passage,
+    shape (n, 4).
     """
     straight = body.at(0.0)
     width = straight.left + straight.right
@@ -276,8 +278,8 @@ def _entry_poses(
     straight = body.at(0.0)
     transient = max((change.length for change in body.transients), default=0.0)
     width = straight.left + straight.right
-    # The snake is centred in the passage if the middle between its edges follows the
-    # middle of the passage. The centre of mass is not in the middle between the edges.
+    # The middle between the edges of the footprint, not the centre of mass, follows the
+    # middle of the passage.
     lateral = (straight.right - straight.left) / 2
     ahead = body.ahead + _ENTRY_CLEARANCE_M
     passages: list[tuple[float, float, float, float]] = []

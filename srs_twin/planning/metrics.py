@@ -85,7 +85,7 @@ class Leg:
 
 
 def legs(trajectory: Trajectory) -> Iterator[Leg]:
-    """Yield the part of a run for each plan that has a path."""
+    """Yield each part of a run that follows one plan with a path."""
     metadata = following(trajectory)
     plans = metadata["plans"] if metadata else []
     begins = [
@@ -126,7 +126,7 @@ def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
 
 
 def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics of a run that followed a plan. They are None for other runs.
+    """Return the metrics of a run that followed a plan, with None for other runs.
 
     The following metrics refer to the plan that is active at each sample:
 
@@ -135,18 +135,17 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     - ``inside_fraction``: fraction of samples at which the whole body is between the
     edges of the planned footprint. The body is represented by points at half the body
     width to the left and right of the connectors and of the middles of the segments.
-    The path is extended by straight lines at the head and at the tail.
     - ``inside_50mm_fraction``: fraction of samples at which the body is inside the
     footprint of the dissertation, which is 50 mm wide.
 
     Metrics at the end of the run:
 
     - ``goal_reached``: 1 if the centre of mass is within the goal's radius and the body
-    never overlapped an obstacle, otherwise 0. An overlap is possible only on the
-    analytical plant.
+    never overlapped an obstacle, otherwise 0. The body can overlap an obstacle only on
+    the analytical plant.
     - ``arrival_error_m``: distance of the centre of mass from the goal.
     - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period
-    and extrapolated to the end. The value is None if the goal has no heading.
+    and extrapolated to the end, or None if the goal has no heading.
 
     The metric ``following_time_s`` is the duration, ``replans`` is the number of new
     plans, and the metrics ``plan_…`` describe the first plan.
@@ -240,9 +239,9 @@ def _deviation(
 
 
 def beyond(trajectory: Trajectory) -> np.ndarray:
-    """Return how far the body exceeds the planned footprint, m, shape (samples,).
+    """Return the distance by which the body exceeds the footprint, m, shape (samples,).
 
-    The distance is negative if the body is inside the edges.
+    The distance is negative if the body is inside the edges of the footprint.
     """
     metadata = following(trajectory)
     assert metadata is not None, "a run that followed a plan"
@@ -263,9 +262,8 @@ def _path_deviations(
     """Yield the deviations from the path of each plan.
 
     Yields:
-        Cross-track errors of the centre of mass (m, shape (samples,)) and of the body
-        points (m, shape (samples, k)), and the path curvature at the body points (1/m,
-        shape (samples, k)).
+        Cross-track errors of the centre of mass (m), cross-track errors of the body
+        points (m), and path curvature at the body points (1/m).
     """
     from srs_twin.planning.path import ReferencePath
 

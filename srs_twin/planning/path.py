@@ -67,7 +67,8 @@ def path_from_arcs(
 
     Args:
         start: start pose.
-        arcs: curvature (1/m) and length (m) of each arc. Arcs of length 0 are dropped.
+        arcs: curvature (1/m) and length (m) of each arc, where arcs of length 0 are
+            dropped.
         footprint: footprint from which offsets and speeds are interpolated.
     """
     merged: list[list[float]] = []
@@ -133,7 +134,7 @@ class PathPoint(NamedTuple):
 
 
 class ReferencePath:
-    """Path of a plan with search for the nearest point of the path.
+    """Path of a plan with methods to compute path coordinates and poses.
 
     Attributes:
         length: path length, m.
@@ -142,7 +143,7 @@ class ReferencePath:
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
-        """Prepare the path from the arcs of a plan, at least one."""
+        """Prepare the path from the arcs of a plan, which has at least one arc."""
         first = segments[0].start
         last = segments[-1].end
         before = (
@@ -171,7 +172,7 @@ class ReferencePath:
     def nearest(
         self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf
     ) -> PathPoint:
-        """Return the path coordinates of a point, where s is between two limits (m)."""
+        """Return the path coordinates of a point, where s is between two limits, m."""
         return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +181,7 @@ class ReferencePath:
         return rows[:, 0], rows[:, 1]
 
     def curvature(self, s: float) -> float:
-        """Return the curvature (1/m) at s (m). The extensions have the curvature 0."""
+        """Return the curvature (1/m) at s (m), which is 0 on the extensions."""
         return float(self.arcs[self._arc_index(s), 3])
 
     def pose(self, s: float) -> Pose:

@@ -73,7 +73,7 @@ def following_plot(
 ) -> Figure | None:
     """Plot a plan with the paths and bodies of its runs, if there is a plan.
 
-    The runs share the first plan. Later plans of each run are thin lines.
+    All runs have the same first plan. Later plans of each run are drawn as thin lines.
     """
     followers = {
         plant: metadata
@@ -98,7 +98,7 @@ def following_plot(
 
 @drawing
 def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figure:
-    """Plot a plan that has not been simulated. The sequence `segments` may be empty."""
+    """Plot a plan without runs. The sequence `segments` may be empty."""
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     axes.set_title(title, fontsize=10, wrap=True)
     return figure

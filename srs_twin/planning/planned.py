@@ -34,10 +34,9 @@ class PathQuality:
 
     Attributes:
         length_over_least: length of the path divided by the minimum length around the
-            obstacles, dimensionless. The value is None if the start is within the
-            radius of the goal, where the minimum length is 0.
-        clearance_m: distance of the obstacles from the edges of the footprint beyond
-            the required margin, m.
+            obstacles, dimensionless, or None if the minimum length is 0.
+        clearance_m: minimum distance between the obstacles and the edges of the
+            footprint including its margin, m.
     """
 
     length_over_least: float | None
@@ -51,8 +50,7 @@ class ScenarioPlan:
     Attributes:
         scenario: planned scenario.
         plan: result of the planner.
-        files: names of the written files. The tuple is empty if no output folder was
-            given.
+        files: names of the written files, if an output folder was given.
     """
 
     scenario: Scenario

@@ -114,8 +114,7 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
 @functools.cache
 def _compile() -> None:
     """Compile the kernels or load them from the cache before the time limit starts."""
-    # The problem has obstacles on the straight path and a transient, so that all
-    # kernels are used.
+    # This problem has obstacles and a transient, so that all kernels are used.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
@@ -133,7 +132,7 @@ def with_transitions(
 ) -> tuple[Segment, ...]:
     """Return a path with transition arcs.
 
-    If there is no space for an arc, the curvature of the path still jumps. If the
+    The curvature still jumps where there is no space for a transition arc. If the
     footprint has no transients, the path is returned unchanged.
     """
     if not segments:
@@ -213,8 +212,8 @@ def _search_with_transitions(
                 if checker.is_path_free(path):
                     return replace(result, segments=path)
                 break
-            # This is a fixed-point iteration: the goal is displaced by the remaining
-            # error.
+            # The iteration displaces the goal by the remaining error until the end of
+            # the path is correct.
             aim = _corrected_aim(aim, problem.goal, end)
     reason = (
         f"{first.reason}; without transition arcs, because no path with them was free"

@@ -45,14 +45,13 @@ class MotionPrimitives(NamedTuple):
         left, right: distances of the left and right edges from the path for each
             curvature, m, shape (n,).
         transients: extra left width, extra right width and length (m) of the transient
-            after a change of curvature, shape (n + 1, n, 3). Row n is for the start of
-            the path.
-        children: indices of the curvatures of the arcs that lead to the children of a
-            node, shape (m,).
+            after a change of curvature, shape (n + 1, n, 3). The last row applies at
+            the start of the path.
+        children: indices of the curvatures with which a node is expanded, shape (m,).
         radius_factors: turning radii of the tested Dubins paths relative to the minimum
-            radius, shape (k,). The first factor is 1.
-        dubins_moves: indices of the curvatures of the right turn, the straight line and
-            the left turn for each factor, shape (k, 3).
+            radius, starting with 1, shape (k,).
+        dubins_moves: curvature indices of the right turn, the straight line and the
+            left turn for each radius factor, shape (k, 3).
         length: length of an arc, m.
         ahead, behind: distances from the centre of mass to the head and to the tail, m.
     """
@@ -75,8 +74,8 @@ class ArcState(NamedTuple):
     Attributes:
         x, y: position, m.
         heading: heading, rad.
-        move: index of the curvature of the last arc, or the number of curvatures at the
-            start of the path.
+        move: curvature index of the last arc, or the number of curvatures at the start
+            of the path.
         left, right: extra widths of the left and right edges, m.
         lasting: remaining length along which the edges are wider, m.
     """
@@ -130,7 +129,7 @@ def make_motion_primitives(
 
 @compiled
 def initial_state(x, y, heading, primitives):  # type: ignore[no-untyped-def]
-    """Return the arc state at the start of a path, where no arc precedes."""
+    """Return the arc state at the start of a path."""
     return ArcState(x, y, heading, len(primitives.curvatures), 0.0, 0.0, 0.0)
 
 
@@ -203,7 +202,7 @@ def shorten_path(
 
     Args:
         start: start pose.
-        path: collision-free path, whose curvatures are curvatures of the primitives.
+        path: collision-free path of arcs with curvatures of the primitives.
         primitives: arcs that the snake can follow.
         grid: obstacles and bounds.
         radius: turning radius of the short cuts, m.
@@ -215,8 +214,8 @@ def shorten_path(
     lengths = np.array([length for _, length in arcs])
     for turn in range(_SHORTENING_ROUNDS):
         before = math.fsum(lengths)
-        # Each round divides the path more finely, so that short cuts can begin and end
-        # at other poses than before.
+        # Each round divides the path into smaller pieces, so that short cuts can begin
+        # and end at new poses.
         counts = np.ceil(lengths * (2 + turn) / radius).astype(np.int64)
         pieces = np.repeat(indices, counts), np.repeat(lengths / counts, counts)
         indices, lengths = _cut_corners(*start, *pieces, primitives, grid, radius)
@@ -233,7 +232,7 @@ def _cut_corners(x, y, heading, indices, lengths, primitives, grid, radius):  # 
     count = len(indices)
     state = initial_state(x, y, heading, primitives)
     distances = np.zeros(count + 1)
-    # The list contains the arc states at the ends of the pieces of the original path.
+    # Arc states at the ends of the pieces of the original path
     states = [state]
     for k in range(count):
         _, state = follow_arc(state, indices[k], lengths[k], primitives, grid)
@@ -294,7 +293,10 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 
 @allocating
 def _stays_free(state, k, indices, lengths, states, primitives, grid):  # type: ignore[no-untyped-def]
-    """Return whether the path from piece k on is free for a changed arc state."""
+    """Return whether the path from piece k on remains collision-free.
+
+    The path is checked with a changed arc state at the start of piece k.
+    """
     while k < len(indices):
         original = states[k]
         covered = (

@@ -36,7 +36,7 @@ class TouchLimits:
     """Limits and cost of leaning on obstacles, as explained in `touch`.
 
     Attributes:
-        hard: footprint whose edges must not touch obstacles.
+        hard: smallest footprint whose edges must not overlap obstacles.
         core: half the width of the body, m.
         stiffness: force per displacement of one connector, N/m.
         floor: maximum lateral friction force of the body on the floor, N.
@@ -75,15 +75,15 @@ class Settings:
         seconds: limit on the wall time, s, or None for no limit. The limit is checked
             at least every 16,000 nodes. With a limit, the result depends on the
             machine.
-        weight: weight of the lower bound on the remaining length. With the weight 1,
-            the search finds the shortest path. With a weight w > 1, the search expands
-            fewer nodes, and the path is at most w times as long as the shortest path.
+        weight: weight w of the lower bound on the remaining length. With w = 1, the
+            search finds the shortest path. With w > 1, the search expands fewer nodes,
+            and the path is at most w times as long as the shortest path.
         levels: number of resolutions, 1 to 5. Each level halves the lengths of the arcs
             and cells of the previous level.
         smooth: whether to shorten the path after the search.
         clearance_weight: extra cost of one metre of path that touches an obstacle, m.
-            The cost decreases by a factor e per body width of clearance. If this weight
-            is above 0, the search is repeated for wider bodies.
+            The extra cost decreases by a factor e per body width of clearance. If this
+            weight is above 0, the search is repeated for wider bodies.
         improve: whether to search for a shorter path at finer levels until the budget
             is spent.
         touch_limits: limits and cost of leaning on obstacles, or None if the body must
@@ -235,13 +235,13 @@ class Plan(HtmlResult):
     Attributes:
         outcome: outcome of planning.
         reason: explanation of the outcome, with a remedy.
-        segments: arcs of the path. The tuple is empty if no path was found.
+        segments: arcs of the path, if a path was found.
         expanded: number of expanded nodes.
         touches: parts of the path that lean on obstacles, or None if
             `Settings.touch_limits` is None.
-        seconds: wall time, s. Comparisons of plans ignore the wall time.
-        problem: problem with the edges that must not collide. Comparisons of plans
-            ignore the problem.
+        seconds: wall time, which is ignored when plans are compared, s.
+        problem: problem with the required edges, which is ignored when plans are
+            compared.
     """
 
     page: ClassVar[str] = "plan"

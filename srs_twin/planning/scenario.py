@@ -305,9 +305,8 @@ class ScenarioPlanner:
     """Planner of a scenario.
 
     Attributes:
-        footprint: footprint of the robot with all turns and without margin.
-        problem: problem whose footprint has a smaller range of turns and includes the
-            margin.
+        footprint: footprint of the robot without margin and with all turns.
+        problem: problem whose footprint has a smaller range of turns and a margin.
     """
 
     file: PlannerSection

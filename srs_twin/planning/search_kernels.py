@@ -100,8 +100,8 @@ class Frontier(NamedTuple):
             parent, shape (capacity, 2).
         keys, heap: values g + w h (m) and node indices in heap order, shape
             (capacity,).
-        cells: cell key in each slot of the hash table, shape (slots,). The number of
-            slots is a power of 2.
+        cells: cell key in each slot of the hash table, shape (slots,), where the number
+            of slots is a power of 2.
         owners: 1 + index of the node that represents the cell, or 0 for an empty slot,
             shape (slots,).
         counts: numbers of created, open and expanded nodes, shape (3,).
@@ -192,8 +192,8 @@ def pop(frontier):  # type: ignore[no-untyped-def]
 def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the hash table slot for the cell of a pose, and add the cell if it is new.
 
-    `cell` is the cell size (m). `sector` is the heading range of a cell (rad), by which
-    2π is divisible.
+    The cell size `cell` is in m. The heading range `sector` is in rad and must divide
+    2π.
     """
     row = np.int64(np.floor(x / cell)) + _INDEX_OFFSET
     column = np.int64(np.floor(y / cell)) + _INDEX_OFFSET
@@ -206,8 +206,8 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
 
 @kernel_only
 def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
-    # Fibonacci hashing multiplies the key by 2⁶⁴ divided by the golden ratio. An
-    # integer overflow of the product is harmless.
+    # Fibonacci hashing multiplies the key by 2⁶⁴ divided by the golden ratio, where an
+    # integer overflow is harmless.
     last = frontier.cells.shape[0] - 1
     slot = ((key * np.int64(-7046029254386353131)) >> 20) & last
     while frontier.owners[slot] != 0 and frontier.cells[slot] != key:
@@ -228,13 +228,13 @@ class Target(NamedTuple):
 
     Attributes:
         x, y: position, m.
-        heading: heading, rad. The heading is ignored if `any_heading` is set.
+        heading: heading, which is ignored if `any_heading` is set, rad.
         radius: position tolerance, m.
         heading_tolerance: heading tolerance, rad.
-        bound_radius: minimum of the turning radii to the left and to the right, for the
-            lower bound, m.
-        dubins_radius: turning radius of the Dubins paths, which is possible to the left
-            and to the right, m.
+        bound_radius: minimum turning radius to the left or right, used for the lower
+            bound, m.
+        dubins_radius: turning radius of the Dubins paths, possible in left and right
+            turns, m.
     """
 
     x: float
@@ -254,7 +254,7 @@ class SearchSpec(NamedTuple):
         cell: side of a cell of poses, m.
         sector: heading range of a cell, by which 2π is divisible, rad.
         weight: weight w of the lower bound.
-        heuristic: grid distances, which may increase the key of a node but exclude no
+        heuristic: grid distances, which affect the order of the nodes but exclude no
             node.
         passages: entry poses and lengths of narrow passages, as returned by
             `guidance.find_passages`.
@@ -376,8 +376,8 @@ def _try_passages(frontier, node, spec, best):  # type: ignore[no-untyped-def]
 def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[no-untyped-def]
     """Add a node at the exit of a narrow passage if a Dubins path leads to the passage.
 
-    The index of the arc is −1 − passage n − factor, where n is the number of radius
-    factors.
+    The arc index of the new node is −1 − passage n − factor, where n is the number of
+    radius factors.
     """
     primitives = spec.primitives
     target = spec.target
@@ -425,15 +425,15 @@ def _is_taken(frontier, slot, cost):  # type: ignore[no-untyped-def]
 @kernel_only
 def _open_node(frontier, slot, parent, move, node, spec):  # type: ignore[no-untyped-def]
     child = _add_node(frontier, slot, parent, move, node)
-    # The key is g + w h. Grid distances may increase h, and then h is no lower bound.
+    # Grid distances may increase h, which is then no lower bound.
     rest = max(node.bound, grid_distance(spec.heuristic, node.x, node.y))
     push(frontier, child, node.cost + spec.weight * rest)
 
 
 @kernel_only
 def _add_node(frontier, slot, parent, move, node):  # type: ignore[no-untyped-def]
-    # The new node replaces the previous node of the cell. The previous node is skipped
-    # when it is removed from the heap.
+    # The new node replaces the previous node of the cell, which is skipped when it is
+    # removed from the heap.
     child = frontier.counts[NODES]
     frontier.counts[NODES] += 1
     frontier.owners[slot] = child + 1

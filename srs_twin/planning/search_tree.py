@@ -82,8 +82,8 @@ class SearchTree:
     def grow(self, count: int, best: float) -> ArcSequence | None:
         """Expand up to `count` nodes and return a plan shorter than `best` (m), if any.
 
-        The arcs of the returned plan lead from the start to the goal, even if the tree
-        searches backward.
+        The arcs of the plan lead from the start to the goal, even if the tree searches
+        backward.
         """
         until = self.expanded + count
         while True:
@@ -108,7 +108,7 @@ class SearchTree:
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
             heading = None if target.any_heading else target.heading
-            # This Dubins path is the path that the kernel has tested.
+            # The kernel has tested this Dubins path.
             arcs = shortest_path(
                 end, target.x, target.y, heading, target.dubins_radius
             )[::-1]
@@ -133,7 +133,7 @@ class SearchTree:
 
 
 def goal_poses(goal: Goal, sector: float) -> list[Pose]:
-    """Return poses within the tolerances of a goal. The first pose is the goal itself.
+    """Return poses within the tolerances of a goal, beginning with the goal itself.
 
     If the heading of the goal is free, each heading sector (rad) has one pose.
     """

@@ -81,13 +81,13 @@ class Predictor(Stateful):
     """Smith predictor of the pose, with estimates of speed, gain and disturbance.
 
     Attributes:
-        speed: measured speed, m/s. The speed of the footprint is used until two mean
-            poses one period apart are available.
+        speed: measured speed, or the speed of the footprint until two mean poses one
+            period apart are available, m/s.
         disturbance: estimated disturbance d, 1/m.
         gain: estimated gain g.
         curvature: current curvature of the model, 1/m.
-        moved: distance between the last mean position and the mean position one period
-            earlier, m, or None until these two positions are available.
+        moved: distance between the mean positions now and one period earlier, m, or
+            None during the first period.
     """
 
     state_attributes = (
@@ -105,7 +105,7 @@ class Predictor(Stateful):
     def __init__(
         self, footprint: Footprint, period: float, delay: float, response_length: float
     ) -> None:
-        """Start a run with the period (s), command delay (s) and response length (m)."""
+        """Start a run with period (s), delay (s) and response length (m)."""
         self._offsets = np.array(footprint.offsets)
         self._curvatures = np.array(footprint.curvatures)
         self._period = period
@@ -161,13 +161,14 @@ class Predictor(Stateful):
         _drop_before(self._model, time - _HISTORY_PERIODS * self._period - self._delay)
 
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
-        """Process a mean pose. Update the estimates if the mean covers a whole period.
+        """Process a mean pose, and update the estimates.
 
         Args:
             time: current time, s.
             middle: middle of the averaging interval, s.
             mean: mean pose.
-            whole: whether the averaging interval covers a whole gait period.
+            whole: whether the averaging interval covers a whole gait period, without
+                which the estimates are not updated.
         """
         means = self._means
         means.append((middle, mean.x, mean.y, mean.heading))
@@ -221,7 +222,8 @@ class Predictor(Stateful):
             max(self.gain + float(weights[1]) * innovation, _GAIN_LIMITS[0]),
             _GAIN_LIMITS[1],
         )
-        # One scalar measurement reduces the covariance of d and g.
+        # The Kalman update with one scalar measurement reduces the covariance of d and
+        # g.
         self._covariance -= np.outer(weights, cross)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
@@ -245,7 +247,7 @@ class Predictor(Stateful):
         return Pose(mean.x + c * dx - s * dy, mean.y + s * dx + c * dy, heading + turn)
 
     def _at(self, time: float) -> _Sample:
-        """Return the state of the model at a time of the snake."""
+        """Return the state of the model that belongs to a time of the snake."""
         # The model leads the snake by the command delay.
         time -= self._delay
         model = self._model
@@ -259,7 +261,10 @@ class Predictor(Stateful):
 
 
 def _drop_before(samples: list[_Sample], before: float) -> None:
-    """Delete the samples before a time, except the last, if they are more than half."""
+    """Delete the samples before a time if they are more than half of all samples.
+
+    The last sample before this time is kept.
+    """
     old = bisect_right(samples, before, key=_time) - 1
     if 2 * old > len(samples):
         del samples[:old]
@@ -299,8 +304,8 @@ class Steering(Stateful, ABC):
     Attributes:
         predicts: whether the input contains the predicted pose instead of the mean
             pose.
-        node: index of the next node in `WaypointSteering`, otherwise the number of
-            segments of the plan that the snake has passed.
+        node: index of the next node (`WaypointSteering`) or number of passed segments
+            of the plan (`PathTracking`).
     """
 
     state_attributes = ("node",)
@@ -314,7 +319,7 @@ class Steering(Stateful, ABC):
 
     @abstractmethod
     def offset(self, state: SteeringInput) -> float:
-        """Return the desired offset. The follower limits this offset."""
+        """Return the desired offset without limits."""
 
     def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
         """Return the expected cross-track error farther along the path, m.

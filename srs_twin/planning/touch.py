@@ -64,10 +64,7 @@ Search = Callable[[Problem, Settings], Plan]
 
 
 def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
-    """Return the limits of leaning on obstacles for a robot and its footprint.
-
-    The footprint must not include a margin.
-    """
+    """Return the limits of leaning on obstacles for a footprint without margin."""
     core = spec.geometry.width / 2
     hard_left, hard_right = (
         tuple(core + (1 - TOUCH_FRACTION) * max(edge - core, 0.0) for edge in edges)

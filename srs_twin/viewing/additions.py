@@ -64,18 +64,11 @@ class RunPictures:
     def figures(
         self, runs: Mapping[str, Trajectory], spec: RobotSpec
     ) -> dict[str, Figure]:
-        """Return additional figures for the report, keyed by their captions.
-
-        `runs` contains the trajectory of each plant.
-        """
+        """Return additional figures for the report, keyed by their captions."""
         return {}
 
     def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:
-        """Return lines to draw on the floor.
-
-        If `latest` is true, the lines are for the end of the run, otherwise for its
-        start.
-        """
+        """Return lines to draw on the floor at the start or end (`latest`) of a run."""
         return []
 
 

@@ -19,7 +19,7 @@ class RunContent:
 
     Attributes:
         trajectories: trajectory of each plant. If one of the plants is a twin, a
-            recording draws all other plants as ghosts.
+            recording shows all other plants as ghosts.
         comparison: differences between the plants over time, or None.
         measured: differences from the measured robot for each plant.
     """
@@ -51,7 +51,7 @@ def events_of(run: Trajectory) -> list[Event]:
 
 
 def end_event(run: Trajectory) -> list[Event]:
-    """Return the event that ended the run early, as a list of at most one event."""
+    """Return the event that ended the run early, in a list, or an empty list."""
     by = run.metadata.get("ended_by")
     if by is None:
         return []

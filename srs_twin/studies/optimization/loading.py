@@ -71,7 +71,8 @@ class VariableFile(Section):
     def value_at(self, fraction: float) -> float | int:
         """Return the rounded value at a fraction of the range."""
         value = value_at(fraction, self.low, self.high, self.scale)
-        # With six digits, designs that differ only by rounding errors share one run.
+        # With six digits, designs that differ only by rounding errors have the same
+        # stored run.
         return round(value) if self.whole else float(f"{value:.6g}")
 
     def share_of(self, value: float) -> float:
@@ -274,8 +275,7 @@ class OptimizationStudy:
 
     Attributes:
         name: name of the study and of the output folder.
-        experiments: experiment of the twin, and experiment of the model "compliant" if
-            this model can simulate the scenario.
+        experiments: experiment of the twin and, if possible, of the model "compliant".
         changes: fields that differ from the study file, as text.
     """
 

@@ -149,7 +149,7 @@ BOUND_MARK = "†"
 
 
 def write_result(result: StudyResult, folder: Path) -> tuple[str, ...]:
-    """Write all output files into a folder and return their names.
+    """Write all output files of a study into a folder and return their names.
 
     If an error occurs, no file is written.
     """
@@ -188,7 +188,7 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
 
 
 def write_report(folder: Path, result: StudyResult) -> list[str]:
-    """Write the plots and the HTML page, and return their names."""
+    """Write the plots and the HTML page of a study, and return their names."""
     document = result.document()
     figures = _figures(result, document)
     pictures = []

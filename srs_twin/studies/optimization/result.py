@@ -94,10 +94,9 @@ class EvaluatedDesign:
     """Design with additional runs that show the accuracy of its result.
 
     Attributes:
-        refined: run with half the time step and run with twice the number of hinges.
-            The initial scenario has no such runs.
-        samples: runs with random robots, if any. All designs use the same random
-            robots.
+        refined: run with half the time step and run with twice the number of hinges,
+            except for the initial scenario.
+        samples: runs with random robots, which are the same robots for all designs.
     """
 
     run: Run
@@ -126,8 +125,7 @@ class StudyResult:
         runs: runs of the search.
         initial: unmodified scenario with the fixed fields.
         designs: best designs in descending order of quality.
-        files: names of the written files. The tuple is empty if no output folder was
-            given.
+        files: names of the written files, if an output folder was given.
         improvement: expected improvement by one more run, as described in `Optimum`.
     """
 
@@ -283,7 +281,7 @@ class StudyResult:
     ) -> dict[str, float | None] | None:
         """Return the rank correlations of an objective between the two models.
 
-        The value with the key "near" is computed from the better half of all designs.
+        The key "near" denotes the rank correlation of the better half of all designs.
         """
         from scipy.stats import spearmanr
 

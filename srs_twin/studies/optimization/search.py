@@ -122,8 +122,7 @@ class Optimum:
             distance from each other. With two objectives, these runs are the Pareto
             front, sorted by the first objective.
         improvement: maximum expected improvement by one more run, as a fraction of the
-            best result. The value is None if there are two objectives or no feasible
-            runs.
+            best result, or None if there are two objectives or no feasible runs.
     """
 
     best: tuple[Run, ...]
@@ -264,7 +263,7 @@ class _Search:
         return self._study.file.budget.twin - len(self._twin_runs)
 
     def iterate(self) -> bool:
-        """Run the twin at the best candidates. Return False if no candidate is left."""
+        """Run the twin at the best candidates; return False if no candidate is left."""
         candidates = self._candidates()
         if not candidates:
             return False
@@ -445,8 +444,8 @@ class _Search:
         centres = np.array([run.fractions for run in parents])
         std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
-        # In every third candidate, one variable is drawn again from the whole range,
-        # and set to a bound in half of the cases. The search can therefore reach other
+        # In every third candidate, one variable gets a new random value from the whole
+        # range or, in half of the cases, a bound. The search can therefore reach other
         # optima.
         third = np.arange(0, count, 3)
         new[third, self._rng.integers(self._size, size=len(third))] = np.clip(
@@ -573,9 +572,9 @@ class _Search:
 def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the growth of the dominated area by each point, shape (…).
 
-    Points of shape (…, 2) contain two costs. The area is bounded by a reference point.
-    In each coordinate, this point lies beyond the end of the front by the extent of the
-    front, so that a new end of the front increases the area.
+    Points of shape (…, 2) contain two costs. A reference point bounds the dominated
+    area. In each coordinate, the reference point lies beyond the end of the front by
+    the extent of the front, so that moving an end of the front increases the area.
     """
     members = known[front(known)]
     members = members[np.argsort(members[:, 0])]
@@ -584,7 +583,7 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
     )
     reference = members.max(axis=0) + extent
     # The boundary of the dominated area is a step function. Between two neighbouring
-    # points of the front, its value is the second cost of the left point.
+    # points of the front, the step function equals the second cost of the left point.
     edges = np.concatenate([[-np.inf], members[:, 0], [reference[0]]])
     level = np.concatenate([[reference[1]], members[:, 1]])
     width = np.clip(edges[1:] - np.maximum(points[..., :1], edges[:-1]), 0.0, None)

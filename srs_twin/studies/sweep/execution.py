@@ -60,7 +60,7 @@ def local(workers: int | None = None) -> Engine:
     """Return the engine that runs points in processes on this machine.
 
     Threads, or batches of twins of one model (`mujoco.batch`), would not be faster (see
-    benchmarks/sweeps.py). In addition, a crash would end all runs.
+    benchmarks/sweeps.py). If a process crashes, the other runs continue.
     """
 
     def run(
@@ -330,7 +330,7 @@ class OpenSweep:
     def finish(self) -> Summary:
         """Write the table, plots, report and summary of the stored rows.
 
-        If an error occurs, no file is written.
+        If an error occurs, no file of the sweep is written.
         """
         with replace_files(self.folder, _PRODUCTS) as fresh:
             return self._write(fresh)
@@ -477,8 +477,7 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     The engine `local` runs the points that Warp cannot run, after a warning.
 
     Args:
-        device: Warp device, or None for an accelerator. If there is no accelerator, the
-            engine `local` runs all points.
+        device: Warp device, or None to use an accelerator, if there is one.
         workers: number of workers of the engine `local`.
     """
     batch_class = warp_batch()

@@ -147,7 +147,7 @@ def problems_at(
 
 
 def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
-    """Return a problem. If it reports an unknown key, a similar key is suggested."""
+    """Return a problem with a suggestion if it reports an unknown key."""
     needs_hint = "unknown key" in problem and "did you mean" not in problem
     return problem + (did_you_mean(field, known) if needs_hint else "")
 
@@ -333,7 +333,7 @@ class _Loader:
     def _test_points(
         self, sweep: Sweep
     ) -> Iterator[tuple[Loc, Experiment, Mapping[str, Value]]]:
-        """Yield a point for each varied value. Other fields have their first values."""
+        """Yield a point for each varied value, with first values of other fields."""
         experiment = sweep.experiment
         rows = [dict(zip(sweep.fields, row, strict=True)) for row in sweep.values]
         if self._file.sampling.kind == "list":

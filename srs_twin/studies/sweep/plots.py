@@ -53,7 +53,7 @@ _KEY_WIDTH = 1.3
 
 @drawing
 def draw(plot: Plot, results: SweepTable) -> Figure:
-    """Return the figure of a plot. The order of the rows of `results` is arbitrary."""
+    """Return the figure of a plot, which is independent of the order of the rows."""
     owners = results.owners(plot.metric)
     # The comparison is shown only if no plant has the metric.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
@@ -144,8 +144,7 @@ class _Colors:
     Attributes:
         column: values of the first owner, or zeros if no field distinguishes the runs.
         norm: function from values to positions on the colour map.
-        by_group: colour of each value. The dict is empty if the owners determine the
-            colours.
+        by_group: colour of each value, unless the colours show the owners.
     """
 
     def __init__(self, columns: list[ColumnValues], *, used: bool) -> None:

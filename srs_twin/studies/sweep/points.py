@@ -205,9 +205,9 @@ class Experiment:
 
     Attributes:
         base: scenario with defaults, robot and `fixed` fields as plain data.
-        plants: plants to simulate. The tuple is empty if the scenario is only planned.
-        periods: simulated time in periods of the gait or the reference. If it is None,
-            the field duration_s of the scenario sets the simulated time.
+        plants: plants to simulate, or an empty tuple if the scenario is only planned.
+        periods: simulated time in periods of the gait or the reference, or None to use
+            the field duration_s of the scenario.
         robots: robot as plain data for each value of the field `robot`.
     """
 
@@ -324,7 +324,7 @@ def _is_record(data: object) -> bool:
 
 
 def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all scalars. A robot parameter counts as one scalar."""
+    """Yield the dotted names of all scalars and robot parameters."""
     if isinstance(data, Mapping) and not _is_record(data):
         for key, value in data.items():
             yield from leaf_names(value, f"{prefix}.{key}" if prefix else str(key))

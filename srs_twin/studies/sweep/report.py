@@ -60,7 +60,7 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Column:
-    """Metric of one owner with a number for each run. A missing number is NaN."""
+    """Metric of one owner with a number for each run, or NaN if it is missing."""
 
     heading: str
     numbers: np.ndarray
@@ -89,8 +89,8 @@ class _Column:
 def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return tables with one row per run, ordered by field values.
 
-    If there are more than `MAX_RUNS` runs, the tables contain a note instead. A list
-    metric is shown by its mean.
+    If there are more than `MAX_RUNS` runs, the tables contain a note instead of the
+    runs. A list metric is represented by its mean.
     """
     failed = results.failed
     if len(failed) > MAX_RUNS:
@@ -110,7 +110,7 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
 
 
 def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return tables of means over seeds. If no run is repeated, there are no tables."""
+    """Return tables of means over seeds, if the sweep repeats runs with other seeds."""
     groups = results.groups(results.settings)
     if len(groups) == len(results.failed):
         return []

@@ -1,4 +1,4 @@
-"""Storage of rows in an SQLite file. Each row is written when its run finishes.
+"""Storage of rows in an SQLite file, which is updated when each run finishes.
 
 The write-ahead log is not flushed to disk after every row. If the process is killed, no
 row is lost. After a power failure, the last rows may be lost and are then computed
@@ -102,7 +102,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
     """Stored rows of one sweep, and a context manager that locks the folder."""
 
     def __init__(self, folder: Path) -> None:
-        """Open the file. The file and the folder are created if they do not exist."""
+        """Open the file, and create the file and the folder if they do not exist."""
         self._path = folder / FILE
         self._is_new = not os.path.lexists(self._path)
         try:
@@ -149,7 +149,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         )
 
     def add(self, row: Row) -> None:
-        """Store a row and its files. A row with the same key is replaced."""
+        """Store a row and its files, and replace an existing row with the same key."""
         # The files are written first, because the row marks the point as finished.
         for plant, parquet in row.files.items():
             with atomic_write(self.trajectory_file(row.key, plant)) as part:

@@ -55,9 +55,9 @@ class ColumnValues:
     """Values of one column as numbers, for an axis or a colour scale.
 
     Attributes:
-        numbers: values, or indices of the texts in `names`, shape (rows,). A missing
-            value is NaN.
-        names: distinct texts in order. A column of numbers has no texts.
+        numbers: values, or indices of the texts in `names`, with NaN for missing
+            values, shape (rows,).
+        names: distinct texts in order, if the values of the column are texts.
     """
 
     label: str
@@ -88,8 +88,8 @@ class SweepTable:
         """Return the results with one row per point, ordered by key.
 
         The columns are ``key``, the varied fields, ``status``, ``reason``,
-        ``exit_code``, the metrics (such as ``twin.com_speed_m_s``) and ``wall_s``. A
-        missing metric is None.
+        ``exit_code``, the metrics (such as ``twin.com_speed_m_s``), with None for
+        missing values, and ``wall_s``.
 
         Args:
             sweep: sweep that produced the rows.
@@ -176,7 +176,7 @@ class SweepTable:
         return [owner for owner in OWNERS if self._names(owner, metric)]
 
     def metric(self, metric: str, owner: str) -> ColumnValues:
-        """Return a metric of an owner. A list metric is averaged over its elements."""
+        """Return a metric of an owner, averaged over the elements of a list metric."""
         names = self._names(owner, metric)
         elements = np.array([_numbers(self.columns[name]) for name in names])
         label = metric_label(metric)
@@ -203,7 +203,7 @@ class SweepTable:
 
     @property
     def repeats(self) -> list[str]:
-        """Varied seeds, which only repeat a run and over which means are computed."""
+        """Varied seeds. Runs that differ only in seeds are averaged."""
         return [name for name in self.fields if name.rpartition(".")[2] == "seed"]
 
     @property
@@ -313,8 +313,8 @@ def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray
 
     Args:
         group: group number of each value, shape (rows,).
-        count: number of groups. The mean of an empty group is NaN.
-        values: values to average, shape (rows,). NaN is ignored.
+        count: number of groups, where an empty group has the mean NaN.
+        values: values to average, where NaN is ignored, shape (rows,).
     """
     # Floating-point sums depend on the order of their terms, so the values are sorted.
     order = np.lexsort((values, group))

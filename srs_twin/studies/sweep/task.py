@@ -49,7 +49,8 @@ class Row:
         key: key of the point.
         status: `DONE` or `FAILED`.
         values: value of each metric by its name (``<plant>.<metric>``,
-            ``comparison.<metric>`` or ``plan.<metric>``). A missing value is None.
+            ``comparison.<metric>`` or ``plan.<metric>``), or None if the metric has no
+            value.
         wall_s: wall time, s.
         reason: error message if the run failed.
         exit_code: exit code of the command line for the error, or 0 if the run
@@ -71,9 +72,9 @@ def run_point(
     point: Point,
     ran: Mapping[str, Trajectory | SrsError] = MappingProxyType({}),
 ) -> Row:
-    """Run the plants of a point, or only plan its path, and compute the metrics.
+    """Run the plants of a point, or only plan the path, and compute the metrics.
 
-    If an `SrsError` is raised, the result is a failed row.
+    An `SrsError` is not raised but stored in a failed row.
     """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
@@ -182,7 +183,7 @@ def _scalars(value: Any) -> Iterator[tuple[str, float | None]]:
                 (f"{ending}_period_{i}", number) for ending, number in _scalars(entry)
             )
         else:
-            # A segment of a spatial robot has more chambers than the + and − chambers.
+            # A segment of a spatial robot has more than two chambers.
             sides = (
                 ("plus", "minus")
                 if len(entry) == len("+-")

@@ -1,7 +1,7 @@
 """Imports and kernels that the fork server of a sweep loads once for all workers.
 
 A short run of the analytical model loads the compiled kernels and the metrics, which
-saves each worker half a second. Only workers that need MuJoCo import it.
+saves each worker half a second. MuJoCo is imported only by workers that need it.
 """
 
 import srs_twin.studies.sweep.task  # noqa: F401 - imported for the workers

@@ -8,17 +8,17 @@ $$ \mathrm{se}^2 = \mathrm{se}_\text{sampling}^2 + \mathrm{se}_\text{surrogate}^
 \mathrm{se}_\text{surrogate}^2 = \frac{G-1}{G} \sum_g (q_{-g} - \bar q)^2 . $$
 
 The sampling error is estimated by the bootstrap (Efron 1979, Annals of Statistics 7),
-which draws samples with replacement. The estimate is an upper bound, because points of
-a Sobol sequence are distributed more evenly than independent points. The surrogate
-error is part of the error if a surrogate predicts the metric at most samples. It is
-estimated by a delete-a-group jackknife over the runs of the twin, where q_{-g} is the
-quantile without group g of G groups. The groups are random, because consecutive Sobol
-points are not independent.
+which draws samples with replacement. The bootstrap estimate is an upper bound, because
+points of a Sobol sequence are distributed more evenly than independent points. The
+surrogate error applies to metrics that a surrogate predicts at most of the samples. The
+surrogate error is estimated by a delete-a-group jackknife over the runs of the twin,
+where q_{-g} is the quantile without group g of G groups. The groups are random, because
+consecutive Sobol points are not independent.
 
 The bootstrap cannot represent values beyond the outermost samples. The probability that
-all n samples lie above the quantile of probability p is (1 − p)^n. With fewer than
-`MIN_BOUNDING_SAMPLES` samples, this probability exceeds 2.5 % for the ends of a 95 %
-interval. The samples may then not reach the ends of the interval.
+all n samples lie above the quantile of probability p is (1 − p)^n. For the ends of a 95
+% interval, this probability exceeds 2.5 % if there are fewer than
+`MIN_BOUNDING_SAMPLES` samples.
 """
 
 from __future__ import annotations
@@ -108,8 +108,8 @@ class MetricUncertainty:
         value: value with the parameters of the robot file.
         half_timestep: value with half the time step.
         at_medians: value with all uncertain parameters at their medians.
-        samples: values at the samples of the priors, shape (samples,). An unknown value
-            is NaN.
+        samples: values at the samples of the priors, with NaN for unknown values, shape
+            (samples,).
         runs: number of samples that were simulated instead of predicted by a surrogate.
         sampling: standard errors of the ends of the 50 % and 95 % intervals due to
             sampling, shape (4,).
@@ -189,7 +189,7 @@ class MetricUncertainty:
 
     @property
     def verdict(self) -> IntervalVerdict | None:
-        """Whether the published value lies in the 95 % interval, if it is known."""
+        """Whether the published value, if any, lies in the 95 % interval."""
         if self.published is None:
             return None
         return interval_verdict(
@@ -246,8 +246,8 @@ def predict_twin(fractions: Array, low: Array, high: Array) -> tuple[Array, Arra
 
     Args:
         fractions: inputs u of all samples, shape (samples, d).
-        low: low-fidelity metric, shape (samples,). An unknown value is NaN.
-        high: metric of the twin at the first samples, shape (fewer,).
+        low: low-fidelity metric, with NaN for unknown values, shape (samples,).
+        high: metric of the twin at the first n samples, shape (n,).
     """
     count = len(high)
     is_known = np.isfinite(low)
@@ -258,7 +258,7 @@ def predict_twin(fractions: Array, low: Array, high: Array) -> tuple[Array, Arra
     samples = np.full(len(low), np.nan)
     samples[is_known], hyperparameters = predict_high_fidelity(x, y, runs)
     if np.isfinite(samples).sum() == len(runs):
-        # The twin has simulated all samples, so the surrogate predicts nothing.
+        # No surrogate is needed, because the twin has simulated all samples.
         return samples, np.zeros(len(_PROBABILITIES))
     group = np.random.default_rng(0).permutation(len(runs)) % _GROUPS
     predicted = np.arange(len(runs), len(y))

@@ -119,7 +119,7 @@ class Measurement:
 class Swing:
     """Effect of one uncertain quantity on the target metric.
 
-    All other quantities have their medians.
+    All other quantities are at their medians.
 
     Attributes:
         low: metric at the lower end of the quantity's 95 % interval.
@@ -155,8 +155,8 @@ class Propagation:
     Attributes:
         study: study that was executed.
         rows: values of each metric for each fidelity, at the samples and then at the
-            `REFERENCE_ROWS`. The values for the key `SEGMENTS` belong to the runs over
-            stiffness and damping.
+            `REFERENCE_ROWS`. The key `SEGMENTS` contains the values for different
+            stiffness and damping times.
     """
 
     study: UncertaintyStudy
@@ -221,7 +221,8 @@ class Propagation:
     def target(self) -> tuple[str, str]:
         """Plant and metric of the summary.
 
-        The metric is the first metric with a published value, or by default the speed.
+        The summary shows the first metric with a published value, or by default the
+        speed.
         """
         plants = [plant for plant in PLANTS if plant in self.plants]
         for plant in reversed(plants):
@@ -272,9 +273,9 @@ class Propagation:
         if indices is None:
             return []
         count = len(names)
-        # For each quantity, two rows contain the ends of its 95 % interval. The other
-        # quantities are just below their medians, so that a choice between two values
-        # has its first value.
+        # For each quantity, two rows contain the ends of the 95 % interval of the
+        # quantity. The other quantities are just below their medians, so that a
+        # discrete choice between two values selects the first value.
         fractions = np.full((2 * count, count), 0.5 - 1e-9)
         fractions[np.arange(2 * count), np.repeat(np.arange(count), 2)] = np.tile(
             RANGES["interval_95"], count

@@ -39,8 +39,9 @@ class UncertaintyStudy:
     Attributes:
         discrete_choices: equally likely values of scenario fields, such as two chamber
             models.
-        samples: number of samples of each plant that simulates all samples.
-        twin_samples: number of samples of the twin if a low-fidelity model is used.
+        samples: number of samples that each plant simulates.
+        twin_samples: number of samples that the twin simulates if a low-fidelity model
+            is used.
     """
 
     scenario: Scenario
@@ -57,7 +58,7 @@ class UncertaintyStudy:
         return (*self.priors.paths, *self.discrete_choices)
 
     def draw(self, count: int, seed: int) -> np.ndarray:
-        """Return Sobol points u in the unit cube after `snapped`, shape (count, d)."""
+        """Return Sobol points in the unit cube, after `snapped`, shape (count, d)."""
         return self.snapped(sobol_points(len(self.names), count, seed))
 
     def snapped(self, fractions: np.ndarray) -> np.ndarray:

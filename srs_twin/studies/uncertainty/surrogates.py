@@ -281,13 +281,12 @@ def predict_high_fidelity(
     Args:
         fractions: inputs u of all samples, shape (samples, d).
         low: low-fidelity result, shape (samples,).
-        high: high-fidelity result at the first samples, shape (fewer,).
+        high: high-fidelity result at the first n samples, shape (n,).
         log_hyperparameters: hyperparameters of the Gaussian process, or None to compute
             the most probable values.
 
     Returns:
-        High-fidelity result at all samples, unchanged where it is known, and the
-        hyperparameters.
+        High-fidelity result at all samples, and the hyperparameters.
     """
     count = len(high)
     scale = max(float(high.std()), 1e-300)

@@ -73,7 +73,7 @@ def _environment() -> Environment:
 
 
 def _clean(value: object) -> object:
-    # HTML does not allow control characters. If the file is printed in a terminal, the
+    # HTML does not allow control characters. If the file is shown in a terminal, the
     # terminal would also interpret control characters as commands.
     if isinstance(value, Markup):
         return value
@@ -104,7 +104,7 @@ def image(content: bytes, kind: str, caption: str) -> Picture:
 
 
 def cell(value: Any) -> str:
-    """Format a JSON value as the text of a table cell. None is shown as a dash."""
+    """Format a JSON value as the text of a table cell, with a dash for None."""
     match value:
         case None:
             return "–"

@@ -72,8 +72,8 @@ def write_report(
 ) -> None:
     """Write the report of one run as a single file without external resources.
 
-    `metrics` contains the contents of `metrics.json`. If `attribution` is None, the
-    report omits the section about the attribution of differences.
+    If `attribution` is None, the report has no section about the causes of the
+    differences.
     """
     trajectories = content.trajectories
     spec = content.spec

@@ -36,7 +36,7 @@ class Label(NamedTuple):
     """White text in a coloured box at the lower edge of an image.
 
     Attributes:
-        text: ASCII text. The font of MuJoCo has no other characters.
+        text: ASCII text, because the font of MuJoCo has no other characters.
         color: colour of the box, #rrggbb.
     """
 
@@ -53,12 +53,11 @@ class Canvas:
         """Create the OpenGL context and its buffers.
 
         Args:
-            model: MuJoCo model. The offscreen size and the shadow size of the model are
-                changed.
+            model: MuJoCo model, whose offscreen size and shadow size are changed.
             width: image width, pixels.
             height: image height, pixels.
-            opengl: OpenGL backend, named as in MUJOCO_GL. With an empty string, the
-                first working backend is used.
+            opengl: OpenGL backend, named as in MUJOCO_GL, or an empty string to use the
+                first working backend.
         """
         model.vis.global_.offwidth = width
         model.vis.global_.offheight = height

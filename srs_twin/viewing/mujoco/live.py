@@ -61,8 +61,8 @@ class LiveSnake:
     """Twin controlled by the controller of a scenario or by keys.
 
     Attributes:
-        scenario: scenario to simulate. With None, the keys steer a robot on an empty
-            floor.
+        scenario: scenario to simulate, or None to control a robot on an empty floor by
+            keys.
         floor_lines: goal of the scenario and current plan of the controller as lines on
             the floor.
     """
@@ -125,7 +125,7 @@ class LiveSnake:
             return self.state
         if self._controller is not None:
             self.state = self.twin.step(self._controller.step(self.state))
-            if self._controller.events():  # for example a new plan
+            if self._controller.events():  # the controller has, for example, a new plan
                 self._find_floor_lines()
         else:
             assert self._gait is not None, "see _take_over"

@@ -2,8 +2,8 @@
 
 Simulations without rendering set MUJOCO_GL to "disabled", so the backend is selected
 when the first image is drawn. Each candidate renders a small image in a separate
-process, because a faulty library may crash the process. Also, PyOpenGL cannot change
-its backend within a process.
+process, because a faulty library may crash the process, and because PyOpenGL cannot
+change its backend within a process.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ _TIMEOUT_S = 60.0
 def usable_opengl() -> str:
     """Return a working OpenGL backend, and set MUJOCO_GL to its name.
 
-    If MUJOCO_GL selects a backend, only this backend is tested. Otherwise the backends
-    of the platform are tested one after another (on Linux, egl and then osmesa).
+    If MUJOCO_GL selects no backend, the backends of the platform are tested one after
+    another (on Linux, egl and then osmesa).
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...] = (selected,)

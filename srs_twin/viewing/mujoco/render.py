@@ -51,8 +51,8 @@ def video_writer(
 ) -> Iterator[AddFrame]:
     """Open an MP4 file and yield a function that appends a frame.
 
-    A frame has the shape (height, width, 3) and the type uint8. Width and height must
-    be even.
+    A frame has the shape (height, width, 3) and the type uint8, where width and height
+    are even.
     """
     av = encoder()
     with atomic_write(path) as temporary:
@@ -162,7 +162,7 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Size:
-    """Image size in pixels. Video encoders require even numbers."""
+    """Image size in pixels, even for video encoders."""
 
     width: int = 1280
     height: int = 720
@@ -187,8 +187,7 @@ def write_video(
         run: trajectory of the twin.
         size: frame size.
         fps: frame rate, Hz.
-        speed: ratio of simulated time to playback time. A ratio of 0.25 gives slow
-            motion.
+        speed: ratio of simulated time to playback time, less than 1 for slow motion.
         ghost: name and trajectory of another plant, or None.
         progress: function of the completed fraction, from 0 to 1.
     """
@@ -222,7 +221,7 @@ def write_image(
         path: output file.
         scenario: simulated scenario.
         run: trajectory of the twin.
-        time: time of the image, s. The nearest sample is drawn.
+        time: time of the image, for which the nearest sample is drawn, s.
         size: image size.
         ghost: name and trajectory of another plant, or None.
     """
@@ -278,10 +277,10 @@ _MARGIN_LENGTHS = 0.35
 def write_strobe(
     path: Path, scenario: Scenario, run: Trajectory, *, width: int = 1280
 ) -> None:
-    """Write the stroboscopic figure of a run as PNG.
+    """Write the stroboscopic figure of a run as PNG with a width in pixels.
 
     The projection is orthographic, so that the axes (m) are valid everywhere on the
-    floor. The width is in pixels.
+    floor.
     """
     stage = Stage(scenario, run)
     times = strobe_times({"twin": run}, scenario.robot.geometry)

@@ -71,10 +71,7 @@ class Stage:
         run: Trajectory,
         ghost: tuple[str, Trajectory] | None = None,
     ) -> None:
-        """Build the scene of a trajectory that has ``qpos`` columns.
-
-        `ghost` contains the name and the trajectory of another plant.
-        """
+        """Build the scene of a trajectory that has ``qpos`` columns."""
         if not run.has("qpos") or not len(run):
             raise InputError(
                 "nothing to draw: the run has no positions of the twin (columns"
@@ -122,7 +119,7 @@ class Stage:
         return int(np.abs(self.run.time - time).argmin())
 
     def show(self, row: int) -> None:
-        """Set the scene to a sample."""
+        """Move the scene to the positions of a sample."""
         self.data.qpos[:] = self._qpos[row]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
@@ -208,8 +205,7 @@ class Stage:
 def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
     """Return where connectors of a spatial snake touch the floor during a run.
 
-    The result contains the sample indices and the points (m) of at most `_MAX_MARKS`
-    marks.
+    The sample indices and the points (m) of at most `_MAX_MARKS` contacts are returned.
     """
     if not run.has("load"):
         return np.empty(0, dtype=int), np.empty((0, 2))
@@ -227,7 +223,7 @@ def add_line(
     half_width: float,
     level: int = 1,
 ) -> None:
-    """Add a line on the floor to a scene, while the scene has free geoms.
+    """Add a line on the floor to a scene, as long as the scene has free geoms.
 
     The line consists of flat boxes, because capsules would take longer to draw than the
     rest of the scene. Each box is slightly higher than the previous box, because MuJoCo
@@ -238,7 +234,7 @@ def add_line(
         points: points, shape (n, 2), m.
         color: colour, #rrggbb.
         half_width: half the width of the line, m.
-        level: layer of the line. A line covers all lines of lower layers.
+        level: layer of the line, which covers all lines of lower layers.
     """
     box = mujoco.mjtGeom.mjGEOM_BOX
     rgba = np.array(unit_rgba(color), dtype=np.float32)

@@ -12,7 +12,7 @@ from srs_twin.comparison.sampling import split_unit as split_metric
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.file import with_extensions
 
-# These are the label texts for the suffixes of metric names.
+# Label text for each suffix of a metric name
 _SUFFIXES = {
     "_rel": ", relative difference",
     "_abs": ", size of difference",

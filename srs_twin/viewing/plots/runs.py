@@ -63,8 +63,8 @@ _PERIODS_SHOWN = 4
 _MAX_DOTS = 4000
 """Maximum number of sensor measurements in a plot."""
 
-# These are the label and the factor (plotted value per SI value) of each difference
-# from a measured motion.
+# Label and factor (plotted value per SI value) of each difference from a measured
+# motion
 _MEASURED_SIGNALS = {
     "shape_m": ("shape (mm)", 1e3),
     "path_m": ("CoM path (mm)", 1e3),
@@ -203,7 +203,7 @@ def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
 def _common_window(trajectories: Runs) -> _Window:
     """Return the time range of the last gait periods that all runs contain.
 
-    If a run is short, the time range is the whole run.
+    If the runs are short, the time range covers the whole runs.
     """
     first = min(float(run.time[0]) for run in trajectories.values())
     ends = [float(run.time[-1]) for run in trajectories.values()]
@@ -402,9 +402,9 @@ _PANEL_GAP = 0.7
 def attribution_plot(attribution: Attribution) -> Figure:
     """Plot the contributions of the assumptions, sorted by size, one panel per measure.
 
-    The assumptions can be replaced in different orders. A thin line shows the range of
-    a contribution over all orders. The last two bars show the unexplained part and the
-    total difference, which is the sum of the other bars.
+    A contribution depends on the order in which the assumptions are replaced. A thin
+    line shows the range of the contribution over all orders. The last two bars show the
+    unexplained part and the total difference, which is the sum of the other bars.
     """
     shares = _by_size(attribution.shares)
     names = [*(share.name for share in shares), "not explained", "twin − analytical"]

@@ -108,8 +108,8 @@ def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
     """Return times (s) and the speed of the period-averaged path at these times (m/s).
 
     The speed is the displacement over one gait period centred at each time, divided by
-    the period. The speed is negative if the displacement is opposite to the heading.
-    The two arrays are empty if the run is shorter than a period.
+    the period. The speed is negative if the displacement is opposite to the heading. If
+    the run is shorter than a period, the arrays are empty.
     """
     time = trajectory.time
     heading = trajectory["heading"]
