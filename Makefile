@@ -17,8 +17,8 @@ check:   ## lint, layout, types
 docs:    ## the site, site/index.html
 	uv run --group dev sphinx-build -W -c docs . site
 
-golden:  ## digests of all shipped results against benchmarks/golden.json
-	uv run --group dev python benchmarks/golden.py
+golden:  ## digests of all shipped results against tools/golden.json
+	uv run --group dev python tools/golden.py
 
 paper:   ## the figures of the paper
 	uv run python paper/figures.py

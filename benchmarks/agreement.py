@@ -1,6 +1,8 @@
 """Differences between the twin and the analytical model over the published grid of generation 2.
 
     uv run python benchmarks/agreement.py [--default | --skid | --loads KIND] [--quick]
+    uv run python benchmarks/agreement.py --switches
+    uv run python benchmarks/agreement.py --refine shipped
 
 By default the physics of both plants are matched: the `wheel` law, the same track and
 inertia of the connectors, bends stiff enough to follow their free value, and the
@@ -12,18 +14,24 @@ preloaded contact. Other settings:
 - `--loads`: the loaded contact and wheels without inertia about their axles.
   `instantaneous` uses instantaneous loads in both plants, `across` the load distribution of the
   analytical model in both, `static` the static loads.
+
+`--switches` changes the settings step by step from the model of the dissertation to the
+shipped twin, for generation 2 at 2 Hz and 48.3 kPa. `--refine` refines time step,
+friction regularisation and number of hinges one at a time and all together, for gaits
+of generation 2 between 1 and 2 Hz, straight and turning.
 """
 
 from __future__ import annotations
 
 import argparse
 from itertools import product
+from typing import Any
 
-from grid import Run, run_all, table
+from common.grid import Run, run_all, table
 
-from srs_twin import LoadedContact, Numerics, PreloadedContact, compare
+from srs_twin import LoadedContact, Numerics, PreloadedContact, compare, load_robot
 from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.plants.twin.mjcf.numerics import LOADS
+from srs_twin.plants.twin.mjcf.numerics import LOADS, SLIP_SPEED_M_S, ModelSettings
 
 FREQUENCIES_HZ = (1.0, 1.5, 2.0)
 PRESSURES_KPA = (41.0, 48.0, 55.0)
@@ -50,6 +58,53 @@ RANGES_HEAD = (
 )
 MATCHED_STIFFNESS = 20.0  # N·m/rad; bends follow their free value within 2 % RMS
 
+OFFSETS = (0.0, 0.2, 0.4)
+SHIPPED = load_robot("gen2").bending.stiffness
+SWITCHES: list[tuple[str, dict[str, Any]]] = [
+    ("analytical, `axis`", {"plant": "analytical"}),
+    ("analytical, `wheel`", {"plant": "analytical", "options": {"friction": "wheel"}}),
+    *(
+        (f"twin, k = {k:g} N·m/rad", {"plant": "twin", "stiffness": k})
+        for k in (20.0, 5.0, 2.0, 0.88)
+    ),
+    (f"twin, k = {SHIPPED:g} N·m/rad (shipped)", {"plant": "twin"}),
+]
+
+GAITS = ((1.0, 0.0), (2.0, 0.0), (2.0, 0.2))  # Hz, offset
+BASE = ModelSettings()
+HALF_SLIP = {"contact": LoadedContact(slip_speed=SLIP_SPEED_M_S / 2)}
+
+REFINEMENTS: dict[str, list[tuple[str, dict[str, Any]]]] = {
+    "analytical": [
+        ("default: 2 ms, tolerance 0.2 mm/s, ε 0.25 mm/s", {}),
+        ("time step halved", {"timestep": 0.001}),
+        ("time step quartered", {"timestep": 0.0005}),
+        ("tolerance halved", {"tolerance": 0.0001}),
+        ("ε halved", {"slip_speed": 0.000125}),
+        (
+            "time step 1/8, tolerance 1/10, ε 1/4",
+            {"timestep": 0.00025, "slip_speed": 0.0000625, "tolerance": 0.00002},
+        ),
+    ],
+    "twin": [
+        (f"default: {1e3 * BASE.timestep:g} ms, {BASE.hinges_per_segment} hinges", {}),
+        ("time step 2 ms", {"timestep": 0.002}),
+        ("time step halved", {"timestep": 0.0005}),
+        ("time step quartered", {"timestep": 0.00025}),
+        ("hinges doubled", {"hinges_per_segment": 2 * BASE.hinges_per_segment}),
+        ("slip speed halved", HALF_SLIP),
+        (
+            "all refined",
+            {
+                "timestep": 0.00025,
+                "hinges_per_segment": 2 * BASE.hinges_per_segment,
+                **HALF_SLIP,
+            },
+        ),
+        ("preloaded", {"contact": PreloadedContact()}),
+    ],
+}
+
 
 def main() -> None:
     """Print one table each for straight and turning gaits, with and without rigid gaps.
@@ -74,7 +129,23 @@ def main() -> None:
         action="store_true",
         help="simulate the corner points and the middle point only",
     )
+    arguments.add_argument(
+        "--switches",
+        action="store_true",
+        help="change the settings step by step from the model to the shipped twin",
+    )
+    arguments.add_argument(
+        "--refine",
+        choices=("shipped", "matched"),
+        help="refine each numerical setting, with the shipped or with stiff bends",
+    )
     selected = arguments.parse_args()
+    if selected.switches:
+        switches()
+        return
+    if selected.refine:
+        refinement(MATCHED_STIFFNESS if selected.refine == "matched" else None)
+        return
     common: dict[str, float] = (
         {} if selected.default else {"stiffness": MATCHED_STIFFNESS}
     )
@@ -124,6 +195,71 @@ def main() -> None:
         ranges.append(("yes" if gaps else "no", f"{offset:g}", *_ranges(rows)))
     print()
     print(table(RANGES_HEAD, ranges))
+
+
+def switches() -> None:
+    """Print speed and yaw rate from the model of the dissertation to the shipped twin, change by change."""
+    runs = [
+        Run(supply_pa=48.3e3, offset=offset, **step)
+        for _, step in SWITCHES
+        for offset in OFFSETS
+    ]
+    metrics = [plant_metrics(trajectory) for trajectory in run_all(runs)]
+    rows = []
+    for i, (name, _) in enumerate(SWITCHES):
+        row = metrics[i * len(OFFSETS) : (i + 1) * len(OFFSETS)]
+        rows.append(
+            [
+                name,
+                *(
+                    f"{1e3 * m['com_speed_m_s']:.1f}, {m['yaw_rate_rad_s']:+.3f}"
+                    for m in row
+                ),
+            ]
+        )
+    print(table(["", *(f"offset {offset:g}: mm/s, rad/s" for offset in OFFSETS)], rows))
+
+
+def refinement(stiffness: float | None) -> None:
+    """Print the change of speed and yaw rate if each numerical setting is refined.
+
+    Args:
+        stiffness: stiffness of the bends, N·m/rad; None for that of the shipped robot.
+    """
+    head = ["change", *(f"{f:g} Hz, offset {o:g}: mm/s (%), rad/s" for f, o in GAITS)]
+    for plant, cases in REFINEMENTS.items():
+        if plant == "analytical":
+            friction = {"friction": "wheel"}
+        else:
+            friction = {}
+        runs = [
+            Run(
+                plant,
+                frequency=f,
+                offset=o,
+                supply_pa=48.3e3,
+                stiffness=stiffness,
+                options=friction | options,
+            )
+            for _, options in cases
+            for f, o in GAITS
+        ]
+        metrics = [plant_metrics(trajectory) for trajectory in run_all(runs)]
+        base = metrics[: len(GAITS)]
+        rows = []
+        for i, (name, _) in enumerate(cases):
+            row = metrics[i * len(GAITS) : (i + 1) * len(GAITS)]
+            rows.append([name, *(_cell(m, b) for m, b in zip(row, base, strict=True))])
+        print(f"\n{plant}\n\n{table(head, rows)}", flush=True)
+
+
+def _cell(metrics: dict[str, Any], base: dict[str, Any]) -> str:
+    speed = metrics["com_speed_m_s"]
+    before = base["com_speed_m_s"]
+    return (
+        f"{1e3 * speed:.2f} ({100 * (speed / before - 1):+.2f}),"
+        f" {metrics['yaw_rate_rad_s']:+.4f}"
+    )
 
 
 def _rows(points: list, pairs: list) -> list[tuple[str, ...]]:

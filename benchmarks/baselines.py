@@ -34,7 +34,7 @@ from statistics import mean
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 
 from srs_twin.envs import TASKS, make_task
 from srs_twin.envs.crawling import SPATIAL_FREQUENCIES_HZ

@@ -24,7 +24,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from grid import table
+from common.grid import table
 
 from srs_twin import (
     AnalyticalSnake,

@@ -25,7 +25,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from grid import table
+from common.grid import table
 from matplotlib.figure import Figure
 
 from srs_twin import AnalyticalSnake, load_robot

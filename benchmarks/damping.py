@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 

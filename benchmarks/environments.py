@@ -19,8 +19,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from grid import table
-from timing import (
+from common.grid import table
+from common.timing import (
     ROUNDS,
     Ratio,
     Result,

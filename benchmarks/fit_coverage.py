@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 from scipy.stats import beta
 
 from srs_twin import Gait, RobotSpec, load_robot, rollout

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from grid import table
+from common.grid import table
 
 from srs_twin.compute.workers import run_tasks
 from srs_twin.planning.metrics import beyond, following_metrics

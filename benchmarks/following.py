@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.compute.workers import run_tasks

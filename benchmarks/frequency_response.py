@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
-from grid import table
+from common.grid import table
 from matplotlib.figure import Figure
 
 from srs_twin.studies.sweep.execution import local, open_sweep

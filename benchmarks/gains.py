@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 
 from srs_twin import Trajectory
 from srs_twin.comparison.tracking import tracking_metrics

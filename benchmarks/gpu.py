@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 from agreement import FREQUENCIES_HZ, PRESSURES_KPA
-from grid import Run, table
+from common.grid import Run, table
 
 from srs_twin import Gait, TwinBatch
 from srs_twin.comparison.metrics import plant_metrics

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 
 from srs_twin import load_robot
 from srs_twin.control.grasp import Grasp

@@ -9,8 +9,8 @@ gait runs.
 
 from __future__ import annotations
 
+import argparse
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -159,7 +159,15 @@ def gaits() -> Fit:
     )
 
 
-def main(repetitions: int) -> None:
+def main() -> None:
+    """Repeat every fit and print the coverage of its intervals."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "repetitions", nargs="?", type=int, default=100, help="repetitions of each fit"
+    )
+    repetitions = parser.parse_args().repetitions
     fits: tuple[tuple[str, Fit, dict[str, float], int], ...] = (
         ("pulls", pulls, FRICTION, repetitions),
         ("coasting", coasting, FRICTION, repetitions),
@@ -187,4 +195,4 @@ def main(repetitions: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
+    main()

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
-from grid import table
+from common.grid import table
 
 from srs_twin.io.files import atomic_write
 from srs_twin.studies.sweep.execution import local, open_sweep

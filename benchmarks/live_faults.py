@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from live_runs import CONDITIONS, NAMES, alarms, isolated

@@ -18,7 +18,7 @@ import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
-from grid import table
+from common.grid import table
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 from live_runs import Run, steered

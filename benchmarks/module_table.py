@@ -7,6 +7,8 @@ The results are written to docs/module.json, and the table between two marks in
 docs/module.md. Tests verify that the table agrees with these results, and that the
 shipped scenarios still give them. Values in bold miss their criterion. `difference` is
 the largest difference of the benches in a row, relative to the analytical value.
+
+`--leak` prints the effect of the sensor noise on a module at rest with a leak.
 """
 
 from __future__ import annotations
@@ -21,8 +23,8 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import leak
-from grid import table
+from common import leak
+from common.grid import table
 
 from srs_twin import load_scenario
 from srs_twin.experiment import run_scenario
@@ -105,13 +107,22 @@ def main() -> None:
         default=20,
         help="number of draws of the sensor noise with a leak",
     )
+    arguments.add_argument(
+        "--leak",
+        action="store_true",
+        help="only print the effect of the sensor noise on a module with a leak",
+    )
     options = arguments.parse_args()
+    if options.leak:
+        leak.tables(options.draws)
+        return
     if not options.from_json:
         with atomic_write(FIGURES) as part:
             Path(part).write_text(
                 json.dumps(figures(options.draws), indent=1) + "\n", "utf-8"
             )
     lines = report(json.loads(FIGURES.read_text("utf-8")))
+    print(lines)
     page = placed(PAGE.read_text("utf-8"), lines)
     with atomic_write(PAGE) as part:
         Path(part).write_text(page, "utf-8")

@@ -24,7 +24,7 @@ from typing import Any
 
 import cma
 import numpy as np
-from grid import table
+from common.grid import table
 
 from srs_twin.studies.optimization.loading import OptimizationStudy, load_study
 from srs_twin.studies.optimization.runs import Run, StudyRuns

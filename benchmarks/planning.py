@@ -17,7 +17,7 @@ import json
 import math
 import sys
 import time
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib.util import find_spec
@@ -26,14 +26,14 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from greedy import greedy
-from grid import table
-from timing import machine
+from common.greedy import greedy
+from common.grid import table
+from common.timing import machine
 
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Plan, Problem, Settings
+from srs_twin.planning.problem import PlanOutcome, Plan, Problem, Settings
 from srs_twin.robot.world import (
     FIG54_BOUNDS,
     FIG54_GOAL,
@@ -49,13 +49,16 @@ from srs_twin.robot.world import (
 from srs_twin.scenario.map_file import read_map
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-from plan_sampling import deepest, is_faulty
+from plan_sampling import TOUCH, deepest, is_faulty, misses
 from plan_worlds import ARCS, drawn_problem, fig54_problem
+from witnessed_worlds import bodies, walls
 
 OMPL_S = 1.0
 COUNTS = range(1, len(FIG54_SITES) + 1)
 NARROW_COUNTS = (35, 40, 45, 50, 55)
 DRIVABLE = 0.1
+RATIOS = (1.05, 1.1, 1.3, 1.8)
+"""Widths of narrow passages, in widths of the straight body."""
 """Largest kink of a path that a snake can follow, rad."""
 
 
@@ -104,7 +107,7 @@ def planners() -> dict[str, Baseline]:
         "best_first": Baseline(plan, Settings()),
     }
     if find_spec("ompl"):
-        from rrt_connect import rrt_connect
+        from common.rrt_connect import rrt_connect
 
         result["ompl"] = Baseline(rrt_connect, Settings(seconds=OMPL_S))
     return result
@@ -335,6 +338,55 @@ def draw(result: dict[str, Any], path: Path) -> None:
         figure.savefig(part, dpi=150)
 
 
+def passages(worlds: int, first: int = 0) -> None:
+    """Print the success rate in narrow passages that are known to be solvable, and count false proofs.
+
+    The worlds have one to three walls of polygons or circles. Each wall has one gap of
+    1.05 to 1.8 widths of the straight body, margin included. Plans are checked by
+    sampling.
+
+    Args:
+        worlds: number of worlds of each kind, for each of six footprints.
+        first: seed of the first world.
+    """
+    solved: dict[tuple[float, str], list[bool]] = defaultdict(list)
+    seconds = []
+    wrong = 0
+    proofs = 0
+    for ratio in RATIOS:
+        for name, body in bodies().items():
+            for count in (1, 2, 3):
+                for seed in range(first, first + worlds):
+                    case = walls(100 * seed + count, body, ratio, count)
+                    begin = time.process_time()
+                    answer = plan(case.problem)
+                    seconds.append(time.process_time() - begin)
+                    bad = answer.found and (
+                        deepest(answer, case.problem) > TOUCH
+                        or misses(answer, case.problem)
+                    )
+                    wrong = wrong + bad
+                    proofs += answer.outcome is PlanOutcome.PROVEN_IMPOSSIBLE
+                    solved[ratio, name].append(answer.found and not bad)
+    lines = []
+    for ratio in RATIOS:
+        counts = [solved[ratio, name] for name in bodies()]
+        every = [item for some in counts for item in some]
+        lines.append(
+            [
+                f"{ratio:g}",
+                *(f"{sum(c)} of {len(c)}" for c in counts),
+                f"{100 * np.mean(every):.1f} %",
+            ]
+        )
+    print(table(["widths", *bodies(), "all"], lines))
+    p95 = np.quantile(seconds, 0.95)
+    print(
+        f"\n{len(seconds)} worlds; {wrong} plans in collision, {proofs} false proofs; "
+        f"median {1e3 * np.median(seconds):.0f} ms, 95 % within {1e3 * p95:.0f} ms"
+    )
+
+
 def main(words: Sequence[str] | None = None) -> int:
     """Print the tables; return 1 if a plan is faulty or the default planner misses a target."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -351,7 +403,19 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--plot", type=Path, help="write the plot of success to this file"
     )
+    parser.add_argument(
+        "--passages",
+        type=int,
+        metavar="N",
+        help="plan in N worlds with narrow passages of each kind instead",
+    )
+    parser.add_argument(
+        "--first", type=int, default=0, help="seed of the first world with passages"
+    )
     options = parser.parse_args(words)
+    if options.passages:
+        passages(options.passages, options.first)
+        return 0
     result = summary(study(options.draws))
     narrow = summary(study(options.draws, NARROW_COUNTS, narrow_problem))
     print(f"{tables(result)}\n\nNarrow fields:\n\n{tables(narrow)}")

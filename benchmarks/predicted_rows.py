@@ -14,15 +14,16 @@ sides in Table 8, and 1 % elsewhere. An interrupted study continues when started
 from __future__ import annotations
 
 import argparse
+import json
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 from scipy.special import ndtri
 from scipy.stats import qmc
 
@@ -32,6 +33,7 @@ from srs_twin.reproduction.claims import Claim, load_claims
 from srs_twin.reproduction.runs import open_store
 from srs_twin.reproduction.verdicts import judge
 from srs_twin.robot.file import RobotFile, load_robot_file
+from srs_twin.scenario.expectation import interval_verdict
 
 ROOT = Path(__file__).parents[1]
 LEFT_OUT = (
@@ -190,12 +192,52 @@ def rows(
         ]
 
 
+def stored_rows(files: Sequence[Path]) -> None:
+    """Print published values and intervals of `srs-twin uncertainty --write`, one row per plant."""
+    print(
+        "| scenario | plant | published | value | E | u_num | u_input | u_D | 95 % |"
+        " errors of the ends | verdict | width | score |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|---|---|---|")
+    for path in files:
+        document = json.loads(path.read_text("utf-8"))
+        for plant, metrics in document["plants"].items():
+            for name, row in metrics.items():
+                stated = row["published"]
+                if not stated or name != "com_speed_m_s":
+                    continue
+                low, high = row["interval_95"]
+                score = high - low + 40 * max(low - stated, stated - high, 0.0)
+                numbers = (
+                    stated,
+                    row["value"],
+                    row["value"] - stated,
+                    row["u_num"],
+                    row["u_input"],
+                    PRINTED * stated,
+                )
+                cells = [f"{1000 * number:.3g}" for number in numbers]
+                errors = row["interval_95_error"]
+                rest = (
+                    f"{1000 * low:.1f} to {1000 * high:.1f}",
+                    ", ".join(f"{1000 * error:.2g}" for error in errors),
+                    interval_verdict(stated, (low, high), errors).value,
+                    f"{1000 * np.subtract(high, low):.0f}",
+                    f"{1000 * score:.0f}",
+                )
+                print(
+                    "| "
+                    + " | ".join([document["scenario"], plant, *cells, *rest])
+                    + " |"
+                )
+
+
 def main() -> None:
     """Run the predictions, evaluate them and print the table."""
     words = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    words.add_argument("--out", type=Path, required=True)
+    words.add_argument("--out", type=Path, help="folder of the runs")
     words.add_argument("--samples", type=int, default=32)
     words.add_argument("--only", action="append", default=[])
     words.add_argument(
@@ -203,7 +245,19 @@ def main() -> None:
         action="store_true",
         help="print the table of the existing results without running",
     )
+    words.add_argument(
+        "--stored",
+        nargs="*",
+        type=Path,
+        metavar="FILE",
+        help="print the intervals in these files, or in calibration/intervals, instead",
+    )
     options = words.parse_args()
+    if options.stored is not None:
+        stored_rows(options.stored or sorted(ROOT.glob("calibration/intervals/*.json")))
+        return
+    if options.out is None:
+        words.error("--out is missing: give the folder of the runs")
     claims = tuple(
         claim.model_copy(update={"cause": []})
         for claim in load_claims()

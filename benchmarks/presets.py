@@ -11,6 +11,7 @@ in turns. Steps above 2 ms are refused, because the damping time c/k of the segm
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 import time
@@ -21,8 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
-from timing import ROUNDS
+from common.grid import table
+from common.timing import ROUNDS
 
 from srs_twin import rollout
 from srs_twin.plants.twin.mjcf.numerics import PRESETS, ModelSettings
@@ -61,6 +62,9 @@ def costs(settings: Sequence[Settings]) -> np.ndarray:
 
 def main() -> None:
     """Print a table of the candidates, and a table of the default and the presets by metric."""
+    argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    ).parse_args()
     candidates: list[dict[str, Any]] = [
         {"contact": contact, "timestep": step, "hinges_per_segment": hinges}
         for contact, steps in STEPS_S.items()

@@ -1,11 +1,16 @@
-"""Scattering of a snake at one row of posts: distribution of the exit angle over the phase of the wave.
+"""Snakes among posts: exit angles behind one row of posts, and speed and power in fields of posts.
 
     uv run python benchmarks/scattering.py [--picture docs/images/scattering.png]    # half an hour
+    uv run python benchmarks/scattering.py --fields 12
 
 The snake `skin_example` crawls towards the middle of a row of posts. The exit angle is
 the direction in which it moves during one period after its tail has left the row, minus
 the direction in which it moves at the same time without posts. Phases of the wave and
 lateral places of the snake are equally spaced.
+
+`--fields 12` compares speed and power of both plants in fields of posts, at several
+steps and numbers of hinges, in five minutes. Seeds of the scenario displace the posts.
+Single runs among posts diverge, so means are compared, with standard errors.
 """
 
 from __future__ import annotations
@@ -19,6 +24,7 @@ import numpy as np
 from scipy.stats import ks_2samp
 
 from srs_twin import Gait, Plant, rollout
+from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.plants.base import SnakeState
 from srs_twin.scenario.loading import load_scenario
 
@@ -32,6 +38,22 @@ ROW_M = 0.27  # from the centre of the straight body to the row
 LEFT_M = 0.03  # distance behind the row that all connectors must have
 DURATION_S = 6.0
 RECORD_HZ = 100
+
+FIELD_DURATION_S = 6.0
+
+FIELD_CASES = {
+    "compliant, 2 ms": ("analytical", {}),
+    "compliant, 1 ms": ("analytical", {"plants.analytical.timestep_s": 0.001}),
+    "twin, 1 hinge": ("twin", {"plants.twin.hinges_per_segment": 1}),
+    "twin, 2 hinges": ("twin", {"plants.twin.hinges_per_segment": 2}),
+    "twin, 3 hinges": ("twin", {"plants.twin.hinges_per_segment": 3}),
+    "twin, 3 hinges, 0.5 ms": (
+        "twin",
+        {"plants.twin.hinges_per_segment": 3, "plants.twin.timestep_s": 0.0005},
+    ),
+    "twin, 6 hinges": ("twin", {"plants.twin.hinges_per_segment": 6}),
+}
+"""Plant and settings of each row of the table of fields."""
 
 
 def track(kind: str, pitch: float, phase: int, place: int = 0) -> np.ndarray:
@@ -97,13 +119,52 @@ def exit_angle(path: np.ndarray, straight: np.ndarray) -> float:
     return math.remainder(first - second, 2 * math.pi)
 
 
+def measure(kind: str, seed: int, changes: dict[str, object]) -> tuple[float, float]:
+    """Return the speed of the centre of mass along its path (m/s), and the mechanical power (W)."""
+    scenario = load_scenario(
+        "pegs_skin", set={"seed": seed, "duration_s": FIELD_DURATION_S} | changes
+    )
+    plant = scenario.build_plant(kind)
+    controller = scenario.build_controller()
+    run = rollout(
+        plant, controller, scenario.duration, pose=scenario.pose, seed=scenario.seed
+    )
+    metrics = plant_metrics(run)
+    return metrics["com_speed_m_s"], metrics["mechanical_power_w"]
+
+
+def fields(count: int) -> None:
+    """Print means and standard errors of speed and power over fields of posts."""
+    print("| plant | speed, m/s | power, W |\n|---|---|---|")
+    for name, (kind, changes) in FIELD_CASES.items():
+        runs = np.array([measure(kind, seed, changes) for seed in range(1, count + 1)])
+        (speed, power), errors = (
+            runs.mean(axis=0),
+            runs.std(axis=0, ddof=1) / math.sqrt(len(runs)),
+        )
+        print(
+            f"| {name} | {speed:.4f} ± {errors[0]:.4f} | {power:.3f} ±"
+            f" {errors[1]:.3f} |",
+            flush=True,
+        )
+
+
 def main() -> None:
-    """Print the distributions; draw them."""
+    """Print the distributions and draw them, or print the table of fields."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     parser.add_argument("--picture", help="file of the picture")
+    parser.add_argument(
+        "--every", type=int, default=1, metavar="N", help="every N-th phase only"
+    )
+    parser.add_argument(
+        "--fields", type=int, metavar="N", help="compare the plants in N fields instead"
+    )
     options = parser.parse_args()
+    if options.fields:
+        fields(options.fields)
+        return
     angles: dict[tuple[str, float], np.ndarray] = {}
     print(
         "| pitch, m | plant | left the row | spread, ° | 10, 50, 90 %, ° | within 5° |"
@@ -112,9 +173,14 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     with ProcessPoolExecutor() as pool:
         for kind in ("analytical", "twin"):
-            free = list(pool.map(track, [kind] * PHASES, [0.0] * PHASES, range(PHASES)))
+            chosen = range(0, PHASES, options.every)
+            count = len(chosen)
+            straight = pool.map(track, [kind] * count, [0.0] * count, chosen)
+            free = dict(zip(chosen, straight, strict=True))
             for pitch in PITCHES:
-                phases, places = (grid.ravel() for grid in np.mgrid[:PHASES, :PLACES])
+                phases, places = (
+                    grid.ravel() for grid in np.mgrid[: PHASES : options.every, :PLACES]
+                )
                 count = len(phases)
                 paths = pool.map(
                     track,

@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from grid import table
+from common.grid import table
 
 from srs_twin.sensing.hall import (
     GAUSS,

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, compare, load_robot, rollout
 from srs_twin.comparison.metrics import plant_metrics
@@ -152,6 +152,9 @@ def main() -> None:
     words.add_argument(
         "--quick", action="store_true", help="the first gait at 1 Hz only"
     )
+    words.add_argument(
+        "--every", type=int, default=1, metavar="N", help="every N-th point only"
+    )
     given = words.parse_args()
     if given.rows and given.rows.exists():
         lines = given.rows.read_text("utf-8").splitlines()
@@ -160,7 +163,7 @@ def main() -> None:
     rows = [json.loads(line) for line in lines]
     known = {(row["frequency"], row["share"], row["lag"]) for row in rows}
     orders = [(f, *wave) for f in reversed(FREQUENCIES_HZ) for wave in WAVES]
-    for order in orders[:1] if given.quick else orders:
+    for order in orders[:1] if given.quick else orders[:: given.every]:
         if order in known:
             continue
         rows.append(point(*order))

@@ -20,12 +20,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import against_elastica
-import against_lsoda
-import against_mj_step
-import scaling
-from grid import table
-from timing import ROUNDS, Result, machine
+from common import against_elastica, against_lsoda, against_mj_step, scaling
+from common.grid import table
+from common.timing import ROUNDS, Result, machine
 
 BENCHMARKS: dict[str, Callable[[bool], Result]] = {
     "a": against_lsoda.run,

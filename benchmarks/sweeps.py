@@ -24,7 +24,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from grid import table
+from common.grid import table
 
 from srs_twin import DivergedError, Job, Trajectory, run_many
 from srs_twin.comparison.metrics import plant_metrics
@@ -186,7 +186,7 @@ def _threads(sweep: Sweep) -> Found:
 
 
 def _together(sweep: Sweep, threads: int) -> Found:
-    from twin_batch import run_together
+    from common.twin_batch import run_together
 
     return _measured(sweep, run_together(_scenarios(sweep), threads))
 

@@ -11,6 +11,11 @@ dissertation, in which the offset acts on the valve pattern as well as on the ta
 In both, length and mu_t cannot be identified together from these rows, so the length is
 fixed. The fit of the twin uses the length from the fit of the analytical plant, which
 must exist. The last command writes the tables of the fits into the page.
+
+`--width` fits the width of generation 4 to the edges in Table 8, with the same rows for
+fit and validation. The lateral reach of the plant is taken from the fit to speeds and
+radii. The result is written to calibration/fits/gen4_table8_width.yaml. The width is a
+property of the body, so only the analytical plant is used.
 """
 
 from __future__ import annotations
@@ -24,10 +29,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from grid import table
+from common.grid import table
 
 from srs_twin.errors import InputError
-from srs_twin.identification.fit_file import FitFile, fit_file, write_fit
+from srs_twin.identification.fit_file import FitFile, fit_file, load_fit, write_fit
 from srs_twin.identification.fitted_robot import apply_fit
 from srs_twin.identification.footprint import PLANTS, GaitSetup
 from srs_twin.identification.parameters import with_values
@@ -42,6 +47,7 @@ from table8 import (
     STUDIES,
     UNKNOWN,
     drive_of,
+    fit_body_width,
     held_values,
     place,
     shipped,
@@ -61,7 +67,13 @@ def main() -> None:
     parser.add_argument("--show", action="store_true")
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--page", type=Path, help="page whose tables are replaced")
+    parser.add_argument(
+        "--width", action="store_true", help="fit the width to the edges instead"
+    )
     options = parser.parse_args()
+    if options.width:
+        show_width(fitted=options.show)
+        return
     study = options.plant + ("_wave" if options.wave else "")
     if study not in STUDIES:
         parser.error("--wave needs --plant analytical")
@@ -78,6 +90,46 @@ def main() -> None:
             part.write_text(text, "utf-8")
     if options.picture:
         picture(fits).savefig(options.picture, dpi=130)
+
+
+def show_width(*, fitted: bool) -> None:
+    """Fit the width to the edges and write it, unless it is already fitted, and print it."""
+    if fitted:
+        file = load_fit(place("width"))
+    else:
+        file = fit_body_width()
+        print(write_fit(file, place("width")))
+    print(file.estimate().text())
+    print("\n" + edges_table(file))
+
+
+def edges_table(file: FitFile) -> str:
+    """Return the measured and predicted edges of each row."""
+    rows = []
+    for item in sorted(
+        file.data, key=lambda item: float(item.name.removeprefix("offset "))
+    ):
+        cells = []
+        for side in ("left_m", "right_m"):
+            prediction = item.predicted[side]
+            seen = item.measured[side]
+            cells += [
+                f"{seen:g}",
+                f"{prediction:.3f} ({100 * (prediction / seen - 1):+.0f} %)",
+            ]
+        rows.append(
+            [
+                item.name.removeprefix("offset "),
+                "fit" if item.role == "fit" else "predicted",
+                *cells,
+            ]
+        )
+    sides = [
+        f"{side} edge: {whose}"
+        for side in ("left", "right")
+        for whose in ("Table 8 (m)", "fit")
+    ]
+    return table(["offset", "row", *sides], rows)
 
 
 def with_tables(text: str, tables: Sequence[str]) -> str:

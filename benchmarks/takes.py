@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from grid import table
+from common.grid import table
 from scipy.interpolate import CubicSpline
 
 from srs_twin import (

@@ -51,6 +51,7 @@ exclude_patterns = [
     "srs_twin",
     "tests",
     "benchmarks",
+    "tools",
 ]
 templates_path = ["_templates"]
 

@@ -59,7 +59,7 @@ def test_lsoda_error_decreases_with_its_tolerance():
 @pytest.mark.parametrize("script", ["timing", "scaling"])
 def test_doctests_of_the_timing_helpers(script):
     done = subprocess.run(
-        [sys.executable, "-m", "doctest", f"{script}.py"],
+        [sys.executable, "-m", "doctest", f"common/{script}.py"],
         cwd=ROOT / "benchmarks",
         capture_output=True,
         text=True,
@@ -99,7 +99,7 @@ def test_speed_benchmark_compares_equal_motions_and_hides_private_names(tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 def test_twins_stepped_together_equal_single_twins_to_the_bit(threads):
-    done = run_benchmark("twin_batch.py", "--workers", str(threads))
+    done = run_benchmark("common/twin_batch.py", "--workers", str(threads))
     assert done.returncode == 0, done.stdout + done.stderr
 
 
@@ -110,18 +110,19 @@ def test_environments_and_batched_rollouts_travel_the_same_distance():
 
 
 @pytest.mark.fast
-def test_the_readme_lists_every_script():
-    text = (ROOT / "benchmarks/README.md").read_text("utf-8")
-    listed = [
-        line.split("`")[1] for line in text.splitlines() if line.startswith("| `")
-    ]
-    scripts = {path.name for path in (ROOT / "benchmarks").glob("*.py")}
-    assert sorted(listed) == sorted(scripts)
+def test_readme_lists_every_tool():
+    text = (ROOT / "tools/README.md").read_text("utf-8")
+    listed = re.findall(r"^\| `(\w+\.py)` \|", text, re.M)
+    assert sorted(listed) == sorted(path.name for path in (ROOT / "tools").glob("*.py"))
 
 
 @pytest.mark.fast
 def test_no_test_imports_a_benchmark():
-    scripts = "|".join(path.stem for path in (ROOT / "benchmarks").glob("*.py"))
+    scripts = "|".join(
+        path.stem
+        for folder in ("benchmarks", "benchmarks/common", "tools")
+        for path in (ROOT / folder).glob("*.py")
+    )
     for path in (ROOT / "tests").rglob("*.py"):
         imports = re.findall(
             rf"^\s*(?:from|import) (?:{scripts})\b", path.read_text("utf-8"), re.M

@@ -94,7 +94,7 @@ def words_of(module):
     }
 
 
-@pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples"])
+@pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples", "tools"])
 def test_scripts_import_names_that_exist(folder):
     """Names that move inside the package move in the scripts as well."""
     missing = []
@@ -161,7 +161,7 @@ def test_nightly_studies_have_time_limits():
     assert all(
         re.match(
             r"timeout \d+[mh] (\.ci/targets all |uv run (--extra gpu )?python"
-            r" benchmarks/)",
+            r" (benchmarks|tools)/)",
             study,
         )
         for study in studies
@@ -183,7 +183,7 @@ def test_workflow_runs_the_ci_scripts():
 
 
 def test_every_fault_fits_the_code_and_names_tests_that_exist():
-    for fault in read_yaml("benchmarks/faults.yaml"):
+    for fault in read_yaml("tools/faults.yaml"):
         assert (ROOT / fault["file"]).read_text("utf-8").count(fault["old"]) == 1, (
             fault["name"]
         )

@@ -54,8 +54,8 @@ RETIRED_KINDS = {
         "it was retired, because none of its reactions helps"
         " (docs/friction.md#yielding-gaits)"
     ),
-    "greedy": "it was retired (`benchmarks/greedy.py` keeps it); use best_first",
-    "ompl": "it was retired (`benchmarks/rrt_connect.py` keeps it); use best_first",
+    "greedy": "it was retired (`benchmarks/common/greedy.py` keeps it); use best_first",
+    "ompl": "it was retired (`benchmarks/common/rrt_connect.py` keeps it); use best_first",
     "beside": (
         "it was retired; `srs-twin reproduce` compares results with published values"
     ),

@@ -8,6 +8,7 @@ provenance.
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import math
@@ -249,11 +250,48 @@ def source_digests(module: str) -> dict[str, str]:
     text, including imports inside functions but not imports for type checkers. The
     ``__init__`` of a package is included only if the package itself is imported.
     """
-    return dict(sorted(_closure(module, Path(__file__).resolve().parents[2])))
+    return {
+        name: hashlib.sha256(text.encode()).hexdigest()
+        for name, text in sorted(_closure([module]))
+    }
 
 
-def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
-    to_read = [module]
+def code_digests(modules: Iterable[str]) -> dict[str, str]:
+    """Return the hexadecimal SHA-256 of the code of modules and their imports.
+
+    Unlike `source_digests`, comments, docstrings and the layout do not count. A digest
+    therefore tells whether a result may differ, not whether the text differs.
+
+    Args:
+        modules: dotted names of the modules.
+    """
+    return {name: code_digest(text) for name, text in sorted(_closure(modules))}
+
+
+@cache
+def code_digest(text: str) -> str:
+    """Return the hexadecimal SHA-256 of Python code without comments, docstrings and layout."""
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [item for item in body if not _is_text(item)] or [ast.Pass()]  # type: ignore[attr-defined]
+    return hashlib.sha256(ast.unparse(tree).encode()).hexdigest()
+
+
+def _is_text(node: ast.stmt) -> bool:
+    """Return whether a statement is only a string, as docstrings are."""
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
+
+
+def _closure(modules: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """Yield the names and texts of modules of this package and of their imports."""
+    root = Path(__file__).resolve().parents[2]
+    to_read = list(modules)
     seen = set()
     while to_read:
         name = to_read.pop()
@@ -265,7 +303,7 @@ def _closure(module: str, root: Path) -> Iterator[tuple[str, str]]:
             continue
         seen.add(name)
         text = path.read_text("utf-8")
-        yield name, hashlib.sha256(text.encode()).hexdigest()
+        yield name, text
         for package, names, whole in _IMPORT.findall(
             _TYPE_CHECKING_BLOCK.sub("", text)
         ):

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from helpers.curvature_wave import Path, continuous_snake
+from curvature_wave import Path, continuous_snake
 from scipy.integrate import solve_ivp
 
 from srs_twin.robot.spec import Friction, RobotSpec

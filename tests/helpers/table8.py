@@ -162,7 +162,7 @@ def fit_body_width() -> FitFile:
         title="Generation 4's width from Table 8's boxes at 0 and ±0.3",
         robot="gen4",
         method="edges",
-        command="uv run python benchmarks/table8_width.py",
+        command="uv run python benchmarks/table8_fit.py --width",
         versions=versions(),
         data=[item.data_set("fit") for item in fitted]
         + [item.data_set("validation") for item in kept],

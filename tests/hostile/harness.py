@@ -1,7 +1,7 @@
 """Parsers of untrusted files: types for their malformed and valid files, and checks that apply to all.
 
 A new parser needs one `Parser` in `parsers.PARSERS`; the tests and
-``benchmarks/fuzz.py`` then use it. They check three properties: every malformed file is
+``tools/fuzz.py`` then use it. They check three properties: every malformed file is
 rejected with an `InputError` that names file and position, generated files raise no
 other exception, and files written by this package are read back unchanged.
 """

@@ -42,7 +42,7 @@ def cases() -> Iterator[Any]:
 
 
 CASES = list(cases())
-# `benchmarks/fuzz.py` generates 10,000 files per parser.
+# `tools/fuzz.py` generates 10,000 files per parser.
 EXAMPLES = {"damaged": 200, "values": 200, "bytes": 100}
 each_parser = pytest.mark.parametrize("parser", PARSERS, ids=lambda parser: parser.name)
 

@@ -86,7 +86,7 @@ def test_the_shipped_width_is_what_its_command_finds():
 
 @pytest.mark.slow
 def test_the_page_shows_the_edges_of_the_shipped_width():
-    done = run_benchmark("table8_width.py", "--show")
+    done = run_benchmark("table8_fit.py", "--width", "--show")
     assert done.returncode == 0, done.stderr
     table = "\n".join(line for line in done.stdout.splitlines() if line.startswith("|"))
     assert "Table 8 (m)" in table and table in (

@@ -13,7 +13,7 @@ import time
 import firmware_rig
 import numpy as np
 import pytest
-from benchmark_runs import run_benchmark
+from benchmark_runs import run_script
 from brokers import needs_broker
 from firmware_rig import (
     FIRMWARE,
@@ -480,8 +480,8 @@ def test_the_newest_of_many_commands_is_obeyed(tmp_path, monkeypatch):
 @needs_broker
 @pytest.mark.slow
 def test_chambers_vent_in_time_after_sixty_kills_and_twenty_losses():
-    done = run_benchmark(
-        "firmware_kills.py", "--kills", "60", "--losses", "20", "--seed", "1"
+    done = run_script(
+        "tools/firmware_kills.py", "--kills", "60", "--losses", "20", "--seed", "1"
     )
     print(done.stdout)
     assert done.returncode == 0, done.stderr

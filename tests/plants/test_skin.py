@@ -158,7 +158,7 @@ def test_distance_per_period_does_not_depend_on_the_rate():
 
 @pytest.mark.slow
 def test_wave_of_curvature_has_the_speed_of_published_theory():
-    """Hu et al. 2009; benchmarks/skin.py has further cases and an independent solver."""
+    """Hu et al. 2009; benchmarks/theory.py has further cases and an independent solver."""
     assert wave_speed(continuous_snake(0.11, 0.14, 0.19)) == pytest.approx(
         0.1255, rel=0.01
     )

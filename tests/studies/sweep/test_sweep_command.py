@@ -180,7 +180,7 @@ def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
 def test_killed_sweeps_resume_without_lost_or_torn_rows(
     srs_twin, tmp_path, count, runs
 ):
-    """No row is lost, repeated or torn; benchmarks/kills.py repeats this 200 times."""
+    """No row is lost, repeated or torn; tools/kills.py repeats this 200 times."""
     sweep = write(tmp_path, kills.SWEEP.format(duration=60, runs=runs))
     quiet = srs_twin(
         "sweep", str(sweep), "--out", "quiet", "--workers", "1", "-q", cwd=tmp_path
