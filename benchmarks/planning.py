@@ -33,7 +33,7 @@ from common.timing import machine
 from srs_twin.io.files import atomic_write
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import PlanOutcome, Plan, Problem, Settings
+from srs_twin.planning.problem import Plan, PlanOutcome, Problem, Settings
 from srs_twin.robot.world import (
     FIG54_BOUNDS,
     FIG54_GOAL,

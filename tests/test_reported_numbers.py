@@ -25,7 +25,7 @@ from srs_twin.pneumatics.orifice import OrificeOptions
 from srs_twin.reproduction import figures
 from srs_twin.reproduction.claims import load_claims
 from srs_twin.reproduction.report import summary_line
-from srs_twin.reproduction.verdicts import JudgedClaim, ClaimOutcome
+from srs_twin.reproduction.verdicts import ClaimOutcome, JudgedClaim
 
 pytestmark = pytest.mark.fast
 
