@@ -22,7 +22,7 @@ stiffness are evaluated at the end of each implicit stage of length a = γ h, in
 changes by −a v_n. Stiff contacts therefore do not limit the time step. The Newton
 matrix contains the derivative
 
-$$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) $$
+$$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) . $$
 
 The Newton matrix neglects the change of the normal's direction during a step.
 

@@ -12,7 +12,7 @@ second stage. If the rate changes linearly, k₁ is the linear interpolation of 
 The deviation of k₁ from this interpolation changes the velocity of the mass M over the
 step by
 
-$$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr| $$
+$$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr| . $$
 
 The estimate η is at least 0.7 times the error due to a reversal anywhere in the step.
 Where friction is smooth, η is of third order in h. The rate of the angular momentum is

@@ -5,7 +5,7 @@ k and the damping n c. The angle q_k of a hinge has the deviation e_k = q_k − 
 an equal part of the free bend q_f. The segment has the bend q = Σ q_k and the torque T
 = k (q_f − q) + c (q̇_f − q̇). The power of the compressed air is
 
-$$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 $$
+$$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 . $$
 
 Here P is the power that acts on body and floor. For the pitch and roll joints, e_k is
 the whole angle.
