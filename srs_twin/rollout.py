@@ -91,7 +91,7 @@ def rollout(
         duration: simulated time, a multiple of the plant's tick, s.
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
         initial_state: function of plant and seed that sets another initial state, such
-            as `Plant.place`.
+            as `Plant.set_state`.
         resume: saved states of plant and controller from which the run continues. The
             simulated time continues from the saved time.
         seed: random seed of plant and controller.

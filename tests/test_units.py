@@ -106,8 +106,10 @@ def test_every_column_of_a_run_has_the_unit_written_here(kind, plant):
 
 METRICS = {
     "m": (
-        """path_length_m turning_radius_m path_radius_m extent_left_m extent_right_m plan_length_m
-        arrival_error_m cross_track_rms_m cross_track_max_m clearance_m measured_shape_rms_m measured_path_rms_m
+        """path_length_m turning_radius_m path_radius_m extent_left_m extent_right_m
+        plan_length_m
+        arrival_error_m cross_track_rms_m cross_track_max_m clearance_m
+        measured_shape_rms_m measured_path_rms_m
         body_height_m object_moved_m"""
     ),
     "s": "rise_time_s settling_2_s settling_5_s contact_time_s following_time_s wall_s",

@@ -2,25 +2,25 @@
 
 The arguments of a friction law are the contact velocity along (t) and across (n) the
 heading, the wheel load N and two friction coefficients. A friction law returns ``(f_t,
-f_lat, df_t/dv_t, df_t/dv_n, df_n/dv_t, df_n/dv_n)``, because the implicit integrator
+f_n, df_t/dv_t, df_t/dv_n, df_n/dv_t, df_n/dv_n)``, because the implicit integrator
 needs the derivatives. The sign function sgn v is regularised to v/√(v² + ε²) with a
 slip speed ε. All functions are elementwise and accept arrays of any shape. The
 functions also compile within numba kernels.
 
 - `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn
-  v_t, μ_n sgn v_lat). The dissertation uses this law with one contact point.
+  v_t, μ_n sgn v_n). The dissertation uses this law with one contact point.
 - `wheel`: rolling wheel on a floor with the friction coefficient μ_n. The axial force
   f_t = −N min(μ_t, μ_n |v_t|/|v|) sgn v_t is limited by the axle drag μ_t and by the
   friction cone. The remainder of the friction cone acts across the heading.
 - `ellipse`: sliding skid with maximum dissipation. The force lies in the ellipse
-  (f_t/μ_t)² + (f_lat/μ_n)² ≤ N² and maximises the dissipated power: f = −N
-  (μ_t² v_t, μ_n² v_lat)/√(μ_t² v_t² + μ_n² v_n²). The term μ² ε² with the
+  (f_t/μ_t)² + (f_n/μ_n)² ≤ N² and maximises the dissipated power: f = −N
+  (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). The term μ² ε² with the
   larger of the two coefficients is added under the root to regularise the force.
 - `cosine`: sliding skin after Hu and Shelley (2012). Each component of the force is
-  proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_lat)/√(v_t² +
+  proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_n)/√(v_t² +
   v_n²). The force has no potential, because df_t/dv_n ≠ df_n/dv_t. Its tip lies on the
   same ellipse as the force of the law `ellipse`, but its direction is different.
-- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_lat)/v₁ with v₁ = 1 m/s, a law for
+- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s, a law for
   tests.
 """
 

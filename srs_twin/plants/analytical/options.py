@@ -165,7 +165,7 @@ class AnalyticalOptions:
             )
         if self.contact and self.model != "compliant":
             yield Violation(
-                "touch",
+                "contact",
                 f"model '{self.model}' has prescribed bends and touches no obstacles;"
                 " use 'compliant'",
             )
