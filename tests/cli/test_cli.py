@@ -23,7 +23,7 @@ from srs_twin.cli.table import needs_explanation, rows
 from srs_twin.cli.view import find_recording
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import DivergedError, InputError, TaskFailedError, WorkerDiedError
-from srs_twin.experiment import RunResult
+from srs_twin.experiment import RECORDING, RunResult
 from srs_twin.scenario.expectation import Expectation
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
@@ -133,6 +133,8 @@ class Job:
             )
         if isinstance(self.outcome, BaseException):
             raise self.outcome
+        self.folder.mkdir(parents=True, exist_ok=True)
+        (self.folder / RECORDING).touch()
         return RunResult(
             self.name, self.folder, {"twin": object()}, GIVEN[self.outcome]
         )
