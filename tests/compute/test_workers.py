@@ -254,8 +254,9 @@ for task, arguments in ((mine, [1]), (partial(max, key=mine), [1]), (lambda x: x
 def script(folder, text, *words, **further):
     """Write a script that can import test modules; return the arguments of `subprocess.run`."""
     (folder / "script.py").write_text(text)
-    tests = [str(Path(__file__).parent), str(Path(__file__).parents[1])]
-    env = {**os.environ, "PYTHONPATH": os.pathsep.join(tests)}
+    here = Path(__file__).parent
+    folders = [here, here.parent, here.parent / "helpers"]
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, folders))}
     return {
         "args": [sys.executable, folder / "script.py", *words],
         "env": env,
