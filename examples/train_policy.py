@@ -3,7 +3,7 @@
     python examples/train_policy.py [GENERATIONS]
 
 CMA-ES changes the weights of a linear policy of the position of the goal.
-`benchmarks/train_ppo.py` trains a network with stable-baselines3.
+`tools/train_ppo.py` trains a network with stable-baselines3.
 """
 
 import sys

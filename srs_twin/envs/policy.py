@@ -124,7 +124,7 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
         array = arrays.get(name)
         if array is None or array.ndim != axes or array.dtype.kind not in kinds:
             raise InputError(
-                f"{path}: not a policy file (no {what} '{name}'); benchmarks/train_ppo.py"
+                f"{path}: not a policy file (no {what} '{name}'); tools/train_ppo.py"
                 " writes one"
             )
         return array

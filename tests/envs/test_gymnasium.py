@@ -350,7 +350,7 @@ def test_vector_environment_refuses_invalid_counts_and_shapes():
 def test_the_training_script_writes_a_policy_and_its_learning_curve(tmp_path):
     pytest.importorskip("stable_baselines3")
     few = ["--steps", "2048", "--seeds", "3", "--out", tmp_path]
-    command = [sys.executable, ROOT / "benchmarks/train_ppo.py", *few]
+    command = [sys.executable, ROOT / "tools/train_ppo.py", *few]
     subprocess.run(command, check=True, capture_output=True, timeout=600)
     act = load_policy(tmp_path / "seed_3/policy.npz").bind(make_task("GoTo"))
     assert act(SnakeEnv("GoTo").reset(seed=0)[0]).shape == (3,)

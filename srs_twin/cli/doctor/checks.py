@@ -83,7 +83,7 @@ PURPOSES = {
     "recordings": "recordings in C3D and MCAP files and ROS bags",
     "optimize": "studies (`srs-twin optimize`)",
     "video": "videos (`srs-twin render RUN --video out.mp4`)",
-    "rl": "training of policies (benchmarks/train_ppo.py)",
+    "rl": "training of policies (tools/train_ppo.py)",
 }
 """Purpose of each extra in pyproject.toml."""
 

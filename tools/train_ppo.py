@@ -1,6 +1,6 @@
 """Train a policy for a task with PPO (stable-baselines3), and write it as a small file.
 
-    uv run --extra rl python benchmarks/train_ppo.py --seeds 0 1 2 3 4 --out runs/ppo
+    uv run --extra rl python tools/train_ppo.py --seeds 0 1 2 3 4 --out runs/ppo
 
 The reward has a time penalty in addition to the default terms, so that the policy
 learns to arrive early. For each seed K the script writes seed_K/policy.npz, which
