@@ -56,14 +56,14 @@ STUDIES = {
     ),
     "clocks": Study(
         3,
-        "logs.md",
+        "recordings.md",
         _words("--seed 0 --draws 200"),
         _words("--seed 0 --draws 20"),
         seeds="0",
     ),
     "contact_estimate": Study(
         10,
-        "contact-forces.md",
+        "objects.md",
         _words("--first 0 --robots 6 --free 60"),
         _words("--first 0 --robots 1 --free 10"),
         seeds="0 to 5",
@@ -84,14 +84,14 @@ STUDIES = {
     ),
     "followed_worlds": Study(
         10,
-        "following.md",
+        "course.md",
         _words("--first 0 --worlds 15"),
         _words("--first 0 --worlds 1 --robots gen2"),
         seeds="0 to 14",
     ),
     "following": Study(
         10,
-        "following.md",
+        "course.md",
         _words("--seeds 5"),
         _words("--seeds 1 --plants analytical"),
         seeds="0 to 4",
@@ -106,7 +106,7 @@ STUDIES = {
     "gains": Study(5, "module.md", reduced=_words("--quick"), seeds="1"),
     "gpu": Study(
         10,
-        "devices.md",
+        "live-method.md",
         _words("--device cpu --seconds 1 --stepped 0.05 --worlds 1 16"),
     ),
     "grasp": Study(
@@ -157,7 +157,7 @@ STUDIES = {
     ),
     "planning": Study(
         8,
-        "planning-results.md",
+        "planning.md",
         _words("--draws 5 --worlds 100 --maps 1"),
         seeds="0 to 4",
     ),
@@ -171,14 +171,14 @@ STUDIES = {
     ),
     "predicted_rows": Study(
         12,
-        "intervals.md",
+        "uncertainty.md",
         _words(f"--samples 3 --out {OUT}"),
         inputs=_words("scenarios/*.yaml"),
         seeds="0",
     ),
     "predictive": Study(
         12,
-        "intervals.md",
+        "uncertainty.md",
         _words(f"--robots 20 --few 4 --out {OUT}"),
         _words(f"--robots 4 --few 2 --out {OUT}"),
         seeds="2",
@@ -201,7 +201,7 @@ STUDIES = {
     ),
     "takes": Study(
         3,
-        "logs.md",
+        "recordings.md",
         _words("--seed 1000 --draws 200"),
         _words("--seed 1000 --draws 10"),
         seeds="1000",
@@ -212,7 +212,7 @@ STUDIES = {
         _words("serpenoid connection rate amplitude hu"),
         _words("hu"),
     ),
-    "transient": Study(3, "following.md"),
+    "transient": Study(3, "course.md"),
 }
 
 
