@@ -221,7 +221,7 @@ def test_wheels_of_a_placed_twin_roll_without_slip():
     twin = TwinSnake(spec, contact="preloaded")
     state = twin.reset(pose=(0.0, 0.0, 0.3))
     velocity = 0.2 * np.array([math.cos(0.3), math.sin(0.3)])
-    twin.place(replace(state, com_velocity=velocity))
+    twin.set_state(replace(state, com_velocity=velocity))
     model, data = twin.physics.model, twin.physics.data
     rates = [
         data.qvel[model.jnt_dofadr[joint]]
@@ -232,7 +232,7 @@ def test_wheels_of_a_placed_twin_roll_without_slip():
     assert rates == pytest.approx([0.2 / spec.geometry.wheel_radius] * len(rates))
     # Wheels do not turn while the body slides sideways.
     across = np.array([-velocity[1], velocity[0]])
-    twin.place(replace(state, com_velocity=across))
+    twin.set_state(replace(state, com_velocity=across))
     rates = [
         data.qvel[model.jnt_dofadr[joint]]
         for joint in range(model.njnt)

@@ -180,7 +180,7 @@ class Follower(Controller):
             "_commanded",
             "_tries",
             "_not_before",
-            "_running_up",
+            "_leading_in",
             "_requested",
             "_events",
         ),
