@@ -31,7 +31,7 @@ class StraightAhead(srs.Controller):
 
     def step(self, state: srs.SnakeState) -> np.ndarray:
         """Return the valve states of the next tick, shape (segments, 2)."""
-        self._sensed.append(float(np.mean(state.sensed)))
+        self._sensed.append(float(np.mean(state.measured_bend)))
         if len(self._sensed) == self._ticks_per_period:
             offset = self._gait.offset - self.gain * np.mean(self._sensed)
             self._gait.offset = float(np.clip(offset, -0.5, 0.5))
