@@ -381,9 +381,8 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
     for name in available:
         name_section, candidate = _split_name(name)
         closeness = _similarity(last, candidate)
-        if (
-            not section and name_section
-        ):  # the text may be the beginning of a dotted name
+        # The text may be the beginning of a dotted name.
+        if not section and name_section:
             closeness = max(closeness, _similarity(last, name.lower()))
         if closeness >= _MIN_SIMILARITY:
             similarity[name] = closeness + (

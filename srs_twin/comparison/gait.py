@@ -297,7 +297,7 @@ SPATIAL_MEANINGS = meanings_of("""
 travel_speed_m_s: speed of a spatial snake in any direction, mean over whole gait periods
 travel_direction_rad: direction of travel relative to the mean heading; positive to the left
 body_height_m: largest height of a connector of a spatial snake
-contact_fraction: mean share of connectors that press on the floor
+contact_fraction: mean fraction of connectors that press on the floor
 supports: mean number of separate parts of the body that press on the floor
 roll_turns: turns of the body about its axis over the whole run, mean over the connectors
 """)
@@ -307,7 +307,7 @@ SPATIAL_UNITS = units_of(SPATIAL_MEANINGS)
 SPATIAL_DIFFERENCE_MEANINGS = meanings_of("""
 travel_speed_rel: travel speed of the twin minus that of the analytical model, divided by the latter
 travel_direction_abs: magnitude of the difference of the directions of travel
-contact_agreement: share of samples in which a connector touches the floor on both plants or on neither
+contact_agreement: fraction of samples in which a connector touches the floor on both plants or on neither
 """)
 SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {
     "travel_direction_abs": "rad"

@@ -502,40 +502,43 @@ def _compared(
         return f"like the model ({both})"
     if near_zero or reference * value <= 0:
         return f"unlike the model ({both})"
-    share = value / reference - 1
-    if abs(share) < _SAME_RATIO:
+    relative = value / reference - 1
+    if abs(relative) < _SAME_RATIO:
         return f"like the model ({both})"
     causes = _causes(metrics, metric, part.get("end_s"))
-    why = _main_cause(causes, reference, share, alone="attribution" not in metrics)
-    direction = "slower" if share < 0 else "faster"
-    return f"{abs(100 * share):.0f} % {direction} than the model ({both}{why})"
+    why = _main_cause(causes, reference, relative, alone="attribution" not in metrics)
+    direction = "slower" if relative < 0 else "faster"
+    return f"{abs(100 * relative):.0f} % {direction} than the model ({both}{why})"
 
 
 def _main_cause(
-    causes: Sequence[tuple[str, float]], reference: float, share: float, *, alone: bool
+    causes: Sequence[tuple[str, float]],
+    reference: float,
+    relative: float,
+    *,
+    alone: bool,
 ) -> str:
     """Return a text with the main cause of a relative difference, in per cent.
 
     The text contains "would" if the effect was computed by switching only this cause.
     The text is empty if no cause acts in the direction of the difference.
     """
-    whole = round(100 * share)
+    whole = round(100 * relative)
     for name, change in causes:
         effect = round(100 * change / reference)
-        if effect * share <= 0 or abs(change / reference) <= _MIN_CAUSE_RATIO * abs(
-            share
-        ):
+        is_opposite = effect * relative <= 0
+        if is_opposite or abs(change / reference) <= _MIN_CAUSE_RATIO * abs(relative):
             continue
         rest = whole - effect
         verb = "alone would " if alone else ""
-        verb += "slow" if share < 0 else "speed"
+        verb += "slow" if relative < 0 else "speed"
         if not alone:
             verb += "s"
-        direction = "it" if share < 0 else "it up"
+        direction = "it" if relative < 0 else "it up"
         does = f"{verb} {direction} by {abs(effect)} %"
         if not rest:
             return f"; {name} {does}"
-        if rest * share > 0:
+        if rest * relative > 0:
             others = f"by another {abs(rest)} %"
         else:
             others = f"offset {abs(rest)} %"

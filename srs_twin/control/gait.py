@@ -84,7 +84,7 @@ class PitchWave:
     def __post_init__(self) -> None:
         if not 0 <= self.fraction <= 1:
             raise InputError(
-                f"pitch share {self.fraction!r} is not allowed; it must be 0 to 1"
+                f"pitch fraction {self.fraction!r} is not allowed; it must be 0 to 1"
             )
         if not math.isfinite(self.lag_rad):
             raise InputError(
@@ -194,7 +194,7 @@ class Gait(Controller):
         if pitch is not None and rest_fraction:
             raise InputError(
                 "rest_fraction is not allowed for a gait with a pitch wave, because the"
-                " pitch share sets how long the gait rests; remove rest_fraction"
+                " pitch fraction sets how long the gait rests; remove rest_fraction"
             )
         self.pitch = pitch
 

@@ -483,7 +483,7 @@ class SpatialCrawlTask(CrawlTask):
                 "1",
                 0.0,
                 1.0,
-                "share of the pitch wave in the sum of the amplitudes",
+                "fraction of the pitch wave in the sum of the amplitudes",
             ),
             Signal("pitch_lag_rad", "rad", -math.pi, math.pi, lag),
         )

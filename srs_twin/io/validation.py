@@ -141,9 +141,9 @@ def validate(
     try:
         file = model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
-        if _adopt_current_names(error, data):
-            return validate(model, document, data, prefix=prefix)
         schema = _schema_of(model)
+        if _adopt_current_names(error, schema, data):
+            return validate(model, document, data, prefix=prefix)
         elsewhere = getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
             # The path may not exist in the data, because a key is missing, or because a
@@ -173,7 +173,7 @@ def validate(
     return None
 
 
-def _adopt_current_names(error: ValidationError, data: Any) -> bool:
+def _adopt_current_names(error: ValidationError, schema: Schema, data: Any) -> bool:
     """Rename old keys and kinds in the data, warn, and return whether any existed."""
     adopted: dict[str, str] = {}
     for item in error.errors(include_url=False):
@@ -188,7 +188,8 @@ def _adopt_current_names(error: ValidationError, data: Any) -> bool:
                 block[key] = adopted[former] = current
         elif item["type"] == "extra_forbidden":
             current = RENAMED.get(str(key))
-            if current is not None and not has_child(block, current):
+            allowed = _allowed_keys(schema, tuple(parents), data)
+            if current in allowed and not has_child(block, current):
                 block[current] = block.pop(key)
                 adopted[str(key)] = current
     for former, current in adopted.items():

@@ -200,7 +200,7 @@ class IntervalCalibration:
     the predicted time. The scale s of each group of values is adapted until 95 % of the
     later estimates lie within the predicted intervals:
 
-    $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{share}\left[
+    $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{fraction}\left[
     (\hat x - x)^2 + \sigma_x^2 > 1.96^2 s^2 \hat\sigma^2\right] - 0.05\right) . $$
 
     Here r is the adaptation rate, x̂ the prediction with standard deviation σ̂, and x

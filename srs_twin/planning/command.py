@@ -91,8 +91,8 @@ def _print_plan(planned: ScenarioPlan) -> None:
     if quality is not None:
         print(
             f"length {result.length:.3f} m, {result.duration:.1f} s at the footprint's"
-            f" speeds, {_counted(len(result.segments), 'segment')}, kink"
-            f" {result.max_heading_jump:.3g} rad"
+            f" speeds, {_counted(len(result.segments), 'segment')}, maximum"
+            f" heading jump {result.max_heading_jump:.3g} rad"
         )
         if result.touches is None:
             edges = "the footprint and margin"

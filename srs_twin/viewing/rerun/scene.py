@@ -188,7 +188,7 @@ def send_snake(
     wheeled = spec.skin is None
     if ghost:
         connectors = wheels = (*style.rgb, _GHOST_ALPHA)
-        _send_hull(to, snake, geometry, connectors)
+        _send_body_mesh(to, snake, geometry, connectors)
     else:
         connectors = _CONNECTOR_COLOR
         wheels = _WHEEL_COLOR
@@ -277,7 +277,7 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
         to.send(name, rr.Capsules3D.columns(colors=_packed(colors[:, j])))
 
 
-def _send_hull(
+def _send_body_mesh(
     to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba
 ) -> None:
     """Log the body as one hexagonal tube, because overlapping capsules look opaque."""
@@ -301,10 +301,10 @@ def _send_hull(
     around = np.cos(angle) * left[:, :, None] + np.sin(angle) * up[:, :, None]
     vertices = (line[:, :, None] + radius * around).astype(np.float32)
     triangles = _tube_triangles(line.shape[1])
-    hull = rr.Mesh3D.from_fields(
+    mesh = rr.Mesh3D.from_fields(
         triangle_indices=triangles, albedo_factor=color, face_rendering="front"
     )
-    to.static("body", hull)
+    to.static("body", mesh)
     columns = rr.Mesh3D.columns(vertex_positions=vertices.reshape(-1, 3))
     to.send("body", columns, 6 * line.shape[1])
 
