@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import subprocess
@@ -185,6 +186,7 @@ def test_all_files_and_sources_of_a_run_are_in_its_key(name):
         if frame.f_code.co_name != "<module>":  # a package that is only passed through
             called.add(frame.f_code.co_filename)
 
+    gc.collect()  # finalisers of earlier tests would count as called functions
     sys.addaudithook(note)  # stays for good, deaf afterwards
     before = sys.getprofile()
     sys.setprofile(profile)
