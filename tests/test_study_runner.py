@@ -152,8 +152,8 @@ def test_failed_study_leaves_the_stored_result(checkout):
 
 
 def test_unknown_study_is_refused(checkout):
-    done = run(checkout, "exmaple")
-    assert done.returncode == 2 and "no such study: exmaple" in done.stderr
+    done = run(checkout, "missing_study")
+    assert done.returncode == 2 and "no such study: missing_study" in done.stderr
 
 
 def test_list_names_every_script():

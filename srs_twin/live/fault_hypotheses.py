@@ -13,7 +13,7 @@ import numpy as np
 
 from srs_twin.io.saved_state import Stateful
 
-STARVED = "low_supply_pressure"
+LOW_SUPPLY_PRESSURE = "low_supply_pressure"
 """Name of the fault that the supply pressure is too low."""
 
 
@@ -171,7 +171,7 @@ class FaultDecision(Stateful):
     @property
     def detected_faults(self) -> dict[int, str]:
         """Names of the detected faults, keyed by segment number or 0 for the supply."""
-        detected = {0: STARVED} if self.low_supply_pressure else {}
+        detected = {0: LOW_SUPPLY_PRESSURE} if self.low_supply_pressure else {}
         for j in np.flatnonzero(self.faulty) + 1:
             names = [NAMES[m] for m in self.pairs[j] if m >= 0]
             detected[int(j)] = " or ".join(names)

@@ -33,8 +33,8 @@ from srs_twin.live.fault_detector import FaultDetector
 from srs_twin.live.fault_hypotheses import (
     CHAMBERS,
     LEAK_RATES,
+    LOW_SUPPLY_PRESSURE,
     SENSORS,
-    STARVED,
     ChamberBehaviour,
     SensorBehaviour,
     valve_duty,
@@ -423,7 +423,7 @@ class Shadow:
                 probability = float(1 - sound[number - 1])
                 yield DetectedFault(f"segment {number}", name, probability)
             else:
-                yield DetectedFault("supply", STARVED, 1.0)
+                yield DetectedFault("supply", LOW_SUPPLY_PRESSURE, 1.0)
         for i in np.flatnonzero(self._lost_markers):
             yield DetectedFault(f"connector {i + 1}", "lost_marker", 1.0)
 

@@ -9,8 +9,9 @@ along and μ_lat N across the heading. The vector q̂ is the friction force of t
 previous step, divided by the friction limits. The friction force f is computed from an
 elastic trial value y:
 
-$$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_lat v_lat), \qquad
-   f = N\,(\mu_t y_t, \mu_lat y_lat)\,/\,\max(1, |y|), \qquad \mu = \min(\mu_t, \mu_lat) . $$
+$$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_\mathrm{lat} v_\mathrm{lat}), \qquad
+   f = N\,(\mu_t y_t, \mu_\mathrm{lat} y_\mathrm{lat})\,/\,\max(1, |y|), \qquad
+   \mu = \min(\mu_t, \mu_\mathrm{lat}) . $$
 
 For |y| ≤ 1 the contact sticks. The change of the force is then proportional to the
 velocity, and the force is constant at rest. For |y| > 1 the contact slides with the
