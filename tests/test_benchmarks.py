@@ -99,7 +99,7 @@ def test_speed_benchmark_compares_equal_motions_and_hides_private_names(tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 def test_twins_stepped_together_equal_single_twins_to_the_bit(threads):
-    done = run_benchmark("common/twin_batch.py", "--workers", str(threads))
+    done = run_benchmark("common/twin_batch.py", "--threads", str(threads))
     assert done.returncode == 0, done.stdout + done.stderr
 
 

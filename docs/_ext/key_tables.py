@@ -147,7 +147,8 @@ class KeyTables:
         if "unit" in schema:
             return str(schema["title"])
         block = self.root["$defs"].get(schema.get("$ref", "").rpartition("/")[2], {})
-        return str(schema.get("description") or block.get("description", ""))
+        summary, _, _ = block.get("description", "").partition("\n\n")
+        return str(schema.get("description") or " ".join(summary.split()))
 
     def _unit(self, schema: Schema) -> str:
         for option, _ in self._options(schema):
