@@ -68,8 +68,13 @@ def copied_to(folder: Path) -> Path:
     return folder
 
 
-def first_failure(copy: Path, words: list[str], cpu_s: int = 1800) -> str | None:
-    """Run pytest in a copy until the first failure; return the failed test, or None if all pass.
+def first_failure(copy: Path, words: list[str]) -> str | None:
+    """Run pytest in a copy until the first failure; return the failed test, or None if all pass."""
+    return next(iter(failures(copy, ["-x", *words])), None)
+
+
+def failures(copy: Path, words: list[str], cpu_s: int = 1800) -> list[str]:
+    """Run pytest in a copy and return the failed tests.
 
     Args:
         copy: folder of the copy, which also keeps the compiled kernels.
@@ -77,13 +82,12 @@ def first_failure(copy: Path, words: list[str], cpu_s: int = 1800) -> str | None
         cpu_s: limit on the processor time of one process, s.
 
     Returns:
-        Name of the test, or a message if pytest itself failed.
+        Names of the tests, or one message if pytest itself failed.
     """
     pytest = [
         sys.executable,
         "-m",
         "pytest",
-        "-x",
         "-q",
         "-rfE",
         "-p",
@@ -105,15 +109,15 @@ def first_failure(copy: Path, words: list[str], cpu_s: int = 1800) -> str | None
         check=False,
     )
     if done.returncode == 0:
-        return None
+        return []
     lines = [
         line
         for line in done.stdout.splitlines()
         if line.startswith(("FAILED", "ERROR"))
     ]
     if lines:
-        return lines[0].split(" ", 1)[1].partition(" - ")[0]
-    return f"pytest ended with {done.returncode}"
+        return [line.split(" ", 1)[1].partition(" - ")[0] for line in lines]
+    return [f"pytest ended with {done.returncode}"]
 
 
 if __name__ == "__main__":

@@ -5,6 +5,15 @@ line, a kind of mutation and a mutation. Each mutant is put into a copy of the s
 The nearest tests run first, then the rest of the default run. A mutant survives if all
 of them pass. Mutants in equivalent_mutants.yaml change no result, for the reason given
 there, and are skipped.
+
+With a file of coverage contexts, the tests that execute the mutated line run instead of
+the nearest ones, and the survivors run together in one default run at the end:
+
+    uv run --with pytest-cov pytest --cov=srs_twin --cov-context=test --cov-report=
+    uv run --with coverage python tools/mutants.py --seed 7 --contexts .coverage
+
+Compiled kernels are not traced, so their lines have no contexts. Mutants there run the
+nearest tests.
 """
 
 from __future__ import annotations
@@ -18,17 +27,21 @@ import random
 import re
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import yaml
-from faults import ROOT, copied_to, first_failure
+from faults import ROOT, copied_to, failures, first_failure
 from mutations import Mutation, changes_program, code_lines, mutations
 
 _NEAREST = 6
 """Number of nearest test files that run before the whole default run."""
+
+_MOST = 150
+"""Maximum number of tests by contexts; a line of a common path is executed by thousands."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +76,11 @@ def main() -> None:
         "--nearest", action="store_true", help="try the nearest test files only"
     )
     parser.add_argument(
+        "--contexts",
+        type=Path,
+        help="coverage file with the tests that execute each line",
+    )
+    parser.add_argument(
         "--jobs", type=int, default=1, help="number of parallel mutants"
     )
     parser.add_argument(
@@ -80,9 +98,15 @@ def main() -> None:
         return
     tried = [item for item in mutants if not why_equivalent(item[1])]
     with tempfile.TemporaryDirectory() as temporary:
-        result = try_all(
-            tried, chosen.folder or Path(temporary), chosen.jobs, chosen.nearest
-        )
+        folder = chosen.folder or Path(temporary)
+        if chosen.contexts:
+            executed = tests_by_mutant(dict(tried), chosen.contexts)
+        else:
+            executed = None
+        result = try_all(tried, folder, chosen.jobs, chosen.nearest, executed)
+        if executed is not None and not chosen.nearest:
+            survivors = [item for item in tried if result[item[0]] is None]
+            result |= try_together(survivors, folder) if survivors else {}
     if chosen.json:
         rows = [
             {"number": number, "file": mutant.file, **asdict(mutant.mutation)}
@@ -90,13 +114,13 @@ def main() -> None:
             for number, mutant in mutants
         ]
         chosen.json.write_text(json.dumps(rows, indent=1, ensure_ascii=False), "utf-8")
-    survivors = [str(mutant) for number, mutant in tried if result[number] is None]
+    left = [str(mutant) for number, mutant in tried if result[number] is None]
     print(
-        f"{len(tried) - len(survivors)} of {len(tried)} mutants found,"
+        f"{len(tried) - len(left)} of {len(tried)} mutants found,"
         f" {len(mutants) - len(tried)} equivalent"
     )
-    print("Survivors:", *(survivors or ["none"]), sep="\n  ")
-    sys.exit(bool(survivors))
+    print("Survivors:", *(left or ["none"]), sep="\n  ")
+    sys.exit(bool(left))
 
 
 def draw(seed: int, count: int) -> Iterator[Mutant]:
@@ -153,8 +177,75 @@ def why_equivalent(mutant: Mutant) -> str | None:
     return None
 
 
+def tests_by_mutant(mutants: dict[int, Mutant], contexts: Path) -> dict[int, list[str]]:
+    """Return the tests that execute the line of each mutant, fewest lines of the file first.
+
+    Args:
+        mutants: mutants by their number.
+        contexts: coverage file that was recorded with one context per test.
+    """
+    from coverage import CoverageData
+
+    data = CoverageData(str(contexts))
+    data.read()
+    measured = {Path(name).as_posix(): name for name in data.measured_files()}
+    tests = {}
+    for number, mutant in mutants.items():
+        name = next(
+            (name for path, name in measured.items() if path.endswith(mutant.file)), ""
+        )
+        by_line = data.contexts_by_lineno(name) if name else {}
+        lines = Counter(
+            context.partition("|")[0]
+            for line_contexts in by_line.values()
+            for context in line_contexts
+        )
+        here = {
+            context.partition("|")[0]
+            for context in by_line.get(mutant.mutation.line, ())
+            if context
+        }
+        tests[number] = sorted(here, key=lambda test: (lines[test], test))
+    return tests
+
+
+def try_together(
+    survivors: list[tuple[int, Mutant]], folder: Path
+) -> dict[int, str | None]:
+    """Run the default suite once on all survivors together.
+
+    The tests that fail then run on each survivor alone.
+
+    Returns:
+        The first failing test of each survivor, by its number.
+    """
+    copy = copied_to(folder / "together")
+    changes: dict[str, list[Mutation]] = {}
+    for _, mutant in survivors:
+        changes.setdefault(mutant.file, []).append(mutant.mutation)
+    for file, of_file in changes.items():
+        text = text_of(file)
+        # From the end, so that positions of the earlier mutations stay valid.
+        for mutation in sorted(of_file, key=lambda item: item.line, reverse=True):
+            text = mutation.applied(text)
+        (copy / file).write_text(text, "utf-8")
+    failed = failures(copy, [])
+    print(f"default run with {len(survivors)} survivors together:", *failed, sep="\n  ")
+    if not failed:
+        return {}
+    alone = copied_to(folder / "copy0")
+    return {
+        number: first_failing(mutant, alone, True, failed)
+        for number, mutant in survivors
+    }
+
+
 def try_all(
-    mutants: list[tuple[int, Mutant]], folder: Path, jobs: int, nearest: bool
+    mutants: list[tuple[int, Mutant]],
+    folder: Path,
+    jobs: int,
+    nearest: bool,
+    executed: dict[int, list[str]] | None,
 ) -> dict[int, str | None]:
     """Return the first failing test of each mutant, by its number; None for survivors."""
     copies: queue.SimpleQueue[Path] = queue.SimpleQueue()
@@ -164,7 +255,10 @@ def try_all(
     def tried(numbered: tuple[int, Mutant]) -> tuple[int, str | None]:
         copy = copies.get()
         try:
-            failed = first_failing(numbered[1], copy, nearest)
+            tests = executed[numbered[0]] if executed is not None else []
+            failed = first_failing(
+                numbered[1], copy, nearest or executed is not None, tests
+            )
         finally:
             copies.put(copy)
         print(f"{numbered[0]:3} {numbered[1]}: {failed or 'SURVIVED'}", flush=True)
@@ -174,13 +268,25 @@ def try_all(
         return dict(pool.map(tried, mutants))
 
 
-def first_failing(mutant: Mutant, copy: Path, nearest: bool) -> str | None:
-    """Return the first test that fails with a mutant; None if it survives."""
+def first_failing(
+    mutant: Mutant, copy: Path, nearest: bool, executed: list[str]
+) -> str | None:
+    """Return the first test that fails with a mutant; None if it survives.
+
+    Args:
+        mutant: mutant to try.
+        copy: folder of the copy.
+        nearest: whether only the nearest test files run.
+        executed: tests that execute the line and replace the nearest ones; empty if
+            they are unknown.
+    """
     source = copy / mutant.file
     text = text_of(mutant.file)
     files = test_files(mutant)
     source.write_text(mutant.mutation.applied(text), "utf-8")
     try:
+        if executed:
+            return first_failure(copy, ["-n", "0", *executed[:_MOST]])
         failed = first_failure(copy, ["-n", "0", *files[:_NEAREST]])
         if failed is None and not nearest:
             failed = first_failure(copy, ["-n", "1", *files[_NEAREST:]])
