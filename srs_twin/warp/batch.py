@@ -23,7 +23,7 @@ from srs_twin.plants.twin.mjcf.numerics import LoadedContact
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics import Schedule
 from srs_twin.pneumatics.lag import LagPneumatics
-from srs_twin.warp.engine import DeviceEngine
+from srs_twin.warp.engine import DeviceEngine, allocated_bytes
 from srs_twin.warp.kernels import GaitWave
 
 _INITIAL_LIFT = 1e-8
@@ -38,6 +38,14 @@ _MAX_START_DISTANCE = 16.0
 Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 1 µm at 16 m. A snake
 with 0.1 m/s travels 0.1 mm per step of 1 ms, so the rounding error at 16 m is 1 % of
 the motion.
+"""
+
+_MEMORY_FRACTION = 0.5
+"""Fraction of the free memory that the worlds of one batch may take."""
+
+_TWIN_BYTES = 3_000_000
+"""Memory of a twin on the CPU, which each distinct robot needs. 50 twins of
+generation 2 took 2.8 MB each.
 """
 
 
@@ -123,6 +131,32 @@ class WarpBatch(Claimable):
     def accelerated() -> bool:
         """Return whether there is a GPU."""
         return bool(wp.get_preferred_device().is_cuda)
+
+    @staticmethod
+    def max_worlds(twin: TwinSnake, samples: int, device: str | None = None) -> int:
+        """Return how many worlds like that of a twin fit into half of the free memory.
+
+        The memory of the device limits the states. The memory of the CPU limits the
+        twins and the recorded trajectories.
+
+        Args:
+            twin: twin with the robot and the settings of the worlds.
+            samples: number of recorded samples per run.
+            device: device name, as in `WarpBatch`.
+        """
+        place = wp.get_device(device)
+        engine = DeviceEngine([twin], np.zeros(1, dtype=int), place, False)
+        state_bytes = allocated_bytes(engine.data)
+        state = twin.reset()
+        values = sum(np.size(getattr(state, item.name)) for item in fields(state))
+        # A trajectory exists twice while its samples are joined.
+        run_bytes = _TWIN_BYTES + 2 * samples * values * np.dtype(float).itemsize
+        if place.is_cpu:
+            run_bytes += state_bytes
+        fits = int(_MEMORY_FRACTION * wp.get_device("cpu").free_memory / run_bytes)
+        if place.is_cuda:
+            fits = min(fits, int(_MEMORY_FRACTION * place.free_memory / state_bytes))
+        return max(1, fits)
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
         """Reject copying, because the states are on the device.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import mujoco
@@ -369,6 +370,18 @@ class DeviceEngine:
             losses = self._energy_loss, self._internal_loss
             self._start(self._kernels.observe, *records, *losses, out)
         return out
+
+
+def allocated_bytes(data: Any) -> int:
+    """Return the device memory of MuJoCo Warp's data, including its nested records."""
+    total = 0
+    for item in fields(data):
+        value = getattr(data, item.name)
+        if isinstance(value, wp.array):
+            total += value.capacity
+        elif is_dataclass(value):
+            total += allocated_bytes(value)
+    return total
 
 
 def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None:

@@ -429,10 +429,7 @@ def test_copying_a_warp_batch_raises(copy_of):
         copy_of(object.__new__(WarpBatch))
 
 
-@pytest.mark.parametrize("batch_size", [2, 1024])
-def test_unsupported_sweep_points_run_once_on_the_cpu(
-    tmp_path, monkeypatch, batch_size
-):
+def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch):
     def refuse(twin: TwinSnake) -> None:
         raise InputError("it cannot")
 
@@ -442,11 +439,7 @@ def test_unsupported_sweep_points_run_once_on_the_cpu(
         )
 
     kind = SimpleNamespace(accelerated=lambda: True, check=refuse)
-    for name, value in {
-        "warp_batch": lambda: kind,
-        "local": here,
-        "BATCH_SIZE": batch_size,
-    }.items():
+    for name, value in {"warp_batch": lambda: kind, "local": here}.items():
         monkeypatch.setattr(f"srs_twin.studies.sweep.execution.{name}", value)
     (tmp_path / "s.yaml").write_text(
         SWEEP.replace("[2.0, 2.5]", "[2.0]").replace("[lag, orifice]", "[lag]")
@@ -460,6 +453,48 @@ def test_unsupported_sweep_points_run_once_on_the_cpu(
     assert [(row.number, row.result) for row in rows] == [
         (k, {"seed": k}) for k in range(5)
     ]
+
+
+@pytest.mark.parametrize("max_worlds", [1, 2, 100])
+def test_sweep_batches_fit_into_memory_and_share_twins(
+    tmp_path, monkeypatch, max_worlds
+):
+    batches = []
+
+    class Batch:
+        accelerated = staticmethod(lambda: True)
+        check = staticmethod(lambda twin: None)
+        max_worlds = staticmethod(lambda *_: max_worlds_of_device)
+
+        def __init__(self, twins, device):
+            batches.append(twins)
+
+    max_worlds_of_device = max_worlds
+    module = "srs_twin.studies.sweep.execution"
+    monkeypatch.setattr(f"{module}.warp_batch", lambda: Batch)
+    monkeypatch.setattr(f"{module}.run_scripts", lambda batch, *_, **__: batches[-1])
+    monkeypatch.setattr(f"{module}.run_point", lambda _, point, runs: runs["twin"])
+    sweep = SWEEP.replace("pneumatics.kind", "robot")
+    (tmp_path / "s.yaml").write_text(sweep.replace("[lag, orifice]", "[gen2, gen3]"))
+    found = load_sweep(tmp_path / "s.yaml")
+    rows = list(on_device(None, 1)(found.experiment, found.points))
+    assert [row.number for row in rows] == [0, 1, 2, 3]
+    assert max(map(len, batches)) == min(max_worlds, 4)
+    for row, point in zip(rows, found.points, strict=True):
+        assert row.result.spec.name == point.changes["robot"]
+    if max_worlds == 100:
+        assert len(set(map(id, batches[0]))) == 2
+
+
+def test_number_of_worlds_follows_from_the_free_memory(monkeypatch):
+    from srs_twin.warp.batch import WarpBatch
+
+    twin = TwinSnake(GEN2)
+    free = wp.get_device("cpu").free_memory
+    short = WarpBatch.max_worlds(twin, 1, "cpu")
+    assert WarpBatch.max_worlds(twin, 100_000, "cpu") < short / 10
+    # The twin alone takes 3 MB of half of the free memory.
+    assert 1 < short < free / 2 / 3e6 * 1.5
 
 
 def test_sweep_without_gpu_warns_and_runs_on_the_cpu(monkeypatch):

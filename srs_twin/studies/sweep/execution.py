@@ -459,10 +459,8 @@ def _value_text(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-BATCH_SIZE = 1024
-"""Maximum number of worlds in one batch. Each distinct robot is compiled on the CPU
-and kept in memory until its run ends.
-"""
+_RUN_KEYS = ("title", "name", "duration_s", "seed", "record_hz", "controller", "start")
+"""Keys of a scenario that do not change its twin."""
 
 
 class _TwinPoint(NamedTuple):
@@ -493,7 +491,7 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
         experiment: Experiment, points: Sequence[Point]
     ) -> Iterator[TaskResult[Row]]:
         unsupported: dict[int, str] = {}
-        for group in _batches(batch_class, experiment, points, unsupported):
+        for group in _batches(batch_class, device, experiment, points, unsupported):
             numbers = [each.number for each in group]
             try:
                 trajectories = _run(batch_class, device, group)
@@ -518,23 +516,47 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
 
 def _batches(
     batch_class: Any,
+    device: str | None,
     experiment: Experiment,
     points: Sequence[Point],
     unsupported: dict[int, str],
 ) -> Iterator[list[_TwinPoint]]:
-    """Yield groups of twins for one batch, and record which points are unsupported."""
-    for first in range(0, len(points), BATCH_SIZE):
-        groups: dict[object, list[_TwinPoint]] = defaultdict(list)
-        for number in range(first, min(first + BATCH_SIZE, len(points))):
-            try:
-                scenario = parse_scenario(experiment.document(points[number].changes))
-                twin = scenario.build_plant("twin")
-                batch_class.check(twin)
-                key = _group_key(experiment, scenario)
-                groups[key].append(_TwinPoint(number, scenario, twin))
-            except SrsError as error:
-                unsupported[number] = str(error)
-        yield from groups.values()
+    """Yield groups of twins for one batch, and record which points are unsupported.
+
+    A group has as many points as fit into memory. Points with equal robots and worlds
+    share one twin.
+    """
+    groups: dict[object, list[_TwinPoint]] = defaultdict(list)
+    most: dict[object, int] = {}
+    twins: dict[str, Plant] = {}
+    for number, point in enumerate(points):
+        try:
+            scenario = parse_scenario(experiment.document(point.changes))
+            key = _group_key(experiment, scenario)
+            twin = _shared_twin(scenario, twins)
+            batch_class.check(twin)
+        except SrsError as error:
+            unsupported[number] = str(error)
+            continue
+        if key not in most:
+            samples = round(scenario.duration * scenario.record_hz) + 1
+            most[key] = batch_class.max_worlds(twin, samples, device)
+        groups[key].append(_TwinPoint(number, scenario, twin))
+        if len(groups[key]) == most[key]:
+            yield groups.pop(key)
+            twins.clear()
+    yield from groups.values()
+
+
+def _shared_twin(scenario: Scenario, twins: dict[str, Plant]) -> Plant:
+    """Return the twin of a scenario; equal robots and worlds have one twin in `twins`."""
+    relevant = {
+        key: value for key, value in scenario.document.items() if key not in _RUN_KEYS
+    }
+    key = json.dumps([relevant, scenario.file.tick("twin")], sort_keys=True)
+    if key not in twins:
+        twins[key] = scenario.build_plant("twin")
+    return twins[key]
 
 
 def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]:
