@@ -59,6 +59,70 @@ def centre_lines(
     return line + weight * (rear[:, :, None] - end)
 
 
+def line_height(geometry: Geometry) -> float:
+    """Return the height of the centre line in pictures, m.
+
+    The height is at least half the width, so that the body does not penetrate the
+    floor.
+    """
+    return max(geometry.com_height, geometry.width / 2)
+
+
+def connector_places(trajectory: Trajectory, geometry: Geometry) -> Array:
+    """Return the centres of the connectors in pictures, shape (samples, N, 3), m."""
+    height = np.full_like(trajectory.stack("x"), line_height(geometry))
+    if trajectory.has("z"):
+        height = trajectory.stack("z") + (line_height(geometry) - geometry.com_height)
+    return np.concatenate([trajectory.position, height[..., None]], axis=-1)
+
+
+def connector_orientations(trajectory: Trajectory) -> Array:
+    """Return the quaternions x, y, z, w of the connectors, shape (samples, N, 4)."""
+    if trajectory.has("quaternion_w"):
+        parts = [trajectory.stack(f"quaternion_{axis}") for axis in "xyzw"]
+        return np.stack(parts, axis=-1)
+    half = trajectory.stack("connector_heading") / 2
+    zero = np.zeros_like(half)
+    return np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1)
+
+
+def spatial_centre_lines(
+    trajectory: Trajectory, geometry: Geometry, divisions: int
+) -> Array:
+    """Return the centre line of every segment in space.
+
+    The centre lines of a spatial snake are cubic curves between the connectors. At each
+    end, the curve is tangent to the axis of the connector.
+
+    Args:
+        trajectory: recorded connector poses.
+        geometry: robot geometry.
+        divisions: number of chords per arc.
+
+    Returns:
+        Centre lines, shape (samples, segments, divisions + 3, 3), m.
+    """
+    if not trajectory.has("z"):
+        flat = centre_lines(trajectory, geometry, divisions)
+        height = np.full_like(flat[..., :1], line_height(geometry))
+        return np.concatenate([flat, height], axis=-1)
+    place = connector_places(trajectory, geometry)
+    x, y, z, w = np.moveaxis(connector_orientations(trajectory), -1, 0)
+    axis = np.stack(
+        [1 - 2 * (y**2 + z**2), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1
+    )
+    t = np.linspace(0.0, 1.0, divisions + 3)[:, None]
+    front = place[:, :-1, None]
+    rear = place[:, 1:, None]
+    tangents = -geometry.pitch * axis
+    blend = t**2 * (3 - 2 * t)
+    curve = (
+        t * (1 - t) ** 2 * tangents[:, :-1, None]
+        + t**2 * (t - 1) * tangents[:, 1:, None]
+    )
+    return front + blend * (rear - front) + curve
+
+
 def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -> Array:
     """Return points on both sides of the body, shape (samples, points, 2), m."""
     theta = trajectory.stack("connector_heading")

@@ -23,6 +23,7 @@ from srs_twin.errors import InputError, UnknownNameError
 if TYPE_CHECKING:
     from srs_twin.recordings.inspection import Scene
     from srs_twin.recordings.takes import RecordingReader
+    from srs_twin.robot.spec import Geometry
     from srs_twin.trajectory import Trajectory
 
 
@@ -310,11 +311,13 @@ def export(
                 f"{display_path(target)} already exists; --overwrite replaces it"
             )
     check_output_folder(path.parent, tuple(target.name for target in targets))
-    _write(path, runs, first)
+    _write(path, runs, first, finished.scenario.robot.geometry)
     say(f"wrote {', '.join(map(display_path, targets))}", quiet=quiet)
 
 
-def _write(path: Path, runs: Mapping[str, Trajectory], first: str) -> None:
+def _write(
+    path: Path, runs: Mapping[str, Trajectory], first: str, geometry: Geometry
+) -> None:
     from srs_twin.io.documents import dump_yaml
     from srs_twin.io.files import write_text
     from srs_twin.recordings import export as exporting
@@ -325,7 +328,7 @@ def _write(path: Path, runs: Mapping[str, Trajectory], first: str) -> None:
     if path.suffix == ".npz":
         exporting.write_npz(path, runs[first])
         return
-    exporting.write_mcap(path, runs)
+    exporting.write_mcap(path, runs, geometry)
     recording_map = exporting.recording_map(first, runs[first])
     write_text(path.with_suffix(MAP_SUFFIX), dump_yaml(recording_map))
     layout = json.dumps(exporting.foxglove_layout(runs), indent=2)

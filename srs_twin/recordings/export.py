@@ -5,7 +5,10 @@ The topics of a plant, for example ``twin``, are:
 - ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): pose of each connector.
 - ``/twin/com/pose`` (geometry_msgs/PoseStamped): pose of the centre of mass.
 - ``/tf``: transforms from ``world`` to ``twin/connector_1`` etc.
-- ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left.
+- ``/twin/body`` (visualization_msgs/MarkerArray): connectors, centre line of the soft
+  segments, and the name of the plant. Foxglove and RViz draw these shapes.
+- ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left, and their
+  rates, rad/s.
 - ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute chamber pressure, Pa.
 - ``/twin/valves`` (std_msgs/Int8MultiArray): valve states of the + and − chamber of
   each segment.
@@ -17,16 +20,22 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
-from itertools import takewhile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
+from srs_twin.comparison.centre_line import (
+    connector_orientations,
+    connector_places,
+    spatial_centre_lines,
+)
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
 from srs_twin.pneumatics.chambers import AMBIENT_PA
+from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -37,6 +46,12 @@ WORLD = "world"
 
 _NS = 1_000_000_000
 _SIDES = ("plus", "minus")
+
+_CHORDS = 6
+"""Number of straight parts that draw the arc of a segment."""
+
+_COLORS = {"twin": (0.0, 0.45, 0.70), "analytical": (0.84, 0.37, 0.0)}
+_OTHER_COLOR = (0.35, 0.35, 0.35)
 
 
 def write_csv(path: Path, run: Trajectory) -> None:
@@ -66,10 +81,15 @@ def write_npz(path: Path, run: Trajectory) -> None:
         )
 
 
-def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
+def write_mcap(path: Path, runs: Mapping[str, Trajectory], geometry: Geometry) -> None:
     """Write the trajectories of plants as ROS 2 messages in an MCAP file.
 
     An existing file is replaced.
+
+    Args:
+        path: name of the file.
+        runs: trajectory of each plant, keyed by name.
+        geometry: dimensions of the body, which the markers show.
     """
     try:
         from mcap.writer import Writer
@@ -85,7 +105,7 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory]) -> None:
     with atomic_write(path) as part, part.open("wb") as file:
         writer = Writer(file)
         writer.start(profile="ros2", library="srs-twin")
-        for topic, kind, time, message in _messages(runs, store):
+        for topic, kind, time, message in _messages(runs, geometry, store):
             if kind not in schemas:
                 text, _ = store.generate_msgdef(kind, ros_version=2)
                 schemas[kind] = writer.register_schema(kind, "ros2msg", text.encode())
@@ -135,6 +155,7 @@ def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
             "3D!snakes": {
                 "followTf": WORLD,
                 "scene": {"transforms": {"axisScale": 0.05}},
+                "topics": {f"/{plant}/body": {"visible": True} for plant in runs},
             },
             "Plot!bends": {"title": "Bends, rad", "paths": bends},
             "Plot!pressures": {
@@ -156,15 +177,67 @@ def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
     }
 
 
-class _Sample(NamedTuple):
-    plant: str
-    values: Mapping[str, float]
-    header: object
-    make: Mapping[str, Callable[..., object]]
+@dataclass(frozen=True)
+class _Motion:
+    """Motion of one plant, prepared for messages.
 
-    def numbered(self, name: str) -> list[float]:
-        keys = (f"{name}_{j}" for j in range(1, len(self.values)))
-        return [self.values[key] for key in takewhile(self.values.__contains__, keys)]
+    Attributes:
+        positions: positions of the connectors, shape (samples, N, 3), m. The height of
+            a planar robot is 0.
+        drawn: positions of the connectors in pictures, above the floor, equal shape, m.
+        rotations: quaternions x, y, z, w of the connectors, shape (samples, N, 4).
+        line: centre line of the body, shape (samples, points, 3), m.
+        rates: rates of the bends, shape (samples, segments), rad/s.
+    """
+
+    plant: str
+    run: Trajectory
+    geometry: Geometry
+    positions: np.ndarray
+    drawn: np.ndarray
+    rotations: np.ndarray
+    line: np.ndarray
+    rates: np.ndarray
+
+    @classmethod
+    def of(cls, plant: str, run: Trajectory, geometry: Geometry) -> Self:
+        lines = spatial_centre_lines(run, geometry, _CHORDS)
+        bends = run.stack("bend")
+        rates = np.zeros_like(bends)
+        if len(run) > 1:
+            rates = np.gradient(bends, run.time, axis=0)
+        height = np.zeros_like(run.stack("x"))
+        if run.has("z"):
+            height = run.stack("z")
+        return cls(
+            plant,
+            run,
+            geometry,
+            np.concatenate([run.position, height[..., None]], axis=-1),
+            connector_places(run, geometry),
+            connector_orientations(run),
+            lines.reshape(len(lines), -1, 3),
+            rates,
+        )
+
+
+class _Sample(NamedTuple):
+    motion: _Motion
+    row: int
+    header: object
+    make: Mapping[str, Any]
+
+    def stack(self, name: str) -> np.ndarray:
+        """Return the values of the columns `name_1`, `name_2` and so on."""
+        if not self.motion.run.has(name):
+            return np.zeros(0)
+        values: np.ndarray = self.motion.run.stack(name)[self.row]
+        return values
+
+    def pose(self, place: np.ndarray, rotation: np.ndarray) -> Any:
+        point = self.make["Point"](*map(float, place))
+        turn = self.make["Quaternion"](*map(float, rotation))
+        return self.make["Pose"](position=point, orientation=turn)
 
 
 class _Message(NamedTuple):
@@ -174,78 +247,141 @@ class _Message(NamedTuple):
 
 
 def _messages(
-    runs: Mapping[str, Trajectory], store: Typestore
+    runs: Mapping[str, Trajectory], geometry: Geometry, store: Typestore
 ) -> Iterator[tuple[str, str, int, object]]:
     make = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
+    motions = {plant: _Motion.of(plant, run, geometry) for plant, run in runs.items()}
     times = sorted(
-        (round(time * _NS), plant, k)
+        (round(time * _NS), plant, row)
         for plant, run in runs.items()
-        for k, time in enumerate(run.time)
+        for row, time in enumerate(run.time)
     )
-    for time, plant, k in times:
-        values = {name: float(own[k]) for name, own in runs[plant].columns.items()}
+    for time, plant, row in times:
         stamp = make["Time"](sec=time // _NS, nanosec=time % _NS)
         header = make["Header"](stamp=stamp, frame_id=WORLD)
-        sample = _Sample(plant, values, header, make)
-        for message in (*_pose_messages(sample), *_segment_messages(sample)):
-            topic = message.topic
-            if topic != "/tf":
-                topic = f"/{plant}/{topic}"
-            yield topic, message.kind, time, message.content
+        sample = _Sample(motions[plant], row, header, make)
+        for messages in (_pose_messages, _body_messages, _segment_messages):
+            for message in messages(sample):
+                topic = message.topic
+                if topic != "/tf":
+                    topic = f"/{plant}/{topic}"
+                yield topic, message.kind, time, message.content
 
 
 def _pose_messages(sample: _Sample) -> Iterator[_Message]:
-    _, values, header, make = sample
-    poses = zip(
-        sample.numbered("x"),
-        sample.numbered("y"),
-        sample.numbered("connector_heading"),
-        strict=True,
-    )
+    motion, row, header, make = sample
+    poses = zip(motion.positions[row], motion.rotations[row], strict=True)
     bodies = {f"connector_{i}": pose for i, pose in enumerate(poses, start=1)}
-    bodies["com"] = (values["com_x"], values["com_y"], values["heading"])
+    heading = motion.run["heading"][row] / 2
+    com = np.array([*motion.run.com[row], motion.positions[row, :, 2].mean()])
+    bodies["com"] = com, np.array([0.0, 0.0, math.sin(heading), math.cos(heading)])
     transforms = []
-    for name, (x, y, angle) in bodies.items():
-        turn = make["Quaternion"](
-            x=0.0, y=0.0, z=math.sin(angle / 2), w=math.cos(angle / 2)
-        )
-        pose = make["Pose"](position=make["Point"](x=x, y=y, z=0.0), orientation=turn)
+    for name, (place, rotation) in bodies.items():
+        pose = sample.pose(place, rotation)
         stamped = make["PoseStamped"](header=header, pose=pose)
         yield _Message(f"{name}/pose", "geometry_msgs/msg/PoseStamped", stamped)
-        place = make["Vector3"](x=x, y=y, z=0.0)
+        translation = make["Vector3"](*map(float, place))
         transforms.append(
             make["TransformStamped"](
                 header=header,
-                child_frame_id=f"{sample.plant}/{name}",
-                transform=make["Transform"](translation=place, rotation=turn),
+                child_frame_id=f"{motion.plant}/{name}",
+                transform=make["Transform"](translation, pose.orientation),
             )
         )
     message = make["TFMessage"](transforms=transforms)
     yield _Message("/tf", "tf2_msgs/msg/TFMessage", message)
 
 
+def _body_messages(sample: _Sample) -> Iterator[_Message]:
+    motion, row, _, make = sample
+    geometry = motion.geometry
+    level = np.array([0.0, 0.0, 0.0, 1.0])
+    shapes = make["Marker"]
+    line = [make["Point"](*map(float, point)) for point in motion.line[row]]
+    markers = [
+        _marker(sample, 0, shapes.LINE_STRIP, (geometry.width, 0.0, 0.0), points=line)
+    ]
+    size = (geometry.rigid_gap / 2, 2 * geometry.half_track, geometry.width)
+    poses = zip(motion.drawn[row], motion.rotations[row], strict=True)
+    for i, (place, rotation) in enumerate(poses, start=1):
+        pose = sample.pose(place, rotation)
+        markers.append(_marker(sample, i, shapes.CUBE, size, pose=pose))
+    above = motion.drawn[row, 0] + np.array([0.0, 0.0, 2 * geometry.width])
+    markers.append(
+        _marker(
+            sample,
+            len(markers),
+            shapes.TEXT_VIEW_FACING,
+            (0.0, 0.0, geometry.width),
+            pose=sample.pose(above, level),
+            text=motion.plant,
+        )
+    )
+    yield _Message(
+        "body",
+        "visualization_msgs/msg/MarkerArray",
+        make["MarkerArray"](markers=markers),
+    )
+
+
+def _marker(
+    sample: _Sample, number: int, shape: int, size: Sequence[float], **content: Any
+) -> Any:
+    """Return a marker in the frame `world` that keeps its defaults but for `content`."""
+    make = sample.make
+    no_time = make["Duration"](sec=0, nanosec=0)
+    no_stamp = make["Time"](sec=0, nanosec=0)
+    no_image = make["CompressedImage"](
+        header=make["Header"](stamp=no_stamp, frame_id=""),
+        format="",
+        data=np.zeros(0, dtype=np.uint8),
+    )
+    defaults = {
+        "pose": sample.pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])),
+        "points": [],
+        "text": "",
+    }
+    color = _COLORS.get(sample.motion.plant, _OTHER_COLOR)
+    return make["Marker"](
+        header=sample.header,
+        ns=sample.motion.plant,
+        id=number,
+        type=shape,
+        action=make["Marker"].ADD,
+        scale=make["Vector3"](*map(float, size)),
+        color=make["ColorRGBA"](*color, 0.8),
+        lifetime=no_time,
+        frame_locked=False,
+        colors=[],
+        texture_resource="",
+        texture=no_image,
+        uv_coordinates=[],
+        mesh_resource="",
+        mesh_file=make["MeshFile"](filename="", data=np.zeros(0, dtype=np.uint8)),
+        mesh_use_embedded_materials=False,
+        **(defaults | content),
+    )
+
+
 def _segment_messages(sample: _Sample) -> Iterator[_Message]:
-    _, _, header, make = sample
-    bends = np.array(sample.numbered("bend"))
-    nothing = np.zeros(0)
+    motion, row, header, make = sample
+    bends = sample.stack("bend")
     joints = make["JointState"](
         header=header,
         name=[f"segment_{j}" for j in range(1, len(bends) + 1)],
         position=bends,
-        velocity=nothing,
-        effort=nothing,
+        velocity=motion.rates[row],
+        effort=np.zeros(0),
     )
     yield _Message("bends", "sensor_msgs/msg/JointState", joints)
     for side in _SIDES:
-        for j, gauge in enumerate(sample.numbered(f"pressure_{side}"), start=1):
+        for j, gauge in enumerate(sample.stack(f"pressure_{side}"), start=1):
             pressure = make["FluidPressure"](
                 header=header, fluid_pressure=gauge + AMBIENT_PA, variance=0.0
             )
             topic = f"pressure_{side}_{j}"
             yield _Message(topic, "sensor_msgs/msg/FluidPressure", pressure)
-    states = np.array(
-        [sample.numbered(f"valve_{side}") for side in _SIDES], dtype=np.int8
-    )
+    states = np.array([sample.stack(f"valve_{side}") for side in _SIDES], dtype=np.int8)
     if states.size:
         layout = make["MultiArrayLayout"](dim=[], data_offset=0)
         valves = make["Int8MultiArray"](layout=layout, data=states.T.reshape(-1))

@@ -16,6 +16,9 @@ from srs_twin.recordings.recording_map import read_map
 from srs_twin.recordings.takes import RecordingReader
 from srs_twin.scenario.loading import load_scenario
 
+TEXT_VIEW_FACING = 9
+"""Type of a label in visualization_msgs/Marker."""
+
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
@@ -28,7 +31,7 @@ def run(tmp_path_factory):
 def test_another_library_decodes_the_poses_of_the_parquet_file(run, tmp_path):
     path = tmp_path / "run.mcap"
     finished = load_run(run)
-    write_mcap(path, finished.trajectories)
+    write_mcap(path, finished.trajectories, finished.scenario.robot.geometry)
     seen: dict[str, list] = {}
     with path.open("rb") as file:
         for _, channel, message, decoded in make_reader(
@@ -56,8 +59,14 @@ def test_another_library_decodes_the_poses_of_the_parquet_file(run, tmp_path):
             assert angles == pytest.approx(
                 trajectory[f"connector_heading_{i}"], abs=1e-9
             )
-        bends = np.array([decoded.position for _, decoded in seen[f"/{plant}/bends"]])
+        joints = [decoded for _, decoded in seen[f"/{plant}/bends"]]
+        bends = np.array([joint.position for joint in joints])
         assert bends == pytest.approx(trajectory.stack("bend"), abs=1e-9)
+        assert joints[0].name == ["segment_1", "segment_2", "segment_3", "segment_4"]
+        # The rates integrate to the change of the bends.
+        rates = np.array([joint.velocity for joint in joints])
+        change = np.trapezoid(rates, trajectory.time, axis=0)
+        assert change == pytest.approx(bends[-1] - bends[0], abs=0.02)
         for j in range(1, 5):
             pressure = [
                 decoded.fluid_pressure
@@ -73,12 +82,40 @@ def test_another_library_decodes_the_poses_of_the_parquet_file(run, tmp_path):
     assert len(seen["/tf"]) == 2 * len(trajectory)
 
 
+def test_markers_show_the_body_where_it_is(run, tmp_path):
+    path = tmp_path / "run.mcap"
+    finished = load_run(run)
+    geometry = finished.scenario.robot.geometry
+    write_mcap(path, finished.trajectories, geometry)
+    twin = finished.trajectories["twin"]
+    with path.open("rb") as file:
+        messages = make_reader(file, decoder_factories=[DecoderFactory()])
+        shown = [
+            decoded.markers
+            for *_, decoded in messages.iter_decoded_messages(topics="/twin/body")
+        ]
+    assert len(shown) == len(twin)
+    for row in (0, len(twin) // 2, -1):
+        line, *connectors, label = shown[row]
+        assert (label.text, label.type) == ("twin", TEXT_VIEW_FACING)
+        assert all(marker.header.frame_id == "world" for marker in shown[row])
+        assert len({marker.id for marker in shown[row]}) == len(shown[row])
+        places = [(m.pose.position.x, m.pose.position.y) for m in connectors]
+        assert places == pytest.approx(twin.position[row], abs=1e-9)
+        points = np.array([(point.x, point.y, point.z) for point in line.points])
+        # The line lies on the floor, begins at the head and ends at the last connector.
+        assert points[:, 2].min() >= line.scale.x / 2
+        assert points[[0, -1], :2] == pytest.approx(twin.position[row][[0, -1]])
+        length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
+        assert length == pytest.approx(geometry.body_length, rel=5e-3)
+
+
 def test_the_file_reads_back_as_a_recording_of_the_robot(run, tmp_path):
     path = tmp_path / "run.mcap"
     finished = load_run(run)
     twin = finished.trajectories["twin"]
     spec = finished.scenario.robot
-    write_mcap(path, finished.trajectories)
+    write_mcap(path, finished.trajectories, finished.scenario.robot.geometry)
     reader = RecordingReader(map=read_map(recording_map("twin", twin)))
     recording = reader.take(str(path), str(path), spec)
     apart = recording.trajectory.position - twin.position

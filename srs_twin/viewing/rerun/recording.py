@@ -27,6 +27,7 @@ import rerun as rr
 import rerun_bindings as bindings
 from rerun.blueprint import Blueprint
 
+from srs_twin.comparison.centre_line import line_height
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write
 from srs_twin.robot.spec import RobotSpec
@@ -54,7 +55,6 @@ from srs_twin.viewing.rerun.blueprint import (
 )
 from srs_twin.viewing.rerun.scene import (
     Entities,
-    line_height,
     send_contacts,
     send_lines,
     send_objects,

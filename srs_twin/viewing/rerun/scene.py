@@ -10,7 +10,11 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from srs_twin.comparison.centre_line import centre_lines
+from srs_twin.comparison.centre_line import (
+    connector_orientations,
+    connector_places,
+    spatial_centre_lines,
+)
 from srs_twin.comparison.contacts import TOUCH_N
 from srs_twin.robot.spec import Geometry, RobotSpec
 from srs_twin.robot.world import World
@@ -213,51 +217,8 @@ def _send_tracks(to: Entities, snake: Trajectory, style: Style) -> None:
     to.static("tracks", tracks)
 
 
-def _places(snake: Trajectory, geometry: Geometry) -> np.ndarray:
-    height = np.full_like(snake.stack("x"), line_height(geometry))
-    if snake.has("z"):
-        height = snake.stack("z") + (line_height(geometry) - geometry.com_height)
-    return np.concatenate([snake.position, height[..., None]], axis=-1)
-
-
-def _lines(snake: Trajectory, geometry: Geometry) -> np.ndarray:
-    """Return the centre line of every segment, shape (samples, segments, points, 3), m.
-
-    The centre lines of a spatial snake are cubic curves between the connectors. At each
-    end, the curve is tangent to the axis of the connector.
-    """
-    if not snake.has("z"):
-        flat = centre_lines(snake, geometry, CHORDS)
-        height = np.full_like(flat[..., :1], line_height(geometry))
-        return np.concatenate([flat, height], axis=-1)
-    place = _places(snake, geometry)
-    x, y, z, w = np.moveaxis(_orientations(snake), -1, 0)
-    axis = np.stack(
-        [1 - 2 * (y**2 + z**2), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1
-    )
-    t = np.linspace(0.0, 1.0, CHORDS + 3)[:, None]
-    front = place[:, :-1, None]
-    rear = place[:, 1:, None]
-    tangents = -geometry.pitch * axis
-    blend = t**2 * (3 - 2 * t)
-    curve = (
-        t * (1 - t) ** 2 * tangents[:, :-1, None]
-        + t**2 * (t - 1) * tangents[:, 1:, None]
-    )
-    line: np.ndarray = front + blend * (rear - front) + curve
-    return line
-
-
-def _orientations(snake: Trajectory) -> np.ndarray:
-    if snake.has("quaternion_w"):
-        return np.stack([snake.stack(f"quaternion_{axis}") for axis in "xyzw"], axis=-1)
-    half = snake.stack("connector_heading") / 2
-    zero = np.zeros_like(half)
-    return np.stack([zero, zero, np.sin(half), np.cos(half)], axis=-1)
-
-
 def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
-    lines = _lines(snake, geometry)
+    lines = spatial_centre_lines(snake, geometry, CHORDS)
     colors = pressure_colors(pressure_difference(snake))
     for j in range(geometry.segments):
         name = f"body/segment_{j + 1}"
@@ -281,7 +242,7 @@ def _send_body_mesh(
     to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba
 ) -> None:
     """Log the body as one hexagonal tube, because overlapping capsules look opaque."""
-    lines = _lines(snake, geometry)
+    lines = spatial_centre_lines(snake, geometry, CHORDS)
     # Duplicate points are omitted. Segments share their ends, and if the rigid gap is
     # 0, the ends of an arc coincide with the connectors.
     unique = slice(1, -2)
@@ -329,9 +290,11 @@ def _send_connectors(
         max(track - 0.2 * radius, width),
         width,
     ]
-    centres = _places(snake, geometry).reshape(-1, 3).astype(np.float32)
+    centres = connector_places(snake, geometry).reshape(-1, 3).astype(np.float32)
     look = {"half_sizes": [half], "colors": colors}
-    _send_solids(to, "connectors", rr.Boxes3D, centres, _orientations(snake), **look)
+    _send_solids(
+        to, "connectors", rr.Boxes3D, centres, connector_orientations(snake), **look
+    )
 
 
 def _send_wheels(
@@ -384,15 +347,6 @@ def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
     to.send("trail", rr.LineStrips3D.columns(strips=strips))
     to.static("com", rr.Points3D.from_fields(colors=[style.rgb], radii=[0.004]))
     to.send("com", rr.Points3D.columns(positions=_at_height(snake.com, 0.003)))
-
-
-def line_height(geometry: Geometry) -> float:
-    """Return the height of the centre line, m.
-
-    The height is at least half the width, so that the body does not penetrate the
-    floor.
-    """
-    return max(geometry.com_height, geometry.width / 2)
 
 
 def send_lines(to: Entities, lines: Iterable[FloorLine]) -> None:
