@@ -14,6 +14,7 @@ from synthetic import Snake, numbered, with_columns
 from viewing_runs import pair, robot
 
 from srs_twin import Gait, TwinSnake, load_robot, rollout
+from srs_twin.comparison.centre_line import spatial_centre_lines
 from srs_twin.comparison.contacts import contact_metrics, touches
 from srs_twin.control.gait import PitchWave
 from srs_twin.errors import InputError
@@ -344,7 +345,7 @@ def test_a_spatial_snake_is_drawn_above_the_floor_where_it_lifts_itself():
         1.0,
         record_hz=10,
     )
-    lines = scene._lines(run, spec.geometry)
+    lines = spatial_centre_lines(run, spec.geometry, scene.CHORDS)
     ends = np.concatenate([run.position, run.stack("z")[..., None]], axis=-1)
     assert np.ptp(run.stack("z")[-1]) > 0.01
     assert lines[:, :, 0] == pytest.approx(ends[:, :-1]) and lines[

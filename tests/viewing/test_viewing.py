@@ -22,7 +22,7 @@ from screenshot import screenshots
 from synthetic import Snake, sampled, with_columns
 from viewing_runs import pair, robot, run
 
-from srs_twin.comparison.centre_line import centre_lines
+from srs_twin.comparison.centre_line import centre_lines, line_height
 from srs_twin.comparison.compare import compare
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
@@ -47,7 +47,6 @@ from srs_twin.viewing.rerun.recording import (
     write_recording,
     write_side_by_side,
 )
-from srs_twin.viewing.rerun.scene import line_height
 from srs_twin.viewing.rerun.viewer import open_recording, verify_recording
 
 
