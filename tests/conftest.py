@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from filelock import FileLock
 from hypothesis import settings
-from subsets import mark_other_cases_slow
+from subsets import mark_other_cases
 
 ROOT = Path(__file__).parents[1]
 
@@ -45,8 +45,8 @@ Command = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the cases that `default_cases` leaves out as slow before pytest selects by markers."""
-    mark_other_cases_slow(items)
+    """Mark the cases that `default_cases` leaves out before pytest selects by markers."""
+    mark_other_cases(items)
 
 
 @pytest.fixture(scope="session")

@@ -146,13 +146,17 @@ def test_titles_of_commits_are_checked(tmp_path, title, problem):
     assert (problem or "") in done.stderr
 
 
-def test_ci_runs_the_slow_tests():
+def test_ci_runs_every_test():
     assert "not slow" in PYPROJECT["tool"]["pytest"]["ini_options"]["addopts"]
     assert [
         line
         for line in scripts()
         if "pytest" in line and not line.startswith(".ci/targets")
-    ] == ["uv run --group dev pytest", "uv run --group dev pytest -m slow"]
+    ] == [
+        "uv run --group dev pytest",
+        'uv run --group dev pytest -m "slow and not nightly"',
+        "uv run --group dev pytest -m nightly",
+    ]
 
 
 def test_nightly_studies_have_time_limits():
@@ -160,8 +164,8 @@ def test_nightly_studies_have_time_limits():
     assert len(studies) >= 3
     assert all(
         re.match(
-            r"timeout \d+[mh] (\.ci/targets all |uv run (--extra gpu )?python"
-            r" (benchmarks|tools)/)",
+            r"timeout \d+[mh] (\.ci/targets all |uv run --group dev pytest -m nightly"
+            r"|uv run (--extra gpu )?python (benchmarks|tools)/)",
             study,
         )
         for study in studies

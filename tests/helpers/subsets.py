@@ -1,4 +1,4 @@
-"""Selection of the cases of parametrised tests that run by default; the others are slow tests."""
+"""Selection of the cases of parametrised tests that run by default; the others run nightly."""
 
 from __future__ import annotations
 
@@ -9,30 +9,35 @@ import pytest
 
 
 def first_by_default(count: int, values: Iterable[Any]) -> list[Any]:
-    """Return the values, marked slow after the first `count`; a tuple contains several arguments."""
+    """Return the values, marked nightly after the first `count`; a tuple contains several arguments."""
     values = list(values)
-    return values[:count] + [_slow(value) for value in values[count:]]
+    return values[:count] + [_nightly(value) for value in values[count:]]
 
 
-def _slow(value: Any) -> Any:
+def _nightly(value: Any) -> Any:
     if hasattr(value, "marks"):
         return pytest.param(
-            *value.values, id=value.id, marks=[*value.marks, pytest.mark.slow]
+            *value.values, id=value.id, marks=[*value.marks, pytest.mark.nightly]
         )
     if isinstance(value, tuple):
-        return pytest.param(*value, marks=pytest.mark.slow)
-    return pytest.param(value, marks=pytest.mark.slow)
+        return pytest.param(*value, marks=pytest.mark.nightly)
+    return pytest.param(value, marks=pytest.mark.nightly)
 
 
-def mark_other_cases_slow(items: Iterable[pytest.Item]) -> None:
-    """Mark the cases of tests that `@pytest.mark.default_cases` leaves out as slow.
+def mark_other_cases(items: Iterable[pytest.Item]) -> None:
+    """Mark the cases of tests that `@pytest.mark.default_cases` leaves out as nightly.
+
+    Nightly tests are slow tests as well, so that the default run omits them.
 
     ``default_cases(4)`` keeps the first and the last case and two between them. Cases
     that differ in kind are chosen by position: ``default_cases(at=[0, 3, 7])``. Cases
     that are slow already are not counted.
     """
+    items = list(items)
     families: dict[str, list[pytest.Item]] = {}
     for item in items:
+        if item.get_closest_marker("nightly"):
+            item.add_marker(pytest.mark.slow)
         if item.get_closest_marker("default_cases") and "slow" not in item.keywords:
             families.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for cases in families.values():
@@ -41,6 +46,7 @@ def mark_other_cases_slow(items: Iterable[pytest.Item]) -> None:
         kept = chosen(len(cases), *marker.args, **marker.kwargs)
         for position, item in enumerate(cases):
             if position not in kept:
+                item.add_marker(pytest.mark.nightly)
                 item.add_marker(pytest.mark.slow)
 
 
