@@ -29,7 +29,7 @@ def doctor(
     out: str = "runs",
     as_json: JsonOption = False,
 ) -> None:
-    """Check the installation and this machine and suggest remedies.
+    """Check the installation and the output folder, and suggest remedies.
 
     Options:
         --out DIR: Folder whose write access and free disk space are checked.
@@ -58,14 +58,14 @@ def run_checks(folder: Path) -> list[Check]:
     from srs_twin.cli.doctor.checks import (
         TOPICS,
         checks_of_installation,
-        checks_of_machine,
+        output_check,
     )
     from srs_twin.cli.doctor.probes import probed_checks
 
     found = [
         *checks_of_installation(),
         *probed_checks(),
-        *checks_of_machine(folder),
+        output_check(folder),
     ]
     return sorted(found, key=lambda check: TOPICS.index(check.topic))
 

@@ -1,17 +1,9 @@
-"""Checks that need no child process.
-
-If a container limits a resource, the lower of the limits of container and machine is
-used.
-"""
+"""Checks that need no child process."""
 
 from __future__ import annotations
 
-import math
-import os
 import platform
-import re
 import shlex
-import shutil
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from email.message import Message
@@ -20,7 +12,6 @@ from pathlib import Path
 from typing import Literal
 
 from srs_twin import __version__
-from srs_twin.compute.workers import processor_count
 from srs_twin.errors import InputError
 from srs_twin.io.files import check_output_folder, data_root, display_path
 
@@ -296,85 +287,6 @@ def _installed(name: str) -> str | None:
         return None
 
 
-MIN_MEMORY_BYTES = 1 << 30
-"""Free memory below which the operating system may kill runs, bytes."""
-
-MIN_DISK_BYTES = 512 << 20
-"""Free disk space below which the results of a sweep may not fit, bytes."""
-
-_CGROUP = Path("/sys/fs/cgroup")
-_MEMINFO = Path("/proc/meminfo")
-
-
-def cpu_quota(cgroup: Path = _CGROUP) -> float | None:
-    """Return the processor time per wall time that a container may use.
-
-    The value is None without a limit. `cgroup` is the folder of the control group
-    (version 2) of this process.
-    """
-    quota, _, period = _read(cgroup / "cpu.max").partition(" ")
-    if quota.isdigit() and period.isdigit():
-        return int(quota) / int(period)
-    return None
-
-
-def free_memory(cgroup: Path = _CGROUP, meminfo: Path = _MEMINFO) -> int | None:
-    """Return the memory available without swapping in bytes, or None if unknown."""
-    limit, used = (_read(cgroup / name) for name in ("memory.max", "memory.current"))
-    free = [
-        1024 * int(kib)
-        for kib in re.findall(r"^MemAvailable:\s*(\d+)", _read(meminfo), re.M)
-    ]
-    if limit.isdigit() and used.isdigit():
-        free.append(int(limit) - int(used))
-    return min(free, default=None)
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text("ascii").strip()
-    except OSError:
-        return ""
-
-
-def checks_of_machine(folder: Path) -> Iterator[Check]:
-    """Yield the checks of disk, processors and memory."""
-    yield output_check(folder)
-    yield disk_check(folder)
-    yield processors_check(processor_count(), cpu_quota())
-    yield memory_check(free_memory())
-
-
-def processors_check(usable: int, quota: float | None) -> Check:
-    """Check the number of processors against the quota of the container."""
-    detail = f"{usable} usable"
-    if quota is not None and quota < usable:
-        detail += f", but the container limits the time to that of {quota:.3g}"
-        if math.ceil(quota) < usable:
-            remedy = f"more workers would only wait: use --workers {math.ceil(quota)}"
-            return Check(MACHINE, "processors", "missing", detail, remedy)
-    return Check(MACHINE, "processors", "ok", detail)
-
-
-def memory_check(free: int | None) -> Check:
-    """Check the free memory in bytes."""
-    if free is None:
-        return Check(
-            MACHINE, "memory", "ok", "this system does not report the free memory"
-        )
-    remedy = (
-        f"below {_size(MIN_MEMORY_BYTES)} the system may kill runs: close programs, or"
-        " use --workers 1"
-    )
-    return _space_check("memory", free, MIN_MEMORY_BYTES, remedy)
-
-
-def _space_check(name: str, free: int, minimum: int, remedy: str) -> Check:
-    if free >= minimum:
-        return Check(MACHINE, name, "ok", f"{_size(free)} free")
-    return Check(MACHINE, name, "missing", f"{_size(free)} free", remedy)
-
-
 def output_check(folder: Path) -> Check:
     """Check that a temporary file can be written to a folder."""
     try:
@@ -389,30 +301,3 @@ def output_check(folder: Path) -> Check:
         f"{display_path(folder)} can be written",
         necessary=True,
     )
-
-
-def disk_check(folder: Path, free: int | None = None) -> Check:
-    """Check the free disk space for results.
-
-    Args:
-        folder: output folder, which need not exist.
-        free: free space, bytes. By default it is measured.
-    """
-    existing = next(
-        path
-        for path in (folder.absolute(), *folder.absolute().parents)
-        if os.path.isdir(path)
-    )
-    if free is None:
-        free = shutil.disk_usage(existing).free
-    remedy = (
-        f"below {_size(MIN_DISK_BYTES)} a sweep may not fit: free some space, or use"
-        " another disk with --out"
-    )
-    return _space_check("disk", free, MIN_DISK_BYTES, remedy)
-
-
-def _size(bytes_: int) -> str:
-    if bytes_ >= 1 << 30:
-        return f"{bytes_ / (1 << 30):.3g} GB"
-    return f"{bytes_ / (1 << 20):.3g} MB"
