@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -45,21 +46,20 @@ def wrapped(angle: np.ndarray) -> np.ndarray:
     return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
+def csv_text(names: Sequence[str], rows: np.ndarray, digits: int = 9) -> str:
+    """Return a table with a header as CSV text."""
+    lines = [",".join(f"{value:.{digits}g}" for value in row) for row in rows]
+    return "\n".join([",".join(names), *lines, ""])
+
+
 def plain_csv(trajectory: Trajectory, unit: str = "m", scale: float = 1.0) -> str:
     """Return the connectors as a plain CSV file."""
     count = trajectory.position.shape[1]
-    head = ",".join(
-        ["time", *(f"{axis}_{i}_{unit}" for i in range(1, count + 1) for axis in "xy")]
-    )
+    places = (f"{axis}_{i}_{unit}" for i in range(1, count + 1) for axis in "xy")
     values = np.column_stack(
         [trajectory.time, trajectory.position.reshape(len(trajectory), -1) * scale]
     )
-    return (
-        head
-        + "\n"
-        + "\n".join(",".join(f"{v:.9g}" for v in row) for row in values)
-        + "\n"
-    )
+    return csv_text(["time", *places], values)
 
 
 def valve_csv(truth: Trajectory, start: float, stop: float, shift: float) -> str:
@@ -73,8 +73,4 @@ def valve_csv(truth: Trajectory, start: float, stop: float, shift: float) -> str
     values = np.column_stack(
         [truth.time[rows] + shift, *(truth[name][rows] for name in names)]
     )
-    return (
-        ",".join(["time", *names])
-        + "\n"
-        + "".join(",".join(f"{v:.9g}" for v in r) + "\n" for r in values)
-    )
+    return csv_text(["time", *names], values)

@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 from mcap_ros2.writer import Writer
-from recorded import RATE, motion
+from recorded import RATE, csv_text, motion
 from synthetic_takes import Take, markers, write_motive
 from test_formats import DEFINED, ns, pose, stamped
 
@@ -102,11 +102,7 @@ def leds(folder):
     """Write the markers in cm and the valves with other names and another clock."""
     head = ["Time (s)", *(f"{name} {axis}" for name in LEDS for axis in "XY")]
     rows = np.column_stack([motion().time, 100 * seen().reshape(len(motion()), -1)])
-    (folder / "leds.csv").write_text(
-        ",".join(head)
-        + "\n"
-        + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
-    )
+    (folder / "leds.csv").write_text(csv_text(head, rows, 6))
     names = [
         "Stamp",
         *(f"V{j}{side[0].upper()}" for j in range(1, 5) for side in SIDES),
@@ -114,11 +110,7 @@ def leds(folder):
     ]
     states = valves().reshape(len(motion()), -1)
     rows = np.column_stack([motion().time - SHIFT, states, np.full(len(states), 11.1)])
-    (folder / "io.csv").write_text(
-        ",".join(names)
-        + "\n"
-        + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
-    )
+    (folder / "io.csv").write_text(csv_text(names, rows, 6))
 
 
 def run(words):
@@ -136,12 +128,7 @@ def replayed(tmp_path_factory):
         write_motive(motion(), Take(layout="head", noise=NOISE, seed=4), "take.csv")
         names = [f"valve_{side}_{j}" for j in range(1, 5) for side in SIDES]
         rows = np.column_stack([motion().time, valves().reshape(len(motion()), -1)])
-        text = (
-            ",".join(["time", *names])
-            + "\n"
-            + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
-        )
-        (folder / "take.valves.csv").write_text(text)
+        (folder / "take.valves.csv").write_text(csv_text(["time", *names], rows, 6))
         bag(folder / "walk.mcap")
         leds(folder)
         (folder / "bag.yaml").write_text(json.dumps(BAG))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import io
 import json
 import random
@@ -10,7 +9,6 @@ import re
 import sys
 import tempfile
 import time
-import zipfile
 from pathlib import Path
 
 import bag_files
@@ -21,6 +19,7 @@ from mcap.writer import CompressionType, Writer as McapWriter
 from mcap_ros2.writer import Writer as RosWriter
 from recorded import SPEC, motion
 from synthetic_takes import Take, write_motive
+from test_trajectory_formats import trc
 
 from srs_twin import InputError
 from srs_twin.recordings.formats import (
@@ -354,26 +353,6 @@ def bag(kind):
         return bag_files.written(Path(folder), kind, messages).read_bytes()
 
 
-def trc():
-    names = "\t\t\t".join(NAMES)
-    axes = "\t".join(f"{axis}{k + 1}" for k in range(MARKERS) for axis in "XYZ")
-    head = [
-        "PathFileType\t4\t(X/Y/Z)\ta.trc",
-        "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits",
-    ]
-    head += [
-        f"100\t100\t{FRAMES}\t{MARKERS}\tmm",
-        f"Frame#\tTime\t{names}\t\t",
-        f"\t\t{axes}",
-        "",
-    ]
-    rows = [
-        "\t".join([f"{k + 1}", f"{TIME[k]:.3f}", *cells(1e3 * TRUTH[k])])
-        for k in range(FRAMES)
-    ]
-    return ("\n".join([*head, *rows]) + "\n").encode()
-
-
 def tum():
     place = np.column_stack([TIME, TRUTH[:, 0], quaternions()[:, 0]])
     rows = [" ".join(f"{value:.9f}" for value in row) for row in place]
@@ -383,7 +362,7 @@ def tum():
 FILES = {
     "ROS 1 bag": lambda: bag("bag"),
     "ROS 2 bag": lambda: bag("db3"),
-    "TRC": trc,
+    "TRC": lambda: trc(TRUTH).encode(),
     "TUM trajectory": tum,
     "Motive CSV": motive,
     "Vicon CSV": vicon,
@@ -408,7 +387,7 @@ def same(found, points=TRUTH, *, time=TIME, most=1e-6):
     assert np.abs(found.time - time).max() < 1e-6
 
 
-@pytest.mark.default_cases(at=[0, 1, 2, 4, 5, 9, 10])
+@pytest.mark.default_cases(at=[0, 1, 2, 4, 5, 8, 9])
 @pytest.mark.parametrize("kind", FORMATS)
 def test_formats_are_known_by_their_content(tmp_path, kind):
     path = written(tmp_path, FILES[kind](), "take.bin")
@@ -514,13 +493,6 @@ def test_motive_rigid_bodies_have_rotations(tmp_path, version):
     assert read_markers(written(tmp_path, motive(bodies=False))).rotations is None
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("mm", 1e3), ("m", 1.0), ("cm  ", 100.0)])
-def test_c3d_positions_are_read(tmp_path, unit, scale):
-    found = read_markers(written(tmp_path, c3d_file(unit=unit, scale=scale)))
-    same(found)
-    assert found.labels == tuple(NAMES) and found.header_frames == FRAMES
-
-
 def test_c3d_with_integers_and_with_many_points(tmp_path):
     same(read_markers(written(tmp_path, c3d_file(whole=0.1))), most=1.01e-4)
     names = [f"p{k}" for k in range(300)]
@@ -582,15 +554,6 @@ def test_mcap_positions_and_signals_are_read(tmp_path, compression):
         assert np.abs(at - TIME - shift - delay).max() < 1e-6, name
     assert len(topics.signals) == 12
     assert "topic /info (std_msgs/String) skipped: 1 messages" in topics.notes
-
-
-def test_truncated_mcap_keeps_its_whole_messages(tmp_path):
-    content = mcap_file()
-    found = read_markers(written(tmp_path, content[: len(content) // 2]))
-    assert (
-        0 < len(found.time) < FRAMES
-        and "the file is cut: read up to the cut" in found.corrections
-    )
 
 
 def test_mcap_without_positions_and_with_two_clocks(tmp_path):
@@ -785,55 +748,6 @@ def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind, capfd):
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind):
     assert sum(refusals(tmp_path, kind, seed) for seed in range(100, 160)) >= 600
-
-
-@pytest.mark.slow
-def test_files_that_unpack_to_gigabytes_are_refused(tmp_path):
-    stream = io.BytesIO()
-    writer = McapWriter(stream, compression=CompressionType.ZSTD)
-    writer.start()
-    channel = writer.register_channel("/x", "json", 0)
-    for k in range(20):
-        writer.add_message(channel, k, b'"' + b" " * (60 << 20) + b'"', k)
-    writer.finish()
-    assert len(stream.getvalue()) < 1 << 18
-    with pytest.raises(
-        InputError, match="its chunks unpack to 1200 MB; at most 17 MB are read"
-    ):
-        read_markers(written(tmp_path, stream.getvalue()))
-
-
-@pytest.mark.default_cases(at=[0, 2, 5, 7, 8, 9, 10])
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("a.bvh", b"HIERARCHY\nROOT Hips\n", "a BVH file"),
-        ("a.tak", b"\x01\x02\x03\0binary", "a take of Motive"),
-        ("a.bag", b"#ROSBAG V1.2\nabc", "a bag of an older ROS"),
-        ("a.db3.zstd", b"\x28\xb5\x2f\xfdabc", r"a Zstandard archive.*zstd -d"),
-        ("a.h5", b"\x89HDF\r\n\x1a\n\0\0", "an HDF5 file"),
-        ("a.xlsx", None, r"Excel workbook.*save the sheet as CSV"),
-        ("a.csv.gz", gzip.compress(b"time,x_1", mtime=0), "a gzip archive"),
-        (
-            "a.csv",
-            b"some,words\n1,2\n",
-            ":1: not a known motion recording: its first line is 'some,words'",
-        ),
-        ("a.csv", b"\x7fELF\0\0\0", "it is a binary file of an unknown kind"),
-        ("a.csv", b"", "empty"),
-        ("a.csv", b"\n \n", "empty"),
-    ],
-)
-def test_unknown_formats_are_named(tmp_path, name, content, words):
-    if content is None:
-        stream = io.BytesIO()
-        with zipfile.ZipFile(stream, "w") as archive:
-            archive.writestr("xl/workbook.xml", "<x/>")
-        content = stream.getvalue()
-    with pytest.raises(InputError, match=words) as refused:
-        identify(written(tmp_path, content, name))
-    assert name in str(refused.value) and "\n" not in str(refused.value)
-    assert "empty" in words or "MCAP" in str(refused.value)
 
 
 def test_a_missing_column_is_reported_at_the_header(tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from recorded import RATE, SPEC, motion, recorded, true_at
+from recorded import RATE, SPEC, csv_text, motion, recorded, true_at
 from snakes import chain
 from subsets import first_by_default
 from synthetic_takes import Take, markers, stretched
@@ -17,17 +17,12 @@ from srs_twin.recordings.signals.logs import read_valves
 
 def written(path, names, points, *, time=True, scale=1.0):
     """Write a CSV file with the columns NAME_x and NAME_y for each marker."""
-    columns = [",".join(f"{name}_{axis}" for axis in "xy") for name in names]
+    columns = [f"{name}_{axis}" for name in names for axis in "xy"]
     rows = points.reshape(len(points), -1) * scale
     if time:
         rows = np.column_stack([np.arange(len(points)) / RATE, rows])
-    head = ",".join((["Time (s)"] if time else []) + columns)
-    path.write_text(
-        head
-        + "\n"
-        + "\n".join(",".join(f"{v:.9g}" for v in row) for row in rows)
-        + "\n"
-    )
+        columns.insert(0, "Time (s)")
+    path.write_text(csv_text(columns, rows))
     return path
 
 
@@ -199,12 +194,7 @@ def test_options_have_precedence_over_the_map_file(tmp_path):
 
 
 def log_file(path, columns, rows):
-    path.write_text(
-        ",".join(columns)
-        + "\n"
-        + "\n".join(",".join(f"{v:g}" for v in row) for row in rows)
-        + "\n"
-    )
+    path.write_text(csv_text(columns, rows, 6))
     return path
 
 

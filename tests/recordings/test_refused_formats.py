@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import pickle
 import re
@@ -69,6 +70,12 @@ REFUSED = {
     "a.zip": (lambda: archive("take.csv"), "a ZIP archive cannot be read; unpack it"),
     "a.parquet": (parquet, "a Parquet file"),
     "a.pkl": (lambda: pickle.dumps({"x": 1}), "a Python pickle"),
+    "a.bvh": (
+        lambda: b"HIERARCHY\nROOT Hips\n",
+        "a BVH file.*; export CSV or C3D instead. Formats: C3D, MCAP",
+    ),
+    "a.tak": (lambda: b"\x01\x02\x03\0binary", "a take of Motive.*export it there"),
+    "a.csv.gz": (lambda: gzip.compress(b"time,x_1"), "a gzip archive"),
     "old.bag": (lambda: b"#ROSBAG V1.2\n" + bytes(99), "a bag of an older ROS"),
     "walk.db3.zstd": (lambda: b"\x28\xb5\x2f\xfd" + bytes(99), "a Zstandard archive"),
     "words.txt": (lambda: b"some,words\n1,2\n", "its first line is 'some,words'"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 from conftest import ROOT
-from recorded import SPEC
+from recorded import SPEC, csv_text
 from synthetic_takes import Take, write_motive
 
 from srs_twin import (
@@ -145,23 +145,12 @@ def perfect(tmp_path_factory):
         Take(layout="pair", noise=0.0, digits=4, rate_hz=100),
         folder / "take.csv",
     )
-    head = ",".join(
-        [
-            "time",
-            *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")),
-        ]
-    )
+    valves = [f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
     log = np.column_stack([whole.starts + 5.0, whole.states.reshape(-1, 8)])
     log = np.vstack([log, [8.0, *log[-1, 1:]]])
-    (folder / "take.valves.csv").write_text(
-        head + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in log)
-    )
+    (folder / "take.valves.csv").write_text(csv_text(["time", *valves], log))
     rows = np.column_stack([truth.time + 5.0, *(truth[name] for name in PRESSURES)])
-    (folder / "pressures.csv").write_text(
-        ",".join(["time", *PRESSURES])
-        + "\n"
-        + "".join(",".join(f"{v:.9g}" for v in r) + "\n" for r in rows)
-    )
+    (folder / "pressures.csv").write_text(csv_text(["time", *PRESSURES], rows))
     return folder
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from recorded import csv_text
 from synthetic_takes import Take, write_motive
 
 from srs_twin import AnalyticalSnake, TwinSnake, load_robot, rollout
@@ -39,10 +40,7 @@ def staircase() -> Schedule:
 
 
 def csv(columns: dict[str, np.ndarray]) -> str:
-    rows = np.column_stack(list(columns.values()))
-    return "\n".join(
-        [",".join(columns), *(",".join(f"{v:.9g}" for v in row) for row in rows), ""]
-    )
+    return csv_text(list(columns), np.column_stack(list(columns.values())))
 
 
 @pytest.fixture(scope="module")

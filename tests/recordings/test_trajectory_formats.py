@@ -36,7 +36,7 @@ def trc(points, unit="mm", *, rate=RATE, blank=True, tab=False, first=1, decimal
     head = [
         "PathFileType\t4\t(X/Y/Z)\trun.trc",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
-        f"{rate:g}\t{rate:g}\t{FRAMES}\t{count}\t{unit}\t{rate:g}\t1\t{FRAMES}",
+        f"{rate:g}\t{rate:g}\t{len(points)}\t{count}\t{unit}\t{rate:g}\t1\t{len(points)}",
         "Frame#\tTime\t" + "\t\t\t".join(f"m{k}" for k in range(count)) + "\t\t\t",
         "\t\t"
         + "\t".join(f"{axis}{k + 1}" for k in range(count) for axis in "XYZ")
