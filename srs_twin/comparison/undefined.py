@@ -177,7 +177,7 @@ def _learning(
         return Undefined(
             f"the amplitudes have not converged within {periods} periods", periods
         )
-    if not metric.startswith(("path_", "box_", "heading_")):
+    if not metric.startswith(("path_", "extent_", "heading_")):
         return Undefined(
             f"it is not defined by the learning periods of the run ({periods})"
         )

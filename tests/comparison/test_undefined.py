@@ -91,7 +91,7 @@ def judged(
     return row
 
 
-@pytest.mark.default_cases(at=[0, 3, 7, 10, 14, 15, 16, 17, 18])
+@pytest.mark.default_cases(at=[0, 3, 7, 10, 14, 15, 16, 17, 18, 19])
 @pytest.mark.parametrize(
     ("document", "changes", "metric", "reason"),
     [
@@ -139,6 +139,7 @@ def judged(
         ),
         (LEARNING, {"duration_s": 1.0}, "path_speed_m_s", "fewer than 5 whole periods"),
         (STEP, {"record_hz": 50}, "outlet_openings", "does not record"),
+        (LEARNING, {"duration_s": 1.0}, "extent_left_m", "fewer than 5 whole periods"),
     ],
 )
 def test_undefined_metrics_are_not_judged(document, changes, metric, reason):
