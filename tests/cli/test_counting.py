@@ -29,6 +29,19 @@ def clock(monkeypatch):
     return clock
 
 
+@pytest.fixture
+def terminal(monkeypatch):
+    """Replace stderr by a text stream that pretends to be a terminal."""
+
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    return stream
+
+
 def test_progress_line_every_ten_seconds_has_rate_and_remaining_time(clock, capsys):
     with RunCounter("grid", 100) as done:
         for second in range(5, 55):
@@ -65,13 +78,7 @@ def test_short_or_quiet_runs_print_no_progress(clock, capsys, options):
     assert capsys.readouterr().err == ""
 
 
-def test_a_terminal_shows_a_bar(clock, monkeypatch):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
+def test_a_terminal_shows_a_bar(clock, terminal, monkeypatch):
     monkeypatch.setenv("COLUMNS", "100")
     with RunCounter("grid", 4) as done:
         for _ in range(4):
@@ -84,13 +91,7 @@ def test_a_terminal_shows_a_bar(clock, monkeypatch):
     )
 
 
-def test_a_bar_is_drawn_once_and_filled_by_the_fraction_done(clock, monkeypatch):
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
+def test_a_bar_is_drawn_once_and_filled_by_the_fraction_done(clock, terminal):
     with RunCounter("grid", 8) as done:
         clock.now += 1.9
         done(failed=False)
@@ -102,7 +103,7 @@ def test_a_bar_is_drawn_once_and_filled_by_the_fraction_done(clock, monkeypatch)
         assert (bar.description, bar.percentage) == ("grid", 75.0)
 
 
-def test_a_bar_of_unknown_length_has_no_percentage(clock, monkeypatch):
+def test_a_bar_of_unknown_length_has_no_percentage(clock, terminal):
     class Search(Display):
         def _line(self):
             return "searching"
@@ -110,11 +111,6 @@ def test_a_bar_of_unknown_length_has_no_percentage(clock, monkeypatch):
         def _bar(self):
             return self.title, None, "searching"
 
-    class Terminal(io.StringIO):
-        def isatty(self):
-            return True
-
-    monkeypatch.setattr(sys, "stderr", Terminal())
     with Search("fit") as search:
         clock.now += 3.0
         search._show()
