@@ -123,7 +123,10 @@ class Journal:
                 schema_id=self._schema,
             )
         if message.kind == POSES:
-            data = _poses(message)
+            poses = message.values.tolist()
+            data = strict_json(
+                {"t": message.sent, "names": message.names, "poses": poses}
+            )
         elif message.kind in (STATUS, CONTROL):
             data = encode(message.kind, message.sent, message.names[0])
         else:
@@ -144,12 +147,6 @@ class Journal:
 
 def _nanoseconds(time: float) -> int:
     return round(min(max(time, 0.0), LATEST_S) * 1e9)
-
-
-def _poses(message: Message) -> bytes:
-    return strict_json(
-        {"t": message.sent, "names": message.names, "poses": message.values.tolist()}
-    )
 
 
 def journal_messages(

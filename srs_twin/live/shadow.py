@@ -336,7 +336,8 @@ class Shadow:
             innovation = self.ensemble.update_pressures(message.values)
         elif message.kind == BENDS:
             bends = self.faults.corrected(message.values).value
-            readings = np.where(self._working_sensors(), bends, np.nan)
+            working = SENSORS[self.faults.most_likely()] == SensorBehaviour.READS
+            readings = np.where(working, bends, np.nan)
             innovation = self.ensemble.update_bends(readings)
         else:
             return
@@ -411,9 +412,6 @@ class Shadow:
         )
         supply = np.full(len(likely), self.faults.supply.pressure)
         return ValveInput(valve_duty(duties, chambers), supply, leak)
-
-    def _working_sensors(self) -> np.ndarray:
-        return np.asarray(SENSORS[self.faults.most_likely()] == SensorBehaviour.READS)
 
     def detected(self) -> Iterator[DetectedFault]:
         """Yield the detected faults."""
