@@ -29,7 +29,6 @@ def clock(monkeypatch):
     return clock
 
 
-@pytest.fixture
 def terminal(monkeypatch):
     """Replace stderr by a text stream that pretends to be a terminal."""
 
@@ -78,20 +77,22 @@ def test_short_or_quiet_runs_print_no_progress(clock, capsys, options):
     assert capsys.readouterr().err == ""
 
 
-def test_a_terminal_shows_a_bar(clock, terminal, monkeypatch):
+def test_a_terminal_shows_a_bar(clock, monkeypatch):
+    shown = terminal(monkeypatch)
     monkeypatch.setenv("COLUMNS", "100")
     with RunCounter("grid", 4) as done:
         for _ in range(4):
             clock.now += 3.0
             done(failed=False)
     assert (
-        "grid" in terminal.getvalue()
-        and "4/4" in terminal.getvalue()
-        and "0.333/s" in terminal.getvalue()
+        "grid" in shown.getvalue()
+        and "4/4" in shown.getvalue()
+        and "0.333/s" in shown.getvalue()
     )
 
 
-def test_a_bar_is_drawn_once_and_filled_by_the_fraction_done(clock, terminal):
+def test_a_bar_is_drawn_once_and_filled_by_the_fraction_done(clock, monkeypatch):
+    terminal(monkeypatch)
     with RunCounter("grid", 8) as done:
         clock.now += 1.9
         done(failed=False)
@@ -103,7 +104,9 @@ def test_a_bar_is_drawn_once_and_filled_by_the_fraction_done(clock, terminal):
         assert (bar.description, bar.percentage) == ("grid", 75.0)
 
 
-def test_a_bar_of_unknown_length_has_no_percentage(clock, terminal):
+def test_a_bar_of_unknown_length_has_no_percentage(clock, monkeypatch):
+    terminal(monkeypatch)
+
     class Search(Display):
         def _line(self):
             return "searching"
