@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
 import tomllib
@@ -15,9 +14,6 @@ from conftest import ROOT
 from srs_twin.cli.doctor import checks, probes
 from srs_twin.cli.doctor.checks import Check, failed_checks
 from srs_twin.errors import InputError, SrsError
-
-CPU_S = 5.0
-"""Twice what a quiet machine needs: processors that share a core count more time for the same work."""
 
 
 def asked(name, installed="1.0", fits=True, extra=""):
@@ -266,13 +262,9 @@ def by_name(text):
 
 
 def test_command_on_this_machine(srs_twin_process, tmp_path):
-    probes.kernels()  # numba has compiled once
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = srs_twin_process(
         "doctor", "--json", "--out", str(tmp_path / "runs"), cwd=tmp_path
     )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime < CPU_S
     works, checks = by_name(done.stdout)
     assert (done.returncode, works, done.stderr) == (0, True, "")
     keys = {"topic", "name", "status", "detail", "remedy", "necessary"}

@@ -183,18 +183,17 @@ def test_frames_alone_are_played(tmp_path):
         ([1, 2**64 - 1, 2, 3], [2, 3]),
         ([2**64 - 1, 1, 2], [1, 2]),
         ([100, 101, 0, 102], [100, 101, 102]),
-        ([1, 2, 10_000, 10_001], [1, 2, 10_000, 10_001]),
-        ([1, 2, 10_000], [1, 2]),
+        ([1, 2, 10_000_000, 10_000_001], [1, 2, 10_000_000, 10_000_001]),
+        ([1, 2, 10_000_000], [1, 2]),
     ],
 )
 def test_times_out_of_order_are_refused_and_gaps_passed_over(tmp_path, times, played):
     records = [("srs/r/bends", BEND, min(each * SECOND, 2**64 - 1)) for each in times]
     foreign(tmp_path / "a.mcap", records)
-    begun = time.monotonic()
     with McapLink(tmp_path / "a.mcap", "r", 2, speed=1000.0) as link:
+        # Without skipping, the longest gap would take hours.
         wait(lambda: link.counts["over"])
         assert [round(each.arrived) for each in link.received()] == played
-    assert time.monotonic() - begun < 5
     bad = "bad: a record whose time does not follow that of the one before"
     assert link.counts[bad] == len(times) - len(played)
 

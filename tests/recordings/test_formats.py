@@ -8,7 +8,6 @@ import random
 import re
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import bag_files
@@ -598,10 +597,8 @@ def test_declared_sizes_allocate_no_memory(tmp_path):
         )
     bomb = bytearray(c3d_file())
     bomb[8:10] = b"\xff\xff"  # last frame
-    began = time.perf_counter()
     found = read_markers(written(tmp_path, bytes(bomb)))
     assert len(found.time) == found.header_frames == FRAMES  # as its parameters say
-    assert time.perf_counter() - began < 5
 
 
 @pytest.mark.default_cases(2)
@@ -714,7 +711,6 @@ def refusals(folder, kind, seed):
     )
     for number, content in enumerate(damaged(made, seed)):
         path = written(folder, content)
-        began = time.perf_counter()
         try:
             found = read_markers(path, TABLE)
         except InputError as error:
@@ -729,7 +725,6 @@ def refusals(folder, kind, seed):
             assert shape[:2] == (len(found.time), len(found.labels)) and len(
                 found.time
             ), number
-        assert time.perf_counter() - began < 10, number
     assert number == 55
     return refused
 
