@@ -104,14 +104,7 @@ class ChamberPeriods(Stateful):
         *("_max", "_min", "_readings", "_lost_readings", "_next"),
     )
 
-    def __init__(
-        self,
-        phase_lag: np.ndarray,
-        frequency: float,
-        tick: float,
-        *,
-        common: bool = False,
-    ) -> None:
+    def __init__(self, phase_lag: np.ndarray, frequency: float, tick: float) -> None:
         """Initialise the periods at time 0.
 
         Args:
@@ -120,8 +113,6 @@ class ChamberPeriods(Stateful):
                 and the − chamber fills while the wave is negative.
             frequency: gait frequency f, Hz.
             tick: time between successive readings, s.
-            common: whether all chambers share one sequence of periods that begins at
-                time 0, as in Section 5.1.
 
         Raises:
             InputError: a period has too few readings.
@@ -138,8 +129,6 @@ class ChamberPeriods(Stateful):
         fraction = np.stack([phase_lag, phase_lag + math.pi], axis=-1) / (2 * math.pi)
         fraction = (fraction + _PERIOD_ROUNDING) % 1 - _PERIOD_ROUNDING
         fraction[fraction > 0.5 + _PERIOD_ROUNDING] -= 1
-        if common:
-            fraction[:] = 0.0
         self.fill_starts = fraction * self.period
         self.number = np.where(self.fill_starts < -_PERIOD_ROUNDING * self.period, 1, 0)
         self.peak: np.ndarray = np.full(fraction.shape, math.nan)
@@ -149,7 +138,6 @@ class ChamberPeriods(Stateful):
         self._max = np.full(fraction.shape, -math.inf)
         self._min = np.full(fraction.shape, math.inf)
         self._unsteered = self.fill_starts
-        self._common = common
         self._bends: np.ndarray = np.zeros(fraction.shape)
         self._readings = np.zeros(fraction.shape)
         self._lost_readings = np.zeros(fraction.shape)
@@ -162,10 +150,9 @@ class ChamberPeriods(Stateful):
             shift: phase asin φ, rad. The fills of the + chambers begin earlier and the
                 fills of the − chambers begin later by this phase.
         """
-        if not self._common:
-            lead = shift / (2 * math.pi) * self.period
-            self.fill_starts = self._unsteered + lead * np.array([-1, 1])
-            self._set_next()
+        lead = shift / (2 * math.pi) * self.period
+        self.fill_starts = self._unsteered + lead * np.array([-1, 1])
+        self._set_next()
 
     def update(self, reading: np.ndarray, lost: np.ndarray) -> None:
         """Add the readings of one tick, shape (segments,), rad."""

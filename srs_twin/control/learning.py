@@ -51,11 +51,9 @@ MIN_PULSES = 4
 SMALLEST = "smallest"
 """Value of `target` that selects the minimum recorded amplitude."""
 ON_FAULT = ("go_on", "stop")
-CLOCKS = ("chamber", "common")
 TARGETS = "targets"
 """Value of `steering` for which φ acts on the target amplitudes only."""
 STEERINGS = (TARGETS, "targets_and_wave")
-_CHOICES = {"on_fault": ON_FAULT, "clock": CLOCKS, "steering": STEERINGS}
 
 _MAX_LOST = 0.5
 """Fraction of lost readings in a period above which the amplitude is ignored."""
@@ -93,7 +91,6 @@ class ILC(Controller):
         free_periods: int = FREE_PERIODS,
         carrier_hz: float = CARRIER_HZ,
         on_fault: str = "go_on",
-        clock: str = "chamber",
         steering: str = TARGETS,
         phase: float = 0.0,
         phase_step: float | None = None,
@@ -110,9 +107,6 @@ class ILC(Controller):
             carrier_hz: carrier frequency of the pulse-width modulation, Hz.
             on_fault: action after the detection of a fault. "go_on" continues without
                 the faulty module, and "stop" ends the run.
-            clock: times of the updates. "chamber" updates the duty of each chamber at
-                the end of the chamber's own period. "common" updates all duties at the
-                same time, as in the dissertation.
             steering: quantities that depend on φ. With "targets" only the target
                 amplitudes depend on φ, and with "targets_and_wave" also the wave of Eq.
                 13.
@@ -124,10 +118,10 @@ class ILC(Controller):
             InputError: a number is out of range, or a fill has too few pulses.
             UnknownNameError: an option has an unknown value.
         """
-        words = {"on_fault": on_fault, "clock": clock, "steering": steering}
-        for name, allowed in _CHOICES.items():
-            if words[name] not in allowed:
-                raise UnknownNameError(name, words[name], allowed)
+        if on_fault not in ON_FAULT:
+            raise UnknownNameError("on_fault", on_fault, ON_FAULT)
+        if steering not in STEERINGS:
+            raise UnknownNameError("steering", steering, STEERINGS)
         self._fixed_target: float | None = None
         if not isinstance(target, str):
             check_positive("ilc target", target)
@@ -153,7 +147,6 @@ class ILC(Controller):
         self._free_periods = free_periods
         self._carrier_hz = carrier_hz
         self._on_fault = on_fault
-        self._clock = clock
         self._steering = steering
         self._offset = validated_offset(offset)
         self._initialise(0)
@@ -185,9 +178,7 @@ class ILC(Controller):
             allow_long_ticks=True,
             scale=spec.scale,
         )
-        self._periods = ChamberPeriods(
-            self._gait.phase_lag, self.frequency, tick, common=self._clock == "common"
-        )
+        self._periods = ChamberPeriods(self._gait.phase_lag, self.frequency, tick)
         self._steer_wave()
         starts = self._periods.fill_starts
         self._last_chamber = np.unravel_index(starts.argmax(), starts.shape)
@@ -236,7 +227,6 @@ class ILC(Controller):
             "free_periods": self._free_periods,
             "target": SMALLEST if self._fixed_target is None else self._fixed_target,
             "on_fault": self._on_fault,
-            "clock": self._clock,
             "steering": self._steering,
             "fill_begins_s": self._periods.fill_starts.tolist(),
             "amplitude_rad": self.amplitude,

@@ -88,15 +88,6 @@ def test_steering_during_a_run_changes_the_targets_only():
     assert len(run.event_texts("converged")) == 3
 
 
-def test_a_common_period_converges_too():
-    gain = np.linspace(1.0, 1.4, 2 * SEGMENTS).reshape(SEGMENTS, 2)
-    run = Run(ILC(1.0, target=0.7, clock="common"), gain).go(16)
-    assert (np.array(run.controller.describe()["fill_begins_s"]) == 0).all()
-    assert run.amplitudes()[-1] == pytest.approx(0.7, rel=0.05)
-    updates = [event.time for event in run.events if event.kind == "ilc_update"]
-    assert updates == pytest.approx(np.arange(3, 16), abs=1e-9)
-
-
 # --- the offset on the wave as well
 # -------------------------------------------------------------------------
 
@@ -146,9 +137,8 @@ def test_periods_begin_with_the_fills_of_the_steered_wave(offset):
         ) or (begins[j, side] + np.arange(2) == pytest.approx(rises[:2], abs=1.1e-4))
 
 
-@pytest.mark.parametrize("clock", ["chamber", "common"])
-def test_targets_are_reached_with_a_steered_wave(clock):
-    run = Run(ILC(1.0, 0.3, clock=clock, **ON_WAVE), 1.2).go(16)
+def test_targets_are_reached_with_a_steered_wave():
+    run = Run(ILC(1.0, 0.3, **ON_WAVE), 1.2).go(16)
     assert run.amplitudes()[-1] == pytest.approx(
         np.tile([0.7, 0.4], (SEGMENTS, 1)), abs=0.02
     )
@@ -437,7 +427,6 @@ def test_offsets_without_targets_are_refused(offset):
             "ilc free_periods 0 is not allowed; it must be 1 or more",
         ),
         ({"on_fault": "pause"}, "on_fault 'pause'"),
-        ({"clock": "wall"}, "clock 'wall'"),
         ({"steering": "wave"}, "steering 'wave'"),
     ],
 )
