@@ -179,9 +179,8 @@ def test_cells_agree_with_ros(tmp_path, library):
             for negate in (False, True):
                 picture = tmp_path / f"{k}{write.suffix}"
                 colours, white = write(picture, rng)
-                free, occupied = (
-                    ("0.196", "0.65") if rng.random() < 0.5 else ("0.1", "0.9")
-                )
+                thresholds = [("0.196", "0.65"), ("0.1", "0.9"), ("0.0", "1.0")]
+                free, occupied = thresholds[rng.integers(3)]
                 path = write_map(
                     picture,
                     free=free,
@@ -273,27 +272,6 @@ planner: {kind: best_first, footprint: gen2_section52}
 controller: {kind: follow, follower: path, gait: {kind: gait, frequency_hz: 2.0}}
 plants: {twin: {wheels: rolling}}
 """
-
-
-def test_grey_levels_negate_no_and_free_thresh_zero_are_one_map(tmp_path):
-    """With `free_thresh` 0, white is free in mode scale."""
-    grey = np.full((120, 160), 254)
-    grey[[0, -1]] = grey[:, [0, -1]] = grey[30:90, 88:95] = 0
-    maps = []
-    for levels, options in (
-        ((0, 254), {}),
-        ((35, 250), {}),
-        ((0, 254), {"more": "negate: no\n"}),
-        ((0, 254), {"free": "0.0", "occupied": "1.0", "more": "mode: scale\n"}),
-    ):
-        array = np.where(grey > 0, levels[1], levels[0]).astype(np.uint8)
-        Image.fromarray(array).save(tmp_path / "wall.png")
-        path = write_map(tmp_path / "wall.png", **options)
-        path.write_text(
-            path.read_text().replace("[-0.5, -0.5, 0.0]", "[-2.0, -3.0, 0.0]")
-        )
-        maps.append(read_map(path))
-    assert maps[0] == maps[1] == maps[2] == maps[3] and len(maps[0]) == 5
 
 
 def sparse(path, width, height):
