@@ -100,38 +100,35 @@ class Footprint:
         *,
         speed: float,
         curvature: float,
-        offset: float = 0.3,
         ahead: float = 0.0,
-        behind: float = 0.0,
     ) -> Footprint:
         """Return a footprint of constant width, as in Fig. 54 and Table 9.
 
         In turns the edges are shifted outward, because the inner edge approaches the
         path while the outer edge hardly moves (Table 8). In the dissertation, `ahead`
-        and `behind` are 0.
+        is 0.
 
         Args:
             width: distance between the edges, m.
             shift: shift of the two edges in the tightest turn, m.
             speed: speed of the centre of mass, m/s.
             curvature: curvature of the tightest turn, 1/m.
-            offset: offset of the tightest turn.
             ahead: distance from the centre of mass to the head, m.
-            behind: distance from the centre of mass to the tail, m.
         """
         half = width / 2
         wide = half + shift
         narrow = half - shift
         title = f"box {1000 * width:g} mm, shift {1000 * shift:g} mm"
-        turns = (-offset, 0.0, offset), (-curvature, 0.0, curvature), (speed,) * 3
         return cls(
             "box",
             title,
-            *turns,
-            (wide, half, narrow),
-            (narrow, half, wide),
-            ahead,
-            behind,
+            offsets=(-0.3, 0.0, 0.3),
+            curvatures=(-curvature, 0.0, curvature),
+            speeds=(speed,) * 3,
+            left=(wide, half, narrow),
+            right=(narrow, half, wide),
+            ahead=ahead,
+            behind=0.0,
         )
 
     @property
