@@ -40,7 +40,7 @@ from srs_twin.pneumatics.base import (
 )
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
-    bend_law,
+    bend_law_of,
     chamber_gains,
     check_pressure,
     invert_bend_law,
@@ -226,7 +226,7 @@ class OrificePneumatics(Pneumatics):
             displacement=spec.chamber.displacement,
             gain=chamber_gains(spec),
             bias=spec.modules.array("bias"),
-            law=bend_law(spec),
+            bend_law=bend_law_of(spec),
             tau=spec.actuator.tau_mode,
             critical=critical,
             fill=REFERENCE_PA * fill,
@@ -265,7 +265,7 @@ class OrificePneumatics(Pneumatics):
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """Set pressures (Pa), and equal free and actual bends (rad)."""
         plumbing = self.plumbing
-        linear = invert_bend_law(bend - self.rest_bend, plumbing.law)
+        linear = invert_bend_law(bend - self.rest_bend, plumbing.bend_law)
         self.pressure = check_pressure(
             pressure, self.max_pressure_ratio * (plumbing.supply - AMBIENT_PA)
         )
