@@ -265,12 +265,18 @@ class PathFollowing(_Baseline):
             footprint = measured.reduced(TURN_FRACTION, fraction * MARGIN_M)
             return plan(Problem(start, goal, world, footprint), _PLANNER_SETTINGS)
 
-        law = PathTracking(measured, LOOKAHEAD_M, SETTLE_M)
+        steering = PathTracking(measured, LOOKAHEAD_M, SETTLE_M)
         conditions = Conditions(
             Camera(1 / STEP_S), response_length=SETTLE_M, max_cross_track_error=STRAY_M
         )
         follower = Follower(
-            self._offset, law, replan(pose), goal, measured, conditions, replan=replan
+            self._offset,
+            steering,
+            replan(pose),
+            goal,
+            measured,
+            conditions,
+            replan=replan,
         )
         follower.reset(self._task.robot, STEP_S)
         return follower

@@ -318,7 +318,7 @@ class Follower(Controller):
         return self.gait.describe() | {
             "gait": self.gait.kind,
             "following": {
-                "law": type(self.steering).__name__,
+                "steering": type(self.steering).__name__,
                 "plans": [_recorded(time, plan) for time, plan in self.plans],
                 "footprint": asdict(self.body or self.footprint),
                 "world": {

@@ -174,24 +174,28 @@ def test_snake_that_differs_from_its_footprint_converges(
     assert np.abs(beside(plan, way, since=4.0 / speed)).max() < 0.01
 
 
-@pytest.mark.parametrize("law", [ours, lambda: WaypointSteering(0.6, 0.2, 0.2)])
-def test_mirrored_paths_are_followed_symmetrically(law):
+@pytest.mark.parametrize(
+    "make_steering", [ours, lambda: WaypointSteering(0.6, 0.2, 0.2)]
+)
+def test_mirrored_paths_are_followed_symmetrically(make_steering):
     ways = []
     for side in (1.0, -1.0):
         plan = a_plan(tuple((side * k, length) for k, length in WINDING))
-        _, plant, way = follow(plan, steering=law(), wag=side * 0.3, delay=0.1)
+        _, plant, way = follow(
+            plan, steering=make_steering(), wag=side * 0.3, delay=0.1
+        )
         ways.append(way * (1, 1, side, side))
         assert np.isfinite([offset for _, offset in plant.offsets]).all()
     assert len(ways[0]) == len(ways[1])
     assert ways[0] == pytest.approx(ways[1], abs=1e-9)
 
 
-def test_bearing_law_visits_all_nodes_and_arrives():
-    law = WaypointSteering(0.6, 0.2, 0.2)
+def test_waypoint_steering_visits_all_nodes_and_arrives():
+    steering = WaypointSteering(0.6, 0.2, 0.2)
     plan = a_plan(WINDING)
-    follower, _, way = follow(plan, steering=law, radius=0.1)
+    follower, _, way = follow(plan, steering=steering, radius=0.1)
     assert follower.ending == "goal_reached"
-    assert law.node == math.ceil(plan.length / 0.2 - 1e-9) - 1
+    assert steering.node == math.ceil(plan.length / 0.2 - 1e-9) - 1
     ours_beside = beside(plan, follow(plan)[2])
     assert np.sqrt((beside(plan, way) ** 2).mean()) > 2 * np.sqrt(
         (ours_beside**2).mean()
@@ -221,13 +225,13 @@ class Watcher(Steering):
         return 0.2 if len(self.poses) % 120 < 60 else -0.2
 
 
-def test_law_receives_the_pose_at_which_its_command_takes_effect():
+def test_steering_receives_the_pose_at_which_its_command_takes_effect():
     """Also while earlier commands are still delayed."""
-    law = Watcher()
+    steering = Watcher()
     delay = 0.3
-    _, plant, way = follow(a_plan(), steering=law, delay=delay, duration=8.0)
+    _, plant, way = follow(a_plan(), steering=steering, delay=delay, duration=8.0)
     ahead = round(delay / plant.tick)
-    given = np.array([(pose.x, pose.y) for pose in law.poses])[:-ahead]
+    given = np.array([(pose.x, pose.y) for pose in steering.poses])[:-ahead]
     apart = np.hypot(*(given - way[ahead : ahead + len(given), 1:3]).T)
     settled = slice(round(1.0 / plant.tick), None)
     assert np.hypot(*np.diff(way[settled, 1:3], axis=0).T).sum() > 1.0
