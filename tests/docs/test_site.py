@@ -168,10 +168,7 @@ def test_ranges_units_and_defaults_are_those_of_the_model(site):
         re.S,
     )
     words = re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", row[0])).strip()
-    assert (
-        words
-        == "record_hz Hz a number from 0.1 to 10000 100.0 Recording rate"
-    )
+    assert words == "record_hz Hz a number from 0.1 to 10000 100.0 Recording rate"
 
 
 def commands_in(given, words=("srs-twin",)):

@@ -111,7 +111,7 @@ class CompleteModel:
         self.mu_t = mu.mu_t
         self.mu_n = mu.mu_n
         self.rest = np.sqrt(mu.mu_n**2 - mu.mu_t**2)
-        self._law = {"axis": self._axis, "wheel": self._wheel}[friction]
+        self._friction_law = {"axis": self._axis, "wheel": self._wheel}[friction]
         # Headings and link directions are linear in the bends, connector positions in
         # the links.
         self.heading = relative_headings(np.eye(spec.segments)).T
@@ -133,7 +133,7 @@ class CompleteModel:
         velocity = complex(state[3], state[4]) * ahead.conjugate()
         local = (velocity + 1j * spin * rho + drift) * body.conj()
         along = local.real - self.arm * (spin + self.heading @ rate)
-        f_t, f_n = self._law(along, local.imag)
+        f_t, f_n = self._friction_law(along, local.imag)
         force = (f_t.sum(axis=0) + 1j * f_n) * body
         turning = (rho.conj() * force).imag.sum() - (self.arm * f_t).sum()
         push = force.sum() * ahead / self.total

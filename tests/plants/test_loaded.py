@@ -53,7 +53,7 @@ MU = st.floats(0.01, 1.0)
 
 def wheel_law(mu_t: float, mu_n: float, slip: float) -> FloorLaw:
     return FloorLaw(
-        kind=LAWS_ON_LOADS.index("wheel"),
+        friction_law_index=LAWS_ON_LOADS.index("wheel"),
         forward=mu_t,
         across=mu_n,
         slip_speed=slip,
@@ -84,15 +84,17 @@ def test_fast_contact_follows_the_ellipse_and_resting_contact_keeps_its_force(
 @given(v_t=SPEED, v_n=SPEED, rim=SPEED, mu_t=MU, mu_n=MU, lag=st.floats(1e-3, 10), p=MU)
 def test_rim_speed_balances_contact_and_axle(v_t, v_n, rim, mu_t, mu_n, lag, p):
     push = (p * LOAD, -p * LOAD)
-    law = wheel_law(mu_t, mu_n, 1e-3)
-    (f_t, f_n, *_), w = rolling_friction(v_t, v_n, LOAD, law, *push, rim, lag)
+    friction_law = wheel_law(mu_t, mu_n, 1e-3)
+    (f_t, f_n, *_), w = rolling_friction(v_t, v_n, LOAD, friction_law, *push, rim, lag)
     assert math.hypot(f_t, f_n) <= mu_n * LOAD * (1 + 1e-12)
     drag = -f_t - lag * (w - rim)  # what the axle takes
     assert abs(drag) <= mu_t * LOAD * (1 + 1e-6)
     if w != 0:
         assert drag == pytest.approx(math.copysign(mu_t * LOAD, w), rel=1e-6)
     # With a rim at rest and no force from before friction only takes power.
-    (f_t, f_n, *_), _ = rolling_friction(v_t, v_n, LOAD, law, 0.0, 0.0, 0.0, lag)
+    (f_t, f_n, *_), _ = rolling_friction(
+        v_t, v_n, LOAD, friction_law, 0.0, 0.0, 0.0, lag
+    )
     assert f_t * v_t + f_n * v_n <= 1e-15
 
 
@@ -101,22 +103,26 @@ def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, fraction):
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
     expected = wheel(v_t, v_n, LOAD, fraction * mu_n, mu_n, slip)[:2]
-    law = wheel_law(fraction * mu_n, mu_n, slip)
-    traction, _ = rolling_friction(v_t, v_n, LOAD, law, 0.0, 0.0, 0.0, 1e-12)
+    friction_law = wheel_law(fraction * mu_n, mu_n, slip)
+    traction, _ = rolling_friction(v_t, v_n, LOAD, friction_law, 0.0, 0.0, 0.0, 1e-12)
     assert traction[:2] == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
-@pytest.mark.parametrize("law", LAWS_ON_LOADS)
+@pytest.mark.parametrize("friction_law", LAWS_ON_LOADS)
 @given(v_t=SPEED, v_n=SPEED, mu_n=MU, fraction=st.floats(0.01, 0.9))
-def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, fraction):
+def test_sliding_contact_follows_the_law_of_its_name(
+    friction_law, v_t, v_n, mu_n, fraction
+):
     """A law without a branch of its own in the friction solve would run as another one."""
     assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
     mu_t = fraction * mu_n
-    expected = getattr(friction, law)(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
+    expected = getattr(friction, friction_law)(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
     contact = SimpleNamespace(
         wheels=1,
-        floor=wheel_law(mu_t, mu_n, slip)._replace(kind=LAWS_ON_LOADS.index(law)),
+        floor=wheel_law(mu_t, mu_n, slip)._replace(
+            friction_law_index=LAWS_ON_LOADS.index(friction_law)
+        ),
     )
     traction, _ = _friction_law.py_func(
         contact, 0, v_t, v_n, LOAD, (0.0, 0.0, 0.0), 0.0, 1.0

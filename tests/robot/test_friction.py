@@ -13,33 +13,35 @@ from srs_twin.robot import friction
 
 pytestmark = pytest.mark.fast
 
-LAWS = {name: getattr(friction, name) for name in friction.LAWS}
+FRICTION_LAWS = {name: getattr(friction, name) for name in friction.FRICTION_LAWS}
 LOAD = 0.3
 SPEED = st.floats(-1, 1, allow_subnormal=False)
 MU = st.floats(0, 1.2, allow_subnormal=False)
 SLIP = st.floats(1e-4, 0.1)
-EACH_LAW = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+EACH_FRICTION_LAW = pytest.mark.parametrize(
+    "friction_law", FRICTION_LAWS.values(), ids=FRICTION_LAWS
+)
 
 
-def forces(law, v_t, v_n, mu_t, mu_n, slip=1e-3):
-    return law(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
+def forces(friction_law, v_t, v_n, mu_t, mu_n, slip=1e-3):
+    return friction_law(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
 
 
-@EACH_LAW
+@EACH_FRICTION_LAW
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
+def test_derivatives_match_finite_differences(friction_law, v_t, v_n, mu_t, mu_n, slip):
     # The wheel law has kinks at the transition from rolling to skidding and at v_t = 0.
     fraction = mu_n * abs(v_t) / math.sqrt(v_t**2 + v_n**2 + slip**2)
     assume(
-        law is not friction.wheel
+        friction_law is not friction.wheel
         or (abs(fraction - mu_t) > 1e-3 and (fraction < mu_t or abs(v_t) > 1e-3))
     )
     h = 1e-5 * slip
-    derivatives = law(v_t, v_n, LOAD, mu_t, mu_n, slip)[2:]
-    ahead = forces(law, v_t + h, v_n, mu_t, mu_n, slip)
-    behind = forces(law, v_t - h, v_n, mu_t, mu_n, slip)
-    left = forces(law, v_t, v_n + h, mu_t, mu_n, slip)
-    right = forces(law, v_t, v_n - h, mu_t, mu_n, slip)
+    derivatives = friction_law(v_t, v_n, LOAD, mu_t, mu_n, slip)[2:]
+    ahead = forces(friction_law, v_t + h, v_n, mu_t, mu_n, slip)
+    behind = forces(friction_law, v_t - h, v_n, mu_t, mu_n, slip)
+    left = forces(friction_law, v_t, v_n + h, mu_t, mu_n, slip)
+    right = forces(friction_law, v_t, v_n - h, mu_t, mu_n, slip)
     steepest = LOAD * max(mu_t, mu_n) / slip
     differences = [
         (ahead[0] - behind[0]) / (2 * h),
@@ -50,19 +52,19 @@ def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
     assert derivatives == pytest.approx(differences, abs=1e-5 * steepest + 1e-7)
 
 
-@EACH_LAW
+@EACH_FRICTION_LAW
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_friction_never_does_positive_work(law, v_t, v_n, mu_t, mu_n, slip):
-    f_t, f_n = forces(law, v_t, v_n, mu_t, mu_n, slip)
+def test_friction_never_does_positive_work(friction_law, v_t, v_n, mu_t, mu_n, slip):
+    f_t, f_n = forces(friction_law, v_t, v_n, mu_t, mu_n, slip)
     assert f_t * v_t <= 0
     assert f_n * v_n <= 0
 
 
-@EACH_LAW
+@EACH_FRICTION_LAW
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU)
-def test_reversed_motion_reverses_the_force(law, v_t, v_n, mu_t, mu_n):
-    there = forces(law, v_t, v_n, mu_t, mu_n)
-    back = forces(law, -v_t, -v_n, mu_t, mu_n)
+def test_reversed_motion_reverses_the_force(friction_law, v_t, v_n, mu_t, mu_n):
+    there = forces(friction_law, v_t, v_n, mu_t, mu_n)
+    back = forces(friction_law, -v_t, -v_n, mu_t, mu_n)
     assert back == pytest.approx([-f for f in there], abs=1e-15)
 
 
@@ -162,10 +164,14 @@ def test_wheel_law_equals_a_simulated_spinning_wheel(v_t, v_n, mu_t):
     assert force == pytest.approx(expected, abs=0.005 * LOAD * mu_n)
 
 
-def at_slip(law, degrees: float, mu_t: float, mu_n: float) -> tuple[float, float]:
+def at_slip(
+    friction_law, degrees: float, mu_t: float, mu_n: float
+) -> tuple[float, float]:
     """Return the force at 0.1 m/s in a direction at an angle to the heading."""
     angle = math.radians(degrees)
-    return forces(law, 0.1 * math.cos(angle), 0.1 * math.sin(angle), mu_t, mu_n, 1e-6)
+    return forces(
+        friction_law, 0.1 * math.cos(angle), 0.1 * math.sin(angle), mu_t, mu_n, 1e-6
+    )
 
 
 @given(SPEED, SPEED, st.floats(0.01, 1.2), st.floats(0.01, 1.2), SLIP)
@@ -232,7 +238,8 @@ def test_skid_has_less_axial_drag_than_the_axis_law_at_15_degrees_of_slip(
     mu_t, mu_n, times
 ):
     axis, ellipse = (
-        at_slip(law, 15, mu_t, mu_n) for law in (friction.axis, friction.ellipse)
+        at_slip(friction_law, 15, mu_t, mu_n)
+        for friction_law in (friction.axis, friction.ellipse)
     )
     assert axis[0] / ellipse[0] == pytest.approx(times, abs=0.01)
     assert times == pytest.approx(
@@ -241,20 +248,26 @@ def test_skid_has_less_axial_drag_than_the_axis_law_at_15_degrees_of_slip(
     assert axis[1] / ellipse[1] == pytest.approx(1, abs=0.15)
 
 
-@EACH_LAW
-def test_zero_coefficients_give_zero_force(law):
+@EACH_FRICTION_LAW
+def test_zero_coefficients_give_zero_force(friction_law):
     for v in ((0.1, -0.2), (0.0, 0.0)):
-        assert list(law(*v, LOAD, 0.0, 0.0, 1e-3)) == pytest.approx([0] * 6, abs=1e-15)
-        force = law(*v, LOAD, 0.0, 0.5, 1e-3)
+        assert list(friction_law(*v, LOAD, 0.0, 0.0, 1e-3)) == pytest.approx(
+            [0] * 6, abs=1e-15
+        )
+        force = friction_law(*v, LOAD, 0.0, 0.5, 1e-3)
         assert np.isfinite(force).all() and force[0] == pytest.approx(0, abs=1e-15)
 
 
-@EACH_LAW
+@EACH_FRICTION_LAW
 @given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_mixed_derivatives_are_equal_except_of_cosine(law, v_t, v_n, mu_t, mu_n, slip):
+def test_mixed_derivatives_are_equal_except_of_cosine(
+    friction_law, v_t, v_n, mu_t, mu_n, slip
+):
     """Other laws have a potential; the kernels store only one of their two mixed derivatives."""
-    _, _, _, t_by_n, n_by_t, _ = law(v_t, v_n, LOAD, mu_t, mu_n, slip)
-    fraction_t, fraction_n = (mu_n, mu_t) if law is friction.cosine else (1.0, 1.0)
+    _, _, _, t_by_n, n_by_t, _ = friction_law(v_t, v_n, LOAD, mu_t, mu_n, slip)
+    fraction_t, fraction_n = (
+        (mu_n, mu_t) if friction_law is friction.cosine else (1.0, 1.0)
+    )
     assert fraction_t * t_by_n == pytest.approx(
         fraction_n * n_by_t, rel=1e-12, abs=1e-15
     )
@@ -271,16 +284,23 @@ def test_laws_of_isotropic_skin_agree(v_t, v_n, mu, slip):
     angle=st.floats(0, 2 * math.pi), mu_t=st.floats(0.05, 1), mu_n=st.floats(0.05, 1)
 )
 def test_sliding_skin_is_on_its_friction_ellipse(angle, mu_t, mu_n):
-    for law in friction.SKIN_LAWS:
-        f_t, f_n = forces(LAWS[law], math.cos(angle), math.sin(angle), mu_t, mu_n, 1e-9)
+    for friction_law in friction.SKIN_LAWS:
+        f_t, f_n = forces(
+            FRICTION_LAWS[friction_law],
+            math.cos(angle),
+            math.sin(angle),
+            mu_t,
+            mu_n,
+            1e-9,
+        )
         assert math.hypot(f_t / mu_t, f_n / mu_n) == pytest.approx(LOAD, rel=1e-9)
 
 
-@EACH_LAW
-def test_compiled_scalars_equal_arrays(law):
+@EACH_FRICTION_LAW
+def test_compiled_scalars_equal_arrays(friction_law):
     v_t, v_n = np.random.default_rng(1).uniform(-0.1, 0.1, size=(2, 20))
-    whole = law(v_t, v_n, LOAD, 0.1, 0.5, 1e-2)
-    scalar = njit(law)
+    whole = friction_law(v_t, v_n, LOAD, 0.1, 0.5, 1e-2)
+    scalar = njit(friction_law)
     for k in range(20):
         assert [part[k] for part in whole] == pytest.approx(
             scalar(v_t[k], v_n[k], LOAD, 0.1, 0.5, 1e-2)
@@ -288,14 +308,18 @@ def test_compiled_scalars_equal_arrays(law):
 
 
 def test_two_point_laws_are_laws():
-    assert {"wheel", "ellipse"} <= set(friction.TWO_POINT_LAWS) <= set(friction.LAWS)
+    assert (
+        {"wheel", "ellipse"}
+        <= set(friction.TWO_POINT_LAWS)
+        <= set(friction.FRICTION_LAWS)
+    )
 
 
 def test_laws_are_elementwise():
     generator = np.random.default_rng(0)
     v = generator.uniform(-0.1, 0.1, size=(2, 3, 4))
-    for law in LAWS.values():
-        whole = law(v[0], v[1], LOAD, 0.1, 0.5, 1e-2)
+    for friction_law in FRICTION_LAWS.values():
+        whole = friction_law(v[0], v[1], LOAD, 0.1, 0.5, 1e-2)
         for index in np.ndindex(3, 4):
-            single = law(v[0][index], v[1][index], LOAD, 0.1, 0.5, 1e-2)
+            single = friction_law(v[0][index], v[1][index], LOAD, 0.1, 0.5, 1e-2)
             assert [part[index] for part in whole] == pytest.approx(single, rel=1e-14)
