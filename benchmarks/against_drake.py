@@ -336,11 +336,11 @@ def simulate(
             along = (speed * ahead).sum(axis=1)
             across = (speed * left).sum(axis=1)
             wheels = zip(along, across, spin, load, strict=True)
-            f_t, f_n, spin, drag = np.array(
+            f_t, f_lat, spin, drag = np.array(
                 [wheel_force(*wheel, friction, step) for wheel in wheels]
             ).T
             at_hub = f_t[:, None] * ahead
-            at_foot = f_n[:, None] * left
+            at_foot = f_lat[:, None] * left
             moment = (
                 np.cross(hub, at_hub)
                 + np.cross(foot, at_foot)

@@ -461,8 +461,8 @@ def explain(
     twin = trajectories["twin"].between(0.0, limit)
     gap = _checked_gap(scenario, model, twin)
     variants = PlantVariants(scenario)
-    share = 1.0 if window is None else window / scenario.duration
-    walls = {kind: share * wall for kind, wall in (wall_s or {}).items()}
+    fraction = 1.0 if window is None else window / scenario.duration
+    walls = {kind: fraction * wall for kind, wall in (wall_s or {}).items()}
     runs = _run_all(scenario, variants, controller, window, progress, walls)
     runs = {name: run.between(0.0, limit) for name, run in runs.items()}
     runs |= {_variant_name(frozenset()): model, _variant_name({}): twin}

@@ -74,7 +74,7 @@ from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.io.files import StrPath
 from srs_twin.plants.analytical.floor import slide, spin_fraction
-from srs_twin.recordings.body.trajectories import moving_slope
+from srs_twin.recordings.body.trajectories import moving_derivative
 from srs_twin.recordings.csv_table import (
     CsvColumn,
     CsvTable,
@@ -409,7 +409,7 @@ class CoastingTest:
         time = trajectory.time
         if len(time) < _MIN_SAMPLES:
             raise InputError(f"{name}: the recording has {len(time)} samples; {needed}")
-        speed = np.hypot(*moving_slope(time, trajectory.com).T)
+        speed = np.hypot(*moving_derivative(time, trajectory.com).T)
         if start is None:
             first = int(np.argmax(speed))
         else:
@@ -437,7 +437,7 @@ class CoastingTest:
         steps = moves @ [1.0, 1.0j] * np.exp(-1j * middle)
         path = np.concatenate([[0.0], np.cumsum(steps)])
         position = np.stack([path.real, path.imag], axis=1)
-        along, across = moving_slope(time, position)[0].tolist()
+        along, across = moving_derivative(time, position)[0].tolist()
         bends = None
         if trajectory.has("bend_1"):
             bends = trajectory.stack("bend")[first:].mean(axis=0)

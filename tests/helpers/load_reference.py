@@ -475,16 +475,16 @@ def _run(engine, views, wheels, friction, sizes, torques, records):  # type: ign
             along = vx * ahead[0] + vy * ahead[1]
             across = -vx * ahead[1] + vy * ahead[0]
             pressed = loads[w] if constant else load[w]
-            f_t, f_n, spin[w], drag = wheel_force(
+            f_t, f_lat, spin[w], drag = wheel_force(
                 along, across, spin[w], pressed, friction, step
             )
             # The force that spins the wheel acts at the hub, the force across at the
             # foot.
-            fx = f_t * ahead[0] - f_n * ahead[1]
-            fy = f_t * ahead[1] + f_n * ahead[0]
+            fx = f_t * ahead[0] - f_lat * ahead[1]
+            fy = f_t * ahead[1] + f_lat * ahead[0]
             for a in range(3):
                 arm[a] = hub[a] - xipos[body, a]
-            lateral = -radius * f_n
+            lateral = -radius * f_lat
             applied[body, 0] += fx
             applied[body, 1] += fy
             applied[body, 3] += (

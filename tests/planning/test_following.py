@@ -60,7 +60,7 @@ def follow(
     seed=0,
     radius=0.05,
     max_cross_track_error=None,
-    replans=3,
+    max_replans=3,
     replan=None,
     submit=None,
     curvature_at=as_told,
@@ -80,7 +80,7 @@ def follow(
     wheel = Wheel()
     end = plan.end or Pose(1.0, 0.0, 0.0)
     conditions = Conditions(
-        camera, delay, SETTLE, max_cross_track_error, replans, lag=lag
+        camera, delay, SETTLE, max_cross_track_error, max_replans, lag=lag
     )
     follower = Follower(
         wheel,
@@ -115,10 +115,10 @@ def beside(plan, way, since=0.0):
 
 
 @pytest.mark.default_cases(1)
-@pytest.mark.parametrize("aside", [0.1, -0.1])
-def test_follower_converges_to_a_straight_path(aside):
+@pytest.mark.parametrize("lateral", [0.1, -0.1])
+def test_follower_converges_to_a_straight_path(lateral):
     plan = a_plan()
-    follower, _, way = follow(plan, start=(0.0, aside, 0.0))
+    follower, _, way = follow(plan, start=(0.0, lateral, 0.0))
     assert follower.ending == "goal_reached"
     assert np.abs(beside(plan, way, since=7.0)).max() < 1e-3
     assert math.hypot(way[-1, 1] - 3.0, way[-1, 2]) < 0.01
@@ -155,17 +155,17 @@ def test_late_frames_are_compensated():
 @given(
     gain=st.floats(0.6, 1.6),
     drift=st.floats(-0.5, 0.5),
-    aside=st.floats(-0.1, 0.1),
+    lateral=st.floats(-0.1, 0.1),
     heading=st.floats(-0.5, 0.5),
     speed=st.floats(0.12, 0.3),
 )
 def test_snake_that_differs_from_its_footprint_converges(
-    gain, drift, aside, heading, speed
+    gain, drift, lateral, heading, speed
 ):
     plan = a_plan(((0.0, 8.0),))
     _, _, way = follow(
         plan,
-        start=(0.0, aside, heading),
+        start=(0.0, lateral, heading),
         curvature_at=lambda offset: gain * as_told(offset) + drift,
         speed=speed,
         delay=0.1,
@@ -390,7 +390,7 @@ def test_run_with_a_required_margin_ends_near_an_obstacle_when_no_plan_is_left(l
         steering=WaypointSteering(0.3, 0.2, 0.1),
         curvature_at=lambda offset: as_told(offset) + 0.7,
         max_cross_track_error=1.0,
-        replans=0,
+        max_replans=0,
         replan=lambda pose, _: a_plan(start=pose),
         world=BESIDE,
         margin=0.05,
@@ -412,7 +412,7 @@ def test_straying_requests_new_plans_up_to_the_limit():
         a_plan(),
         curvature_at=blind,
         max_cross_track_error=0.1,
-        replans=2,
+        max_replans=2,
         replan=replan,
     )
     assert follower.ending == "strayed" and len(asked) == 2
@@ -472,7 +472,7 @@ def test_old_plan_is_kept_if_there_is_no_new_one():
         curvature_at=blind,
         max_cross_track_error=0.1,
         replan=refuse,
-        replans=2,
+        max_replans=2,
     )
     assert follower.ending == "strayed" and len(follower.plans) == 1
     events = follower.events()

@@ -128,19 +128,19 @@ def drag(swim: Swim, load: float, velocity: complex, heading: float) -> complex:
     slip = swim.slip
     if swim.friction_law == "axis":
         f_t = swim.mu_t * along / math.hypot(along, slip)
-        f_n = swim.mu_n * across / math.hypot(across, slip)
+        f_lat = swim.mu_n * across / math.hypot(across, slip)
     else:
         speed = math.sqrt(along**2 + across**2 + slip**2)
         f_t = math.copysign(min(swim.mu_t, swim.mu_n * abs(along) / speed), along)
         locked = swim.mu_n * abs(along) / speed <= swim.mu_t
-        f_n = (
+        f_lat = (
             swim.mu_n * across / speed
             if locked
             else math.sqrt(swim.mu_n**2 - swim.mu_t**2)
             * across
             / math.hypot(across, slip)
         )
-    return -load * (f_t + 1j * f_n) * np.exp(1j * heading)
+    return -load * (f_t + 1j * f_lat) * np.exp(1j * heading)
 
 
 def by_newton(swim: Swim, duration: float) -> np.ndarray:
@@ -268,7 +268,7 @@ def posed(solid: BodyParameters, bend: np.ndarray, rate: np.ndarray) -> np.ndarr
 
 @pytest.mark.parametrize("friction_law", MARKED_FRICTION_LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
-def test_floor_force_slopes_match_finite_differences(friction_law, track):
+def test_floor_force_derivatives_match_finite_differences(friction_law, track):
     solid, bend, rate = draw(2, 4)
     body = posed(solid, bend, rate)
     u = np.array([0.2, -0.1, 1.5])

@@ -255,7 +255,7 @@ def test_unequal_orifice_chambers_conserve_air_and_reach_the_static_bend():
     spec = unlike()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY)
     assert not np.abs(chambers.pressure).any()
-    air = chambers.plumbing.dead
+    air = chambers.parameters.dead
     displacement = spec.chamber.displacement
 
     def content() -> float:

@@ -88,8 +88,8 @@ def test_cells_divide_the_arc_and_leave_the_gap_straight():
         SPEC.geometry.segment_length
     )
     q = np.random.default_rng(0).normal(size=(3, SPEC.segments))
-    division = cells_of_skin(SPEC)
-    assert division.total(division.split(q)) == pytest.approx(q)
+    discretisation = cells_of_skin(SPEC)
+    assert discretisation.total(discretisation.split(q)) == pytest.approx(q)
 
 
 def floor_law(slip: float) -> FloorLaw:
@@ -101,18 +101,19 @@ def floor_law(slip: float) -> FloorLaw:
 @FRICTION_LAWS
 def test_sliding_skin_of_the_twin_follows_the_law(friction_law):
     rng = np.random.default_rng(1)
-    for v_t, v_n in rng.normal(size=(50, 2)):
+    for v_t, v_lat in rng.normal(size=(50, 2)):
         mu = 0.1 if v_t > 0 else 0.15
         slipping = skin_friction(
-            v_t, v_n, 2.0, floor_law(1e-9), 0.0, 0.0, friction_law == "cosine"
+            v_t, v_lat, 2.0, floor_law(1e-9), 0.0, 0.0, friction_law == "cosine"
         )
         assert slipping[:2] == pytest.approx(
-            getattr(friction, friction_law)(v_t, v_n, 2.0, mu, 0.5, 1e-12)[:2], rel=1e-6
+            getattr(friction, friction_law)(v_t, v_lat, 2.0, mu, 0.5, 1e-12)[:2],
+            rel=1e-6,
         )
 
 
 @FRICTION_LAWS
-def test_slopes_of_the_skin_of_the_twin_match_finite_differences(friction_law):
+def test_derivatives_of_the_twins_skin_match_finite_differences(friction_law):
     rng = np.random.default_rng(2)
     slip = 1e-2
     for _ in range(50):

@@ -120,7 +120,7 @@ def _residual(velocity, body, workspace, h, slip, out, with_matrix):  # type: ig
         for i in range(used):
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
-        mu_t = mu.ahead if along >= 0.0 else mu.back
+        mu_t = mu.forward if along >= 0.0 else mu.backward
         # f_t and f_lat are the friction along and across the body. tt, tn and nn are
         # the derivatives of friction with respect to the velocities along and across.
         f_t, f_lat, tt, tn, _, nn = _ellipse(

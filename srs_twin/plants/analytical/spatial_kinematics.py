@@ -38,13 +38,13 @@ class SkinFriction(NamedTuple):
     """Friction coefficients of a skin, and the slip speed of the friction law.
 
     Attributes:
-        ahead, back: coefficients for slip towards the head and the tail, dimensionless.
+        ahead, backward: coefficients for slip towards the head and the tail, dimensionless.
         across: coefficient across the heading, dimensionless.
         slip: slip speed ε, m/s.
     """
 
-    ahead: float
-    back: float
+    forward: float
+    backward: float
     across: float
     slip: float
 

@@ -140,18 +140,18 @@ def skin_friction(v_t, v_lat, load, friction_law, p_t, p_lat, is_cosine):  # typ
         The forces f_t and f_lat (N), and the derivatives ∂f_t/∂v_t, ∂f_t/∂v_lat,
         ∂f_lat/∂v_t and ∂f_lat/∂v_lat (N·s/m).
     """
-    mu_ahead = friction_law.forward
-    mu_back = friction_law.backward
+    mu_forward = friction_law.forward
+    mu_backward = friction_law.backward
     mu_lat = friction_law.across
     slip = friction_law.slip_speed
-    along = max(mu_ahead, mu_back)  # Warp's max accepts only two numbers
+    along = max(mu_forward, mu_backward)  # Warp's max accepts only two numbers
     greatest = max(along, mu_lat)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     # Friction opposes the slip. A force towards the tail therefore has the friction
     # coefficient for slip towards the head.
-    mu_p = mu_ahead if p_t <= 0.0 else mu_back
-    mu_v = mu_ahead if v_t >= 0.0 else mu_back
+    mu_p = mu_forward if p_t <= 0.0 else mu_backward
+    mu_v = mu_forward if v_t >= 0.0 else mu_backward
     q_t = p_t / max(mu_p * load, _MIN_LIMIT)
     q_lat = p_lat / max(mu_lat * load, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_lat * q_lat))
@@ -168,7 +168,7 @@ def skin_friction(v_t, v_lat, load, friction_law, p_t, p_lat, is_cosine):  # typ
     r = 1.0 / max(1.0, size)
     a_t = y_t * r
     a_lat = y_lat * r
-    limit_t = (mu_ahead if y_t <= 0.0 else mu_back) * load
+    limit_t = (mu_forward if y_t <= 0.0 else mu_backward) * load
     limit_lat = mu_lat * load
     return (
         limit_t * a_t,
