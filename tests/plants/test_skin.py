@@ -94,7 +94,12 @@ def test_cells_divide_the_arc_and_leave_the_gap_straight():
 
 def floor_law(slip: float) -> FloorLaw:
     return FloorLaw(
-        kind=0, forward=0.1, across=0.5, slip_speed=slip, spin_mass=0.0, backward=0.15
+        friction_law_index=0,
+        forward=0.1,
+        across=0.5,
+        slip_speed=slip,
+        spin_mass=0.0,
+        backward=0.15,
     )
 
 
