@@ -39,7 +39,7 @@ from load_reference import (
     G,
     Point,
     Result,
-    friction_law,
+    friction_parameters,
     measured,
     moments,
     numbers,
@@ -321,7 +321,7 @@ def simulate(
     yaw = np.empty((steps, count))
     loads = np.empty((steps, 2 * count))
     torques = moments(n, point, step, steps)
-    law = friction_law(n, SLIP_M_S)
+    friction = friction_parameters(n, SLIP_M_S)
     for k in range(steps):
         if axles:
             snake.drag(n["mu_t"] * load * radius)
@@ -336,11 +336,11 @@ def simulate(
             along = (speed * ahead).sum(axis=1)
             across = (speed * left).sum(axis=1)
             wheels = zip(along, across, spin, load, strict=True)
-            f_t, f_n, spin, drag = np.array(
-                [wheel_force(*wheel, law, step) for wheel in wheels]
+            f_t, f_lat, spin, drag = np.array(
+                [wheel_force(*wheel, friction, step) for wheel in wheels]
             ).T
             at_hub = f_t[:, None] * ahead
-            at_foot = f_n[:, None] * left
+            at_foot = f_lat[:, None] * left
             moment = (
                 np.cross(hub, at_hub)
                 + np.cross(foot, at_foot)

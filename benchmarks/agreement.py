@@ -150,11 +150,11 @@ def main() -> None:
         {} if selected.default else {"stiffness": MATCHED_STIFFNESS}
     )
     if selected.default:
-        law = "axis"
+        friction_law = "axis"
     elif selected.skid:
-        law = "ellipse"
+        friction_law = "ellipse"
     else:
-        law = "wheel"
+        friction_law = "wheel"
     wheels: dict[str, object] = (
         {}
         if selected.default
@@ -184,7 +184,7 @@ def main() -> None:
             )
             for f, p in points
             for plant, options in (
-                ("analytical", {"friction": law} | loads),
+                ("analytical", {"friction": friction_law} | loads),
                 ("twin", wheels),
             )
         ]

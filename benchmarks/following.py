@@ -99,11 +99,11 @@ def run(order: Order) -> dict[str, Any]:
 
 def cross_track_later(motion: Trajectory) -> float:
     """Return the largest cross-track error after learning, m; 0 if the run ended before."""
-    aside = [
+    lateral = [
         np.abs(ReferencePath(leg.segments).coordinates(motion.com[leg.samples])[1])
         for leg in legs(motion)
     ]
-    later = np.concatenate(aside)[motion.time[: sum(map(len, aside))] > LEARNT_S]
+    later = np.concatenate(lateral)[motion.time[: sum(map(len, lateral))] > LEARNT_S]
     return float(later.max(initial=0.0))
 
 

@@ -81,7 +81,7 @@ def coasting(rng: np.random.Generator) -> FitEstimate:
         path = slide(
             velocity,
             time,
-            law="wheel",
+            friction_law="wheel",
             mu_t=0.06,
             mu_n=0.5,
             fraction=spin_fraction(GEN2),

@@ -156,7 +156,7 @@ def summary(answers: dict[str, dict[int, list[Plan]]]) -> dict[str, Any]:
         result[name] = {
             "solved": len(solved[name]),
             "drivable": sum(p.found and p.max_heading_jump < DRIVABLE for p in plans),
-            "share_of_solved_by_any": len(solved[name]) / max(1, len(everyone)),
+            "fraction_of_solved_by_any": len(solved[name]) / max(1, len(everyone)),
             "misses_of_greedy": len(solved["greedy"] - solved[name]),
             "median_ms": float(np.median(ms)),
             "p95_ms": float(np.percentile(ms, 95)),
@@ -287,7 +287,7 @@ def tables(result: dict[str, Any]) -> str:
             name,
             str(r["solved"]),
             str(r["drivable"]),
-            f"{100 * r['share_of_solved_by_any']:.1f} %",
+            f"{100 * r['fraction_of_solved_by_any']:.1f} %",
             str(r["misses_of_greedy"]),
             f"{r['median_ms']:.2f}",
             f"{r['p95_ms']:.2f}",
@@ -441,7 +441,8 @@ def main(words: Sequence[str] | None = None) -> int:
         draw(result, options.plot)
     default = result["best_first"]
     good = (
-        default["misses_of_greedy"] == 0 and default["share_of_solved_by_any"] >= 0.98
+        default["misses_of_greedy"] == 0
+        and default["fraction_of_solved_by_any"] >= 0.98
     )
     if (
         good

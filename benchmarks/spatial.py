@@ -66,10 +66,10 @@ def inertia_number(spec: RobotSpec, run: Trajectory, frequency: float) -> float:
     used = run.time >= 2 / frequency
     middle = run.position[used][:, spec.geometry.connectors // 2] - run.com[used]
     heading = run["heading"][used].mean()
-    aside = middle[:, 1] * math.cos(heading) - middle[:, 0] * math.sin(heading)
+    lateral = middle[:, 1] * math.cos(heading) - middle[:, 0] * math.sin(heading)
     return float(
         (2 * math.pi * frequency) ** 2
-        * np.ptp(aside)
+        * np.ptp(lateral)
         / 2
         / (spec.friction.mu_n * GRAVITY)
     )

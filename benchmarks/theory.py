@@ -188,11 +188,13 @@ def connection() -> Iterator[str]:
             "viscous",
         ),
     ]
-    for snake, friction, spec, path, law in cases:
-        own = displacement(path, PERIOD_S, spec, slips=law == "viscous")
+    for snake, friction, spec, path, friction_law in cases:
+        own = displacement(path, PERIOD_S, spec, slips=friction_law == "viscous")
         model = moved(
             periods(
-                still(spec, PrescribedBends(spec, path), PERIOD_S, friction=law),
+                still(
+                    spec, PrescribedBends(spec, path), PERIOD_S, friction=friction_law
+                ),
                 PERIOD_S,
             )
         )
@@ -413,7 +415,7 @@ def hu() -> Iterator[str]:
         )
 
 
-def matched_robot(ratio: float, waves: int, law: str) -> RobotSpec:
+def matched_robot(ratio: float, waves: int, friction_law: str) -> RobotSpec:
     """Return the example robot with a flat body, a friction ratio, and a gait with some waves along it."""
     base = load_robot("skin_example")
     height = 0.005
@@ -422,17 +424,17 @@ def matched_robot(ratio: float, waves: int, law: str) -> RobotSpec:
         base,
         geometry=replace(base.geometry, com_height=height, wheel_radius=height),
         friction=replace(base.friction, mu_t=0.1, mu_back=0.1, mu_n=0.1 * ratio),
-        skin=replace(base.skin, points=12, law=law),
+        skin=replace(base.skin, points=12, friction_law=friction_law),
         phase_step=2 * math.pi * waves / base.segments,
     )
 
 
-def plants(law: str = "cosine") -> Iterator[str]:
+def plants(friction_law: str = "cosine") -> Iterator[str]:
     """Yield the table of the twin against the model `compliant`, gait at 1 Hz."""
     yield "| waves | friction ratio | model, mm/s | twin, mm/s | twin/model − 1 |"
     yield "|---|---|---|---|---|"
     for waves, ratio in product((1, 2, 3), (1, 2, 5, 10)):
-        spec = matched_robot(ratio, waves, law)
+        spec = matched_robot(ratio, waves, friction_law)
         model = AnalyticalSnake(
             spec,
             model="compliant",

@@ -46,7 +46,7 @@ def simulate_twin(scenario: Scenario) -> Trajectory:
 
 def connector_poses(run: Trajectory, row: int, start: int) -> np.ndarray:
     """Return the poses of the connectors relative to the position at the first frame, (connectors, 3)."""
-    count = sum(name.startswith("theta_") for name in run.columns)
+    count = sum(name.startswith("connector_heading_") for name in run.columns)
     poses = np.array(
         [
             [run[f"{c}_{i}"][row] for c in ("x", "y", "connector_heading")]

@@ -296,7 +296,7 @@ def _vented(robot: RobotSpec) -> np.ndarray:
 
 def _visible_columns(run: Trajectory) -> Trajectory:
     """Return the columns that motion capture can measure."""
-    prefixes = ("time", "x_", "y_", "theta_")
+    prefixes = ("time", "x_", "y_", "connector_heading_")
     return Trajectory(
         {
             name: column

@@ -202,15 +202,15 @@ class PlantVariants:
     def _contact_switches(self) -> list[Switch]:
         spec = self._scenario.robot
         friction = self._model.friction
-        law = self._twin.law
+        friction_law = self._twin.friction_law
         half_track = spec.geometry.half_track
         one_point = spec.skin is None and friction not in TWO_POINT_LAWS
         return [
             Switch(
                 "friction law",
-                f"friction law: {friction} → {law}",
-                spec.skin is None and friction != law,
-                {"friction": law, "track": 0.0 if one_point else half_track},
+                f"friction law: {friction} → {friction_law}",
+                spec.skin is None and friction != friction_law,
+                {"friction": friction_law, "track": 0.0 if one_point else half_track},
             ),
             Switch(
                 "wheel track",
@@ -263,7 +263,7 @@ class PlantVariants:
         return [Refinement("loads that follow the motion", title, changed, 1.0)]
 
     def _wheel_refinements(self) -> list[Refinement]:
-        if self._scenario.robot.skin is not None or self._twin.law not in (
+        if self._scenario.robot.skin is not None or self._twin.friction_law not in (
             "wheel",
             "axis",
         ):
@@ -461,8 +461,8 @@ def explain(
     twin = trajectories["twin"].between(0.0, limit)
     gap = _checked_gap(scenario, model, twin)
     variants = PlantVariants(scenario)
-    share = 1.0 if window is None else window / scenario.duration
-    walls = {kind: share * wall for kind, wall in (wall_s or {}).items()}
+    fraction = 1.0 if window is None else window / scenario.duration
+    walls = {kind: fraction * wall for kind, wall in (wall_s or {}).items()}
     runs = _run_all(scenario, variants, controller, window, progress, walls)
     runs = {name: run.between(0.0, limit) for name, run in runs.items()}
     runs |= {_variant_name(frozenset()): model, _variant_name({}): twin}

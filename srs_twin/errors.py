@@ -345,6 +345,7 @@ RENAMED = {
     "--form": "--model-form",
     "--against": "--compare-signals",
     "--find": "--parameters",
+    "--law": "--friction-law",
     "--jobs": "--workers",
     "--threads": "--workers",
     "--duration-s": "--duration",

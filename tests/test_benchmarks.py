@@ -24,15 +24,21 @@ SUPPLY = 48.3e3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["axis", "wheel"])
+@pytest.mark.parametrize("friction_law", ["axis", "wheel"])
 @pytest.mark.parametrize(("frequency", "offset"), [(2.0, 0.0), (1.7, 0.3)])
-def test_lsoda_and_the_compiled_model_solve_the_same_equations(law, frequency, offset):
+def test_lsoda_and_the_compiled_model_solve_the_same_equations(
+    friction_law, frequency, offset
+):
     """Two programs that share only the valve slots: paths agree within 0.1 % of their length."""
-    fine = AnalyticalSnake(SPEC, friction=law, supply_pa=SUPPLY, timestep=0.00002)
+    fine = AnalyticalSnake(
+        SPEC, friction=friction_law, supply_pa=SUPPLY, timestep=0.00002
+    )
     compiled = rollout(fine, Gait(frequency, offset), 0.6)
     gait = Gait(frequency, offset)
     bends = bend_intervals(SPEC, gait, 0.6, SUPPLY)
-    model = CompleteModel(SPEC, friction=law, slip=fine.describe()["slip_speed_m_s"])
+    model = CompleteModel(
+        SPEC, friction=friction_law, slip=fine.describe()["slip_speed_m_s"]
+    )
     lsoda = trajectory(SPEC, gait, solve(model, bends, rtol=1e-6, atol=1e-9), bends)
     length = np.hypot(*np.diff(compiled.com, axis=0).T).sum()
     assert length > 0.05

@@ -31,7 +31,7 @@ from common.grid import table  # noqa: E402
 from harness import Malformed, Parser  # noqa: E402
 from parsers import PARSERS, path_of  # noqa: E402
 
-SHARES = {"damaged": 0.4, "values": 0.4, "bytes": 0.2}
+FRACTIONS = {"damaged": 0.4, "values": 0.4, "bytes": 0.2}
 LIMIT_S = 2.0
 HANGS_S = 60.0
 IN_PYTHON = """
@@ -100,10 +100,10 @@ def generate(parser: Parser, examples: int) -> Generated:
     result = Generated()
     with tempfile.TemporaryDirectory() as room:
         path = path_of(parser, Path(room))
-        for generator, share in SHARES.items():
+        for generator, fraction in FRACTIONS.items():
 
             @settings(
-                max_examples=max(1, round(share * examples)),
+                max_examples=max(1, round(fraction * examples)),
                 deadline=None,
                 database=None,
                 phases=[Phase.generate],

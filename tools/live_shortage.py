@@ -1,6 +1,6 @@
 """Live twins with too little processor time: time to obey, lost part of the journal, and warnings.
 
-    uv run python tools/live_shortage.py [--shares 0.1 0.2 0.5] [--seconds 120]
+    uv run python tools/live_shortage.py [--fractions 0.1 0.2 0.5] [--seconds 120]
 
 An emulated robot obeys a gait, and live twins listen to it. The processor time per
 second that one of them needs is measured first. Then three of them get a share of it: a
@@ -161,7 +161,7 @@ def time_to_obey(listener: Listener, asked: float) -> str:
 def main() -> None:
     """Print one row for each fraction."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--shares", type=float, nargs="+", default=[0.1, 0.2, 0.5])
+    parser.add_argument("--fractions", type=float, nargs="+", default=[0.1, 0.2, 0.5])
     parser.add_argument("--seconds", type=float, default=120.0)
     given = parser.parse_args()
     rows = []
@@ -169,7 +169,7 @@ def main() -> None:
         tempfile.TemporaryDirectory() as name,
         walking_robot(Path(name)) as (client, options),
     ):
-        for fraction in given.shares:
+        for fraction in given.fractions:
             listeners = [
                 Listener(Path(name) / f"{fraction}-{end}", options)
                 for end in ("kill", "term", "stop")

@@ -110,7 +110,7 @@ def run(quick: bool) -> Result:
     return Result(
         f"(a) analytical `complete` compared with LSODA, gen2, {DURATION:g} s",
         [
-            "law",
+            "friction law",
             "solver",
             "error: speed, path",
             "simulated s per wall s",

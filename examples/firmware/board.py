@@ -31,19 +31,19 @@ class Valve:
         self._pin = Pin(number, Pin.OUT, value=0)
         self._pwm = None
 
-    def fill(self, share):
-        """Fill for a share (0 to 1) of the carrier's period; 0 vents and 1 fills, both at once."""
-        if 0 < share < 1:
+    def fill(self, fraction):
+        """Fill for a fraction (0 to 1) of the carrier's period; 0 vents and 1 fills, both at once."""
+        if 0 < fraction < 1:
             if self._pwm is None:
                 self._pwm = PWM(self._pin)
                 self._pwm.freq(CARRIER_HZ)
-            self._pwm.duty_u16(int(65535 * share))
+            self._pwm.duty_u16(int(65535 * fraction))
             return
         if self._pwm is not None:
             self._pwm.deinit()
             self._pwm = None
             self._pin.init(Pin.OUT)
-        self._pin.value(int(share))
+        self._pin.value(int(fraction))
 
 
 # Before anything else is set up.
@@ -52,10 +52,10 @@ _MINUS = [Valve(number) for number in MINUS_PINS]
 
 
 def set_valves(plus, minus):
-    """Set all valves; `plus` and `minus` have one share (0 vents, 1 fills) per segment."""
-    for valves, shares in ((_PLUS, plus), (_MINUS, minus)):
-        for valve, share in zip(valves, shares):  # noqa: B905 - MicroPython's zip has no `strict`
-            valve.fill(share)
+    """Set all valves; `plus` and `minus` have one fraction (0 vents, 1 fills) per segment."""
+    for valves, fractions in ((_PLUS, plus), (_MINUS, minus)):
+        for valve, fraction in zip(valves, fractions):  # noqa: B905 - MicroPython's zip has no `strict`
+            valve.fill(fraction)
 
 
 def vent():

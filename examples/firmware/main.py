@@ -38,9 +38,9 @@ def _message(now, content):
     return f'{{"t": {now // 1000}.{now % 1000:03d}, {fields}}}'.encode()
 
 
-def _states(shares):
+def _states(fractions):
     """Return the states of a `valves` message: 1 fills, -1 vents, duties are unchanged."""
-    return [share or -1 for share in shares]
+    return [fraction or -1 for fraction in fractions]
 
 
 def _rounded(values):

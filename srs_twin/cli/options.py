@@ -126,7 +126,7 @@ _FRICTION = (
     "Friction law of the analytical model: axis, wheel, ellipse, cosine or viscous."
     " [default: wheel]"
 )
-FloorOption = Annotated[str | None, option("--law NAME", _FRICTION)]
+FloorOption = Annotated[str | None, option("--friction-law NAME", _FRICTION)]
 
 
 def print_json(document: Any) -> None:

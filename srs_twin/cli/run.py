@@ -121,7 +121,7 @@ def run_all(
     report: ReportOptions,
     *,
     out: str | None,
-    jobs: int | None = None,
+    workers: int | None = None,
     plants: Sequence[str] | None = None,
     explain: bool = False,
     changes: Sequence[Override] = (),
@@ -135,7 +135,7 @@ def run_all(
         cases: scenarios, which are loaded if necessary.
         report: options for the reports and the exit code.
         out: output folder. Each of several scenarios has a subfolder.
-        jobs: number of worker processes, by default one per processor. With one worker,
+        workers: number of worker processes, by default one per processor. With one worker,
             the scenarios run in this process.
         plants: plants to run, by default the plants of each scenario.
         explain: whether to attribute the difference between the plants.
@@ -165,7 +165,7 @@ def run_all(
         valid = _load(cases, out, report.quiet, changes, plants)
         function = partial(run_case, plants=plants, explain=explain)
         runs = stack.enter_context(
-            closing(_run(valid, function, jobs, quiet=report.quiet))
+            closing(_run(valid, function, workers, quiet=report.quiet))
         )
         for case in runs:
             _print_result(case, report, changes)
@@ -267,14 +267,14 @@ def _record_input_errors(case: Case) -> Iterator[None]:
 def _run(
     cases: Sequence[Case],
     function: Callable[..., CaseResult],
-    jobs: int | None,
+    workers: int | None,
     *,
     quiet: bool,
 ) -> Generator[Case, None, None]:
     """Run cases, and yield each case in order as soon as it is complete."""
     from srs_twin.compute.workers import processor_count, run_tasks
 
-    workers = min(jobs or processor_count(), len(cases))
+    workers = min(workers or processor_count(), len(cases))
     tasks = [(case.scenario, case.folder) for case in cases]
     if workers <= 1:
         for case, task in zip(cases, tasks, strict=True):
@@ -379,7 +379,7 @@ def run(
     scenarios: Annotated[list[str], argument("SCENARIO", shipped=["scenario"])],
     out: str | None = None,
     report: ReportOptions = DEFAULT_REPORT,
-    jobs: WorkersOption = None,
+    workers: WorkersOption = None,
     plants: str | None = None,
     changed: ChangeOptions = NO_CHANGES,
 ) -> None:
@@ -397,7 +397,7 @@ def run(
         make_cases(scenarios),
         report,
         out=out,
-        jobs=jobs,
+        workers=workers,
         plants=parse_plants(plants),
         changes=changed.changes(),
     )

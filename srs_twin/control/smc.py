@@ -121,19 +121,19 @@ class VelocityFilter(Stateful):
             # If the reading varies linearly, the particular solution is the reading
             # delayed by the lag. The deviation from the particular solution is a
             # homogeneous solution, which decays.
-            slope = (reading - self._last) / self._tick
-            deviation = self.value - (self._last - slope * self.lag)
-            rate_deviation = self.rate - slope
+            reading_rate = (reading - self._last) / self._tick
+            deviation = self.value - (self._last - reading_rate * self.lag)
+            rate_deviation = self.rate - reading_rate
             w = self._w
             c = self._cos
             s = self._sin
             self.value = (
                 reading
-                - slope * self.lag
+                - reading_rate * self.lag
                 + (c + s) * deviation
                 + s / w * rate_deviation
             )
-            self.rate = slope - 2 * w * s * deviation + (c - s) * rate_deviation
+            self.rate = reading_rate - 2 * w * s * deviation + (c - s) * rate_deviation
         self._last = np.array(reading, dtype=float)
 
 

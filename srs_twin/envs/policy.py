@@ -174,13 +174,13 @@ TURN_FRACTION = 0.7
 steering.
 """
 
-SETTLE_M = 0.035
+RESPONSE_LENGTH_M = 0.035
 """Response length of the steering, m."""
 
 LOOKAHEAD_M = 0.15
 """Lookahead distance of the steering law, m."""
 
-STRAY_M = 0.1
+MAX_CROSS_TRACK_ERROR_M = 0.1
 """Cross-track error above which the follower plans a new path, m."""
 
 AIM_M = 0.05
@@ -265,12 +265,20 @@ class PathFollowing(_Baseline):
             footprint = measured.reduced(TURN_FRACTION, fraction * MARGIN_M)
             return plan(Problem(start, goal, world, footprint), _PLANNER_SETTINGS)
 
-        law = PathTracking(measured, LOOKAHEAD_M, SETTLE_M)
+        steering = PathTracking(measured, LOOKAHEAD_M, RESPONSE_LENGTH_M)
         conditions = Conditions(
-            Camera(1 / STEP_S), response_length=SETTLE_M, max_cross_track_error=STRAY_M
+            Camera(1 / STEP_S),
+            response_length=RESPONSE_LENGTH_M,
+            max_cross_track_error=MAX_CROSS_TRACK_ERROR_M,
         )
         follower = Follower(
-            self._offset, law, replan(pose), goal, measured, conditions, replan=replan
+            self._offset,
+            steering,
+            replan(pose),
+            goal,
+            measured,
+            conditions,
+            replan=replan,
         )
         follower.reset(self._task.robot, STEP_S)
         return follower
@@ -385,10 +393,10 @@ def _pose(values: Mapping[str, float]) -> Pose:
     )
 
 
-def _world_position(pose: Pose, ahead: float, left: float) -> tuple[float, float]:
+def _world_position(pose: Pose, forward: float, left: float) -> tuple[float, float]:
     c = math.cos(pose.heading)
     s = math.sin(pose.heading)
-    return pose.x + c * ahead - s * left, pose.y + s * ahead + c * left
+    return pose.x + c * forward - s * left, pose.y + s * forward + c * left
 
 
 def _circles(values: Mapping[str, float], pose: Pose) -> Iterator[Circle]:

@@ -137,7 +137,7 @@ def calibrate_friction(
     robot: Robot,
     *,
     validate: Paths = (),
-    law: str = "wheel",
+    friction_law: str = "wheel",
     wheel_inertia: bool = True,
     reader: RecordingReader = _READER,
     out: StrPath | None = None,
@@ -151,7 +151,7 @@ def calibrate_friction(
             coasting tests.
         robot: initial robot.
         validate: paths of tables or recordings that are used only for validation.
-        law: friction law for coasting tests: "wheel", "axis" or "ellipse".
+        friction_law: friction law for coasting tests: "wheel", "axis" or "ellipse".
         wheel_inertia: whether the model of coasting tests includes the rotational
             inertia of the wheels.
         reader: reader of recordings.
@@ -167,7 +167,9 @@ def calibrate_friction(
     task = _Task(calibrate_friction, locals())
     if task.all_are(is_pull_table, "table of pulls", "recording of a coasting test"):
         return task.calibrate(_PULLS)
-    return task.calibrate(_COASTING_TESTS, law=law, wheel_inertia=wheel_inertia)
+    return task.calibrate(
+        _COASTING_TESTS, friction_law=friction_law, wheel_inertia=wheel_inertia
+    )
 
 
 @checked
@@ -231,7 +233,7 @@ def calibrate_locomotion(
     parameters: Sequence[str] = LOCOMOTION,
     plant: str = "analytical",
     model: str | None = None,
-    law: str | None = None,
+    friction_law: str | None = None,
     compare_signals: str = "both",
     starts: int | None = None,
     reader: RecordingReader = _READER,
@@ -254,7 +256,7 @@ def calibrate_locomotion(
         parameters: names of the parameters to fit.
         plant: simulated plant, "analytical" or "twin".
         model: analytical model, by default "compliant".
-        law: friction law of the analytical plant, by default "wheel".
+        friction_law: friction law of the analytical plant, by default "wheel".
         compare_signals: signals to compare: "averages", "shapes" or "both".
         starts: number of searches, each from a different starting point. The default
             number is 1 if the twin is compared by shapes, and otherwise 3.
@@ -272,7 +274,7 @@ def calibrate_locomotion(
     return task.calibrate(
         _GAIT_RUNS,
         names=parameters,
-        model=PlantModel(plant, _plant_settings(plant, model, law)),
+        model=PlantModel(plant, _plant_settings(plant, model, friction_law)),
         compare_signals=compare_signals,
         starts=starts or default_starts,
         reference=reference,
@@ -527,11 +529,13 @@ _DECAYS = _Kind(
 )
 
 
-def _plant_settings(plant: str, model: str | None, law: str | None) -> dict[str, str]:
+def _plant_settings(
+    plant: str, model: str | None, friction_law: str | None
+) -> dict[str, str]:
     if plant == "analytical":
-        return {"model": model or "compliant", "friction": law or "wheel"}
+        return {"model": model or "compliant", "friction": friction_law or "wheel"}
     _refuse_option(model, "--model", "it is only for --plant analytical")
-    _refuse_option(law, "--law", "it is only for --plant analytical")
+    _refuse_option(friction_law, "--friction-law", "it is only for --plant analytical")
     return {}
 
 

@@ -102,7 +102,7 @@ def friction(
     files: FilesArgument,
     robot: RobotOption,
     validate: ValidateOption = None,
-    law: str = "wheel",
+    friction_law: str = "wheel",
     wheel_inertia: bool = True,
     markers: ReadingOptions = _DEFAULT_READING,
     fit: FitOptions = _DEFAULT_OUTPUT,
@@ -113,7 +113,8 @@ def friction(
     are given as recordings.
 
     Options:
-        --law NAME: Friction law for coasting tests: wheel, axis or ellipse (for skids).
+        --friction-law NAME: Friction law for coasting tests: wheel, axis or ellipse (for
+            skids).
         --wheel-inertia/--no-wheel-inertia: Include the rotational inertia of the wheels
             in coasting tests.
     """
@@ -212,7 +213,7 @@ def locomotion(
     parameters: ParametersOption = _LOCOMOTION,
     plant: str = "analytical",
     model: str | None = None,
-    law: FloorOption = None,
+    friction_law: FloorOption = None,
     compare_signals: str = "both",
     starts: Annotated[int | None, OptionRange(1, 100)] = None,
     frequency: FrequencyOption = None,

@@ -59,7 +59,12 @@ from srs_twin.identification.least_squares import (
     least_squares,
 )
 from srs_twin.identification.parameters import FreeParameter, free_parameters
-from srs_twin.pneumatics.chambers import AMBIENT_PA, air_bend, bend_law, chamber_gains
+from srs_twin.pneumatics.chambers import (
+    AMBIENT_PA,
+    air_bend,
+    bend_law_of,
+    chamber_gains,
+)
 from srs_twin.robot.spec import RobotSpec
 
 NAMES = ("bending.stiffness_nm_per_rad", "bending.damping_time_s")
@@ -143,7 +148,13 @@ class HangingBody:
         g = spec.geometry
         chamber = spec.chamber
         plus, minus = (float(gain) for gain in chamber_gains(spec)[0])
-        air = (plus, minus, bend_law(spec), chamber.dead_volume, chamber.displacement)
+        air = (
+            plus,
+            minus,
+            bend_law_of(spec),
+            chamber.dead_volume,
+            chamber.displacement,
+        )
         return HangingSegment(
             g.segment_length, g.rigid_gap, self.mass, self.inertia, *air, encloses_air
         )

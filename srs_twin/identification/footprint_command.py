@@ -67,7 +67,7 @@ class MeasurementOptions:
     transients: bool = True
     periods: int = 6
     phases: int = 4
-    threads: Annotated[int | None, workers_option("--workers -j N")] = None
+    workers: Annotated[int | None, workers_option("--workers -j N")] = None
 
     def given(self) -> dict[str, Any]:
         """Return the options as arguments of `calibrate_footprint`."""

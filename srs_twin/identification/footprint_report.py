@@ -119,7 +119,7 @@ def calibrate_footprint(
     transients: bool = True,
     periods: int = 6,
     phases: int = 4,
-    threads: int | None = None,
+    workers: int | None = None,
     progress: Callable[[int, int], object] = max,
 ) -> FootprintMeasurement:
     """Measure the area swept at each offset, as `srs-twin calibrate footprint` does.
@@ -143,7 +143,7 @@ def calibrate_footprint(
         periods: number of measured gait periods of each simulation.
         phases: number of simulations per offset, which start at different phases of the
             gait.
-        threads: number of parallel simulations, by default one per processor.
+        workers: number of parallel simulations, by default one per processor.
         progress: function called with the number of finished simulations and the total
             number of simulations.
 
@@ -175,7 +175,7 @@ def calibrate_footprint(
     path = Path(out or ".") / f"{file_name}.yaml"
     if out is not None:
         _check_writable(path, _identity(study, robot_name, file_name), overwrite)
-    measured = study.measure(threads=threads, progress=progress)
+    measured = study.measure(threads=workers, progress=progress)
     if out is not None:
         header = header_lines(study, robot_name, file_name, versions())
         save_footprint(footprint_file(measured, file_name), path, header=header)

@@ -74,7 +74,7 @@ from srs_twin.identification.least_squares import Watch, least_squares
 from srs_twin.identification.parameters import FreeParameter, free_parameters
 from srs_twin.io.files import StrPath
 from srs_twin.plants.analytical.floor import slide, spin_fraction
-from srs_twin.recordings.body.trajectories import moving_slope
+from srs_twin.recordings.body.trajectories import moving_derivative
 from srs_twin.recordings.csv_table import (
     CsvColumn,
     CsvTable,
@@ -84,7 +84,7 @@ from srs_twin.recordings.csv_table import (
 from srs_twin.recordings.recorded_file import read_file
 from srs_twin.recordings.signals.units import LENGTHS
 from srs_twin.robot import friction
-from srs_twin.robot.friction import LAWS
+from srs_twin.robot.friction import FRICTION_LAWS
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.trajectory import Trajectory
 
@@ -409,7 +409,7 @@ class CoastingTest:
         time = trajectory.time
         if len(time) < _MIN_SAMPLES:
             raise InputError(f"{name}: the recording has {len(time)} samples; {needed}")
-        speed = np.hypot(*moving_slope(time, trajectory.com).T)
+        speed = np.hypot(*moving_derivative(time, trajectory.com).T)
         if start is None:
             first = int(np.argmax(speed))
         else:
@@ -437,7 +437,7 @@ class CoastingTest:
         steps = moves @ [1.0, 1.0j] * np.exp(-1j * middle)
         path = np.concatenate([[0.0], np.cumsum(steps)])
         position = np.stack([path.real, path.imag], axis=1)
-        along, across = moving_slope(time, position)[0].tolist()
+        along, across = moving_derivative(time, position)[0].tolist()
         bends = None
         if trajectory.has("bend_1"):
             bends = trajectory.stack("bend")[first:].mean(axis=0)
@@ -461,7 +461,7 @@ def fit_coasting(
     spec: RobotSpec,
     *,
     validation: Sequence[CoastingTest] = (),
-    law: str = "wheel",
+    friction_law: str = "wheel",
     wheel_inertia: bool = True,
     watch: Watch | None = None,
 ) -> FitEstimate:
@@ -470,17 +470,18 @@ def fit_coasting(
     The coefficient of a direction is identifiable only if the robot coasts in this
     direction. Validation tests do not influence the coefficients, but their initial
     velocities are fitted. If `wheel_inertia` is false, the wheels have no rotational
-    inertia, as on skids and in the analytical plant. `law` is one of
-    `robot.friction.LAWS` except "viscous".
+    inertia, as on skids and in the analytical plant. `friction_law` is one of
+    `robot.friction.FRICTION_LAWS` except "viscous".
     """
-    allowed = [name for name in LAWS if name != "viscous"]
-    if law not in allowed:
+    allowed = [name for name in FRICTION_LAWS if name != "viscous"]
+    if friction_law not in allowed:
         raise InputError(
-            f"friction law '{law}' is not allowed here; allowed: {', '.join(allowed)}"
+            f"friction law '{friction_law}' is not allowed here; allowed:"
+            f" {', '.join(allowed)}"
         )
     assign_roles("coasting tests", runs, validation)
     fraction = spin_fraction(spec) if wheel_inertia else 0.0
-    model = _CoastingModel(spec, law, fraction)
+    model = _CoastingModel(spec, friction_law, fraction)
     estimate = model.fit(runs, 0.0, watch)
     if "friction.mu_n" not in estimate.values:
         # The drag of a bent body depends on μ_n, which these tests do not determine.
@@ -549,7 +550,7 @@ class _CoastingModel:
     """
 
     spec: RobotSpec
-    law: str
+    friction_law: str
     fraction: float
     mu_n: float | None = None
 
@@ -595,15 +596,15 @@ class _CoastingModel:
         """
         velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
         mu_t, mu_n = (values[name] for name in _NAMES)
-        slip_law = getattr(friction, self.law)
-        along, across, *_ = slip_law(
+        friction_law = getattr(friction, self.friction_law)
+        along, across, *_ = friction_law(
             1.0, angle, 1.0, mu_t, self.mu_n or mu_n, _SHARP_SLIP
         )
         drag = -along - angle * across
         path = slide(
             velocity,
             run.time,
-            law=self.law,
+            friction_law=self.friction_law,
             mu_t=drag,
             mu_n=mu_n,
             fraction=self.fraction,

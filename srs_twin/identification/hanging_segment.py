@@ -81,7 +81,7 @@ class HangingSegment(NamedTuple):
         inertia: moment of inertia J of the body about its centre, kg·m².
         gain_plus: gain of the + chamber, rad/Pa.
         gain_minus: gain of the − chamber, rad/Pa.
-        law: parameters of the bend law φ.
+        bend_law: parameters of the bend law φ.
         dead_volume: dead volume V₀ of a chamber, m³.
         displacement: derivative A of the chamber volume with respect to the bend,
             m³/rad.
@@ -95,7 +95,7 @@ class HangingSegment(NamedTuple):
     inertia: float
     gain_plus: float
     gain_minus: float
-    law: BendLaw
+    bend_law: BendLaw
     dead_volume: float
     displacement: float
     encloses_air: bool
@@ -143,7 +143,7 @@ def _derivatives(state, creep, creep_derivative, material, segment, branches, re
             gain = segment.gain_minus if side else -segment.gain_plus
             x -= gain * (pressure - AMBIENT_PA)
             x_rate -= gain * (result[2 + side] - pressure * growth * rate) / size
-        air, air_derivative, _ = apply_bend_law(x, segment.law)
+        air, air_derivative, _ = apply_bend_law(x, segment.bend_law)
         deviation += air
         deviation_rate += air_derivative * x_rate
     moment = material.stiffness * (deviation + material.damping_time * deviation_rate)
@@ -265,7 +265,7 @@ def ringing(
             size, growth = volume(segment.dead_volume, segment.displacement, bend, side)
             x += gain * (air[side] / size - AMBIENT_PA)
             x_derivative -= gain * air[side] / size * growth / size
-        value, derivative, _ = apply_bend_law(x, segment.law)
+        value, derivative, _ = apply_bend_law(x, segment.bend_law)
         return value, -derivative * x_derivative
 
     def moment(bend: float) -> float:

@@ -46,7 +46,7 @@ def replay_scenario(
     supply_pa: float | None = None,
     plants: Sequence[str] | None = None,
     model: str = "complete",
-    law: str | None = None,
+    friction_law: str | None = None,
     notify: Callable[[str], object] = str,
 ) -> Scenario:
     """Build a scenario that simulates the robot with recorded valve states.
@@ -66,7 +66,7 @@ def replay_scenario(
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         plants: names of the plants to simulate, by default "analytical" and "twin".
         model: analytical model.
-        law: friction law of the analytical plant, by default "wheel".
+        friction_law: friction law of the analytical plant, by default "wheel".
         notify: function that receives a summary of the recording.
 
     Raises:
@@ -82,7 +82,7 @@ def replay_scenario(
         "duration_s": _duration(given, robot_file, notify),
         "controller": {"kind": "replay"},
         "recording": given,
-        "plants": _plants(plants, model, law, bench),
+        "plants": _plants(plants, model, friction_law, bench),
         "expect": [] if expect is None else _expectations(expect),
     }
     if bench:
@@ -115,11 +115,13 @@ def _duration(
 
 
 def _plants(
-    names: Sequence[str] | None, model: str, law: str | None, bench: bool
+    names: Sequence[str] | None, model: str, friction_law: str | None, bench: bool
 ) -> dict[str, Any]:
-    if bench and law is not None:
-        raise InputError("--law: remove this option; on a bench there is no floor")
-    floor = {} if bench else {"friction": law or "wheel"}
+    if bench and friction_law is not None:
+        raise InputError(
+            "--friction-law: remove this option; on a bench there is no floor"
+        )
+    floor = {} if bench else {"friction": friction_law or "wheel"}
     settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}
     return {name: settings[name] for name in names or settings}
 

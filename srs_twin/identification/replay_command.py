@@ -39,7 +39,7 @@ def replay(
     pressure: PressureOption = None,
     plants: str = "analytical,twin",
     model: str = "complete",
-    law: FloorOption = None,
+    friction_law: FloorOption = None,
     offset: OffsetOption = None,
     frequency: FrequencyOption = None,
     markers: ReadingOptions = _DEFAULT_READING,
@@ -92,7 +92,7 @@ def replay(
         supply_pa=supply_pa,
         plants=parse_plants(plants),
         model=model,
-        law=law,
+        friction_law=friction_law,
         notify=partial(say, quiet=quiet),
     )
     folder = out or RUNS_FOLDER / results_name(Path(motion))

@@ -50,7 +50,7 @@ WALK = 0.02
 """Random walk of the supply pressure, fraction of the nominal pressure per √s."""
 SENSOR_SD = 0.01
 """Standard deviation of the supply sensor, fraction of the nominal pressure."""
-STARVED_BELOW = 0.6
+LOW_SUPPLY_FRACTION = 0.6
 """Fraction of the nominal pressure below which `low_supply_pressure` is reported."""
 RECOVERED_ABOVE = 0.7
 """Fraction of the nominal pressure above which `low_supply_pressure` is cleared."""
@@ -167,9 +167,9 @@ class SupplyFilter(Stateful):
     def measure(self, pressure: float) -> None:
         """Correct the estimate with a measured gauge pressure (Pa)."""
         noise = (SENSOR_SD * self.nominal) ** 2
-        gain = self.variance / (self.variance + noise)
-        self.variance *= 1 - gain
-        self._set(self.pressure + gain * (pressure - self.pressure))
+        kalman_gain = self.variance / (self.variance + noise)
+        self.variance *= 1 - kalman_gain
+        self._set(self.pressure + kalman_gain * (pressure - self.pressure))
 
     def jump(self, fraction: float) -> None:
         """Multiply the estimate by a fraction and increase its variance."""

@@ -593,7 +593,7 @@ def _significant_covariance(values, predicted, innovation):  # type: ignore[no-u
 
 
 @compiled
-def _shift(values, gain, predicted, innovation):  # type: ignore[no-untyped-def]
+def _shift(values, kalman_gain, predicted, innovation):  # type: ignore[no-untyped-def]
     for m in range(values.shape[0]):
         deviation = predicted[m] - innovation.mean
-        values[m] += gain * (innovation.value - innovation.reduction * deviation)
+        values[m] += kalman_gain * (innovation.value - innovation.reduction * deviation)

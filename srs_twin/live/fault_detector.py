@@ -36,7 +36,7 @@ decreasing supply pressure is not reported as a fault of a segment. After a sudd
 of supply pressure, all segments appear to be weak or to leak at the same time. After a
 sudden loss, the detector corrects the estimated supply pressure. The fault
 `low_supply_pressure` is reported if the supply pressure is below the fraction
-`STARVED_BELOW` of the nominal pressure.
+`LOW_SUPPLY_FRACTION` of the nominal pressure.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ import numpy as np
 
 from srs_twin.io.saved_state import Stateful
 from srs_twin.live.air_balance import (
+    LOW_SUPPLY_FRACTION,
     MESSAGES_PER_INDEPENDENT,
     RECOVERED_ABOVE,
-    STARVED_BELOW,
     SUDDEN,
     LeakDetector,
     SupplyFilter,
@@ -256,11 +256,15 @@ class FaultDetector(Stateful):
         """Correct bend readings (rad) for estimated offsets and scale errors."""
         mean = np.einsum("sm,smk->sk", self.probability, self.mean)
         bends = (readings - mean[:, _State.OFFSET]) / (1 + mean[:, _State.SCALE])
-        rows = np.zeros_like(mean)
-        rows[:, _State.OFFSET] = 1.0
-        rows[:, _State.SCALE] = np.nan_to_num(bends)
+        observation_matrix = np.zeros_like(mean)
+        observation_matrix[:, _State.OFFSET] = 1.0
+        observation_matrix[:, _State.SCALE] = np.nan_to_num(bends)
         variance = np.einsum(
-            "sm,sk,smkl,sl->s", self.probability, rows, self._covariance, rows
+            "sm,sk,smkl,sl->s",
+            self.probability,
+            observation_matrix,
+            self._covariance,
+            observation_matrix,
         )
         return Estimates(bends, np.sqrt(variance))
 
@@ -305,19 +309,21 @@ class FaultDetector(Stateful):
         """
         if self.time < self._settling_s:
             return
-        rows = self._bend_rows()
+        observation_matrix = self._observation_matrix()
         log_likelihood = np.zeros(self.probability.shape)
         if readings is not None:
             readings = np.asarray(readings, dtype=float)
             log_likelihood += self._sensor_log_likelihood(readings)
-            log_likelihood += self._correct_by_readings(rows, readings)
+            log_likelihood += self._update_by_readings(observation_matrix, readings)
         if markers is not None:
             noise = heading_noise_scale * _MARKER_NOISE_RAD
-            log_likelihood += self._correct(rows, np.asarray(markers), noise)
+            log_likelihood += self._measurement_update(
+                observation_matrix, np.asarray(markers), noise
+            )
         if pressures is not None:
             pressures = np.asarray(pressures, dtype=float)
             log_likelihood += self._pressure_log_likelihood(pressures, dt)
-            log_likelihood += self._leak_log_likelihood(pressures, rows)
+            log_likelihood += self._leak_log_likelihood(pressures, observation_matrix)
         log_likelihood -= log_likelihood.max(axis=1, keepdims=True)
         weight = self.probability * np.exp(log_likelihood)
         weight /= weight.sum(axis=1, keepdims=True)
@@ -344,7 +350,7 @@ class FaultDetector(Stateful):
         )
         self._pressure = relax(self._pressure, *relaxation, dt)
 
-    def _bend_rows(self) -> np.ndarray:
+    def _observation_matrix(self) -> np.ndarray:
         """Return the Jacobian of the bends with respect to the filter states."""
         drive = self._gain[:, None] * self._delayed
         linear = drive[..., 0] - drive[..., 1]
@@ -352,11 +358,11 @@ class FaultDetector(Stateful):
         # at a small linear bend is used instead.
         linear = np.where(np.abs(linear) < _AT_REST_RAD, _AT_REST_RAD, linear)
         drive = drive * (free_bends(self._spec, linear) / linear)[..., None]
-        rows = np.ones((*self.probability.shape, 6))
-        rows[..., _State.PLUS] = drive[..., 0]
-        rows[..., _State.MINUS] = -drive[..., 1]
-        rows[..., [_State.OFFSET, _State.SCALE]] = 0.0
-        return rows
+        observation_matrix = np.ones((*self.probability.shape, 6))
+        observation_matrix[..., _State.PLUS] = drive[..., 0]
+        observation_matrix[..., _State.MINUS] = -drive[..., 1]
+        observation_matrix[..., [_State.OFFSET, _State.SCALE]] = 0.0
+        return observation_matrix
 
     def _mix(self, dt: float) -> None:
         # Faults are permanent. Transitions between faults are allowed, because the most
@@ -391,21 +397,23 @@ class FaultDetector(Stateful):
         self._delayed = np.einsum("sij,sik->sjk", fraction, self._delayed)
         self.probability = predicted
 
-    def _correct_by_readings(
-        self, rows: np.ndarray, readings: np.ndarray
+    def _update_by_readings(
+        self, observation_matrix: np.ndarray, readings: np.ndarray
     ) -> np.ndarray:
-        measured_bend = rows.copy()
+        reading_matrix = observation_matrix.copy()
         # The derivative of the reading (1 + e) q + s is 1 with respect to s, and q with
         # respect to e.
-        measured_bend[..., _State.OFFSET] = 1.0
-        measured_bend[..., _State.SCALE] = np.einsum("smk,smk->sm", rows, self.mean)
+        reading_matrix[..., _State.OFFSET] = 1.0
+        reading_matrix[..., _State.SCALE] = np.einsum(
+            "smk,smk->sm", observation_matrix, self.mean
+        )
         self._last = np.where(np.isnan(readings), self._last, readings)
         reads = np.isin(SENSORS, (SensorBehaviour.READS, SensorBehaviour.DRIFTS))
-        return self._correct(measured_bend, readings, _NOISE_RAD, reads)
+        return self._measurement_update(reading_matrix, readings, _NOISE_RAD, reads)
 
-    def _correct(
+    def _measurement_update(
         self,
-        rows: np.ndarray,
+        observation_matrix: np.ndarray,
         measured: np.ndarray,
         noise: float,
         used: np.ndarray | bool = True,
@@ -417,15 +425,23 @@ class FaultDetector(Stateful):
             measurement is 0.
         """
         available = ~np.isnan(measured)[:, None] & used
-        # `gain` is the cross covariance P Hᵀ, and `weight` is the Kalman gain.
-        gain = np.einsum("smkl,sml->smk", self._covariance, rows)
-        variance = np.einsum("smk,smk->sm", rows, gain) + noise**2
-        predicted = np.einsum("smk,smk->sm", rows, self.mean)
+        cross_covariance = np.einsum(
+            "smkl,sml->smk", self._covariance, observation_matrix
+        )
+        variance = (
+            np.einsum("smk,smk->sm", observation_matrix, cross_covariance) + noise**2
+        )
+        predicted = np.einsum("smk,smk->sm", observation_matrix, self.mean)
         innovation = np.nan_to_num(measured)[:, None] - predicted
         innovation = np.where(available, innovation, 0.0)
-        weight = np.where(available[..., None], gain / variance[..., None], 0.0)
-        self.mean = self.mean + weight * innovation[..., None]
-        self._covariance = self._covariance - weight[..., :, None] * gain[..., None, :]
+        kalman_gain = np.where(
+            available[..., None], cross_covariance / variance[..., None], 0.0
+        )
+        self.mean = self.mean + kalman_gain * innovation[..., None]
+        self._covariance = (
+            self._covariance
+            - kalman_gain[..., :, None] * cross_covariance[..., None, :]
+        )
         # Model errors have heavy tails under every hypothesis, so Gaussian densities
         # would cause false detections.
         log = _log_student(innovation**2 / variance)
@@ -542,7 +558,7 @@ class FaultDetector(Stateful):
         # If no pressures are measured, the standard deviation of the supply pressure
         # never decreases and is therefore ignored.
         sd = 0.0 if math.isnan(self._level) else self.supply.sd
-        if self.supply.pressure + sd < STARVED_BELOW * self.supply.nominal:
+        if self.supply.pressure + sd < LOW_SUPPLY_FRACTION * self.supply.nominal:
             self.decision.pairs[0, 0] = WEAK
         elif self.supply.pressure - sd > RECOVERED_ABOVE * self.supply.nominal:
             self.decision.clear(0)
@@ -556,11 +572,13 @@ class FaultDetector(Stateful):
         self.probability[:, common] = _LEAST_PROBABILITY
 
     def _leak_log_likelihood(
-        self, pressures: np.ndarray, rows: np.ndarray
+        self, pressures: np.ndarray, observation_matrix: np.ndarray
     ) -> np.ndarray:
-        bends = np.einsum("smk,smk->sm", rows, self.mean)
+        bends = np.einsum("smk,smk->sm", observation_matrix, self.mean)
         bend = (self.probability * bends).sum(axis=1)
-        variance = np.einsum("smk,smkl,sml->sm", rows, self._covariance, rows)
+        variance = np.einsum(
+            "smk,smkl,sml->sm", observation_matrix, self._covariance, observation_matrix
+        )
         variance += (bends - bend[:, None]) ** 2
         sd = np.sqrt((self.probability * variance).sum(axis=1))
         log_likelihood = self.leaks.update(

@@ -13,7 +13,7 @@ from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.compliant_kernels import CompliantModel, WorkArrays
 from srs_twin.plants.analytical.floor import floor_friction
 from srs_twin.plants.analytical.kinematics import BodyParameters
-from srs_twin.pneumatics.chambers import apply_bend_law, bend_law
+from srs_twin.pneumatics.chambers import apply_bend_law, bend_law_of
 from srs_twin.pneumatics.lag import lag_response, relax, relaxation_of
 from srs_twin.robot.spec import RobotSpec
 
@@ -194,7 +194,7 @@ class MemberDynamics:
             np.ascontiguousarray(drive.bend),
             np.ascontiguousarray(drive.rate),
             bias,
-            bend_law(self._spec),
+            bend_law_of(self._spec),
         )
         steps = np.full(len(drive.bend) // 2, drive.step)
         complete = _advance(states, velocity, steps, free, self._model, workspace)
@@ -205,14 +205,14 @@ class MemberDynamics:
 
 
 @allocating
-def _free_bends(linear, speed, bias, law):  # type: ignore[no-untyped-def]
+def _free_bends(linear, speed, bias, bend_law):  # type: ignore[no-untyped-def]
     times, members, segments = linear.shape
     bends = np.empty((members, times, segments))
     rates = np.empty((members, times, segments))
     for m in range(members):
         for t in range(times):
             for j in range(segments):
-                free, derivative, _ = apply_bend_law(linear[t, m, j], law)
+                free, derivative, _ = apply_bend_law(linear[t, m, j], bend_law)
                 bends[m, t, j] = bias[m, j] + free
                 rates[m, t, j] = derivative * speed[t, m, j]
     return kernels.Bends(bends, rates)

@@ -269,11 +269,15 @@ class PushedBody:
         """
         spec = self._spec
         mu = spec.friction
-        law = getattr(friction, spec.skin.law if spec.skin else "wheel")
+        friction_law = getattr(
+            friction, spec.skin.friction_law if spec.skin else "wheel"
+        )
         along, across = np.split(u @ self._jacobian[g].T + self._drift[g], 2, axis=1)
         load = np.tile(self._mass, 2) * GRAVITY / 2
         mu_t = mu.mu_t + mu.drag / (self._mass.sum() * GRAVITY)
         slip_speed = SLIP_SPEED_M_S * spec.scale.speed
-        t, n, *derivatives = law(along, across, load, mu_t, mu.mu_n, slip_speed)
+        t, n, *derivatives = friction_law(
+            along, across, load, mu_t, mu.mu_n, slip_speed
+        )
         sum_of_derivatives = np.concatenate(derivatives, axis=-1) @ self._products[g]
         return np.concatenate([t, n], axis=-1), sum_of_derivatives.reshape(-1, 3, 3)

@@ -111,14 +111,14 @@ class FollowFile(ControllerSection):
             response_length = (
                 body.response_length or self.parameters["response_length"].default
             )
-        law: Steering = PathTracking(
+        steering: Steering = PathTracking(
             body, **self.arguments(PathTracking) | {"response_length": response_length}
         )
         if self.follower == "bearing":
-            law = WaypointSteering(**self.arguments(WaypointSteering))
+            steering = WaypointSteering(**self.arguments(WaypointSteering))
         return Follower(
             self.gait.controller(context),
-            law,
+            steering,
             planner.plan(),
             problem.goal,
             body,

@@ -318,7 +318,7 @@ class Follower(Controller):
         return self.gait.describe() | {
             "gait": self.gait.kind,
             "following": {
-                "law": type(self.steering).__name__,
+                "steering": type(self.steering).__name__,
                 "plans": [_recorded(time, plan) for time, plan in self.plans],
                 "footprint": asdict(self.body or self.footprint),
                 "world": {
@@ -400,7 +400,7 @@ class Follower(Controller):
     def _approaches_obstacle(self, here: Pose, point: PathPoint) -> bool:
         if not self.world.has_obstacles or self._reserve == 0 or self.allows_contact:
             return False
-        slope = math.remainder(here.heading - point.heading, 2 * math.pi)
+        heading_error = math.remainder(here.heading - point.heading, 2 * math.pi)
         piece = (
             min(_HORIZON_M, max(self._path.length - point.s, 1e-3)) / _CHECKED_PIECES
         )
@@ -409,7 +409,9 @@ class Follower(Controller):
             # On each piece of the expected motion back to the path, the body is checked
             # on an arc with the curvature of the path.
             first, last = (
-                self.steering.predict_cross_track(point.n, slope, (k + i) * piece)
+                self.steering.predict_cross_track(
+                    point.n, heading_error, (k + i) * piece
+                )
                 for i in (0, 1)
             )
             heading = on.heading + math.atan2(last - first, piece)
@@ -461,26 +463,26 @@ class Follower(Controller):
         else:
             self._coming = reason, self.submit(job)
 
-    def _receive_plan(self, time: float, reason: str, renewal: ReplanResult) -> None:
-        plan = renewal.plan
+    def _receive_plan(self, time: float, reason: str, result: ReplanResult) -> None:
+        plan = result.plan
         if plan is not None:
-            if renewal.fraction == 1:
+            if result.fraction == 1:
                 margin = ""
             else:
-                margin = f", {renewal.fraction:.0%} of the margin"
+                margin = f", {result.fraction:.0%} of the margin"
             text = f"new plan {len(self.plans)}, {plan.length:.3g} m ({reason}{margin})"
             self._events.append(Event(time, "replanned", text))
             self._start_plan(time, plan)
         elif self.min_margin_fraction:
             self._finish(
-                time, "no_room", f"{ENDINGS['no_room']}: {reason}; {renewal.reason}"
+                time, "no_room", f"{ENDINGS['no_room']}: {reason}; {result.reason}"
             )
         elif reason in ("strayed", *_OPTIONAL):
-            text = f"{reason}: keeping the old plan, {renewal.reason}"
+            text = f"{reason}: keeping the old plan, {result.reason}"
             self._events.append(Event(time, "no_new_plan", text))
         else:
             self._finish(
-                time, reason, f"{ENDINGS[reason]}; no new plan: {renewal.reason}"
+                time, reason, f"{ENDINGS[reason]}; no new plan: {result.reason}"
             )
 
     def _start_plan(self, time: float, plan: Plan) -> None:

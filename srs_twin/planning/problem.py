@@ -115,7 +115,9 @@ class Settings:
                 f"planner: levels {self.levels} must be at most {_MAX_LEVELS}"
             )
         if self.touch_limits is not None and self.clearance_weight > 0:
-            raise InputError("planner: clearance_weight must be 0 if touch is allowed")
+            raise InputError(
+                "planner: clearance_weight must be 0 if contact is allowed"
+            )
         if self.seconds is not None and not self.seconds > 0:
             raise InputError(f"planner: seconds {self.seconds:g} must be above 0")
 

@@ -321,15 +321,17 @@ class Steering(Stateful, ABC):
     def offset(self, state: SteeringInput) -> float:
         """Return the desired offset without limits."""
 
-    def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
+    def predict_cross_track(
+        self, n: float, heading_error: float, distance: float
+    ) -> float:
         """Return the expected cross-track error farther along the path, m.
 
         Args:
             n: current cross-track error, m.
-            slope: current heading relative to the path, rad.
-            ahead: distance along the path, m.
+            heading_error: current heading relative to the path, rad.
+            distance: distance along the path, m.
         """
-        return n + slope * ahead
+        return n + heading_error * distance
 
 
 class WaypointSteering(Steering):
@@ -435,12 +437,14 @@ class PathTracking(Steering):
         curvature = ahead / max(1 - ahead * n, 0.5) - feedback - state.disturbance
         return float(np.interp(curvature / state.gain, self._curvatures, self._offsets))
 
-    def predict_cross_track(self, n: float, slope: float, ahead: float) -> float:
+    def predict_cross_track(
+        self, n: float, heading_error: float, distance: float
+    ) -> float:
         """See `Steering.predict_cross_track`.
 
         The result solves n'' = −2 n'/L − n/L², the equation of the closed loop for ζ =
         1.
         """
-        return (n + (n / self._length + slope) * ahead) * math.exp(
-            -ahead / self._length
+        return (n + (n / self._length + heading_error) * distance) * math.exp(
+            -distance / self._length
         )

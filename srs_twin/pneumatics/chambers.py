@@ -91,7 +91,7 @@ class BendLaw(NamedTuple):
     dead_zone_transition: float
 
 
-def bend_law(spec: RobotSpec) -> BendLaw:
+def bend_law_of(spec: RobotSpec) -> BendLaw:
     """Return the bend-law parameters of a robot."""
     return BendLaw(*(getattr(spec.actuator, name) for name in BendLaw._fields))
 
@@ -103,17 +103,17 @@ def log_cosh(z):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
+def apply_bend_law(x, bend_law):  # type: ignore[no-untyped-def]
     """Return φ(x) (rad) and its first two derivatives (dimensionless, 1/rad).
 
     Args:
         x: linear bend, rad.
-        law: `BendLaw`, or a record with the same fields.
+        bend_law: `BendLaw`, or a record with the same fields.
     """
-    limit = law.bend_limit
-    fraction = law.onset_fraction
-    dead_zone = law.dead_zone
-    width = law.dead_zone_transition
+    limit = bend_law.bend_limit
+    fraction = bend_law.onset_fraction
+    dead_zone = bend_law.dead_zone
+    width = bend_law.dead_zone_transition
     y = x
     rise = 1.0
     curve = 0.0
@@ -135,7 +135,7 @@ def apply_bend_law(x, law):  # type: ignore[no-untyped-def]
     return y * root, derivative * rise, bow * rise * rise + derivative * curve
 
 
-def invert_bend_law(bends: Array, law: BendLaw) -> Array:
+def invert_bend_law(bends: Array, bend_law: BendLaw) -> Array:
     """Return the linear bends x for which φ(x) equals the given bends, rad.
 
     Raises:
@@ -144,24 +144,28 @@ def invert_bend_law(bends: Array, law: BendLaw) -> Array:
     linear = []
     for bend in np.ravel(bends):
         low = high = float(bend)
-        while apply_bend_law(low, law)[0] > bend and low > -_SEARCH_LIMIT_RAD:
+        while apply_bend_law(low, bend_law)[0] > bend and low > -_SEARCH_LIMIT_RAD:
             low = 2 * low - 0.1
-        while apply_bend_law(high, law)[0] < bend and high < _SEARCH_LIMIT_RAD:
+        while apply_bend_law(high, bend_law)[0] < bend and high < _SEARCH_LIMIT_RAD:
             high = 2 * high + 0.1
-        if not apply_bend_law(low, law)[0] <= bend <= apply_bend_law(high, law)[0]:
+        if (
+            not apply_bend_law(low, bend_law)[0]
+            <= bend
+            <= apply_bend_law(high, bend_law)[0]
+        ):
             raise InputError(
                 f"no pressure bends a segment by {bend:.4g} rad; its limit is"
-                f" {law.bend_limit:.4g} rad"
+                f" {bend_law.bend_limit:.4g} rad"
             )
         if low < high:
-            error = partial(_bend_error, bend=bend, law=law)
+            error = partial(_bend_error, bend=bend, bend_law=bend_law)
             low = brentq(error, low, high, xtol=1e-14, rtol=1e-14)
         linear.append(low)
     return np.array(linear).reshape(np.shape(bends))
 
 
-def _bend_error(x: float, bend: float, law: BendLaw) -> float:
-    return float(apply_bend_law(x, law)[0] - bend)
+def _bend_error(x: float, bend: float, bend_law: BendLaw) -> float:
+    return float(apply_bend_law(x, bend_law)[0] - bend)
 
 
 def check_pressure(pressure: Array, largest: float) -> Array:
@@ -227,7 +231,7 @@ def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
     if bends is linear:
         return pressure
     # For x → 0, φ(x)/x tends to the derivative of φ at 0.
-    derivative = apply_bend_law(0.0, bend_law(spec))[1]
+    derivative = apply_bend_law(0.0, bend_law_of(spec))[1]
     ratio = np.where(
         np.abs(linear) > _MIN_LINEAR_RAD,
         bends / np.where(linear == 0.0, 1.0, linear),
@@ -249,7 +253,7 @@ def _linear_bend(spec: RobotSpec, pressure: Array) -> Array:
 
 def free_bends(spec: RobotSpec, linear: Array) -> Array:
     """Return φ(x) for linear bends x, rad. For a linear law, φ(x) = x."""
-    limit, fraction, d, w = bend_law(spec)
+    limit, fraction, d, w = bend_law_of(spec)
     y = linear
     if fraction != 0.0:
         above = (d + linear) / w

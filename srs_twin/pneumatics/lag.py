@@ -46,7 +46,7 @@ from srs_twin.pneumatics.base import (
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
     apply_bend_law,
-    bend_law,
+    bend_law_of,
     chamber_gains,
     check_pressure,
     invert_bend_law,
@@ -237,8 +237,8 @@ class LagPneumatics(LagChambers):
             + self._leak
         )
         self._tau_fill = kinds[0]
-        self._bend_law = bend_law(spec)
-        self._law = Relaxation(
+        self._bend_law = bend_law_of(spec)
+        self._relaxation = Relaxation(
             kinds=kind.reshape(tau_fill.shape),
             rates=rates,
             asymptotes=np.zeros_like(rates),
@@ -257,11 +257,11 @@ class LagPneumatics(LagChambers):
 
     @property
     def _asymptote(self) -> np.ndarray:
-        return self._law.asymptotes
+        return self._relaxation.asymptotes
 
     @_asymptote.setter
     def _asymptote(self, asymptotes: np.ndarray) -> None:
-        self._law.asymptotes[:] = asymptotes
+        self._relaxation.asymptotes[:] = asymptotes
 
     def reset(self) -> None:
         """Vent all chambers to ambient pressure and close all inlets."""
@@ -278,18 +278,18 @@ class LagPneumatics(LagChambers):
         """Set the gauge supply pressure (Pa), which takes effect immediately."""
         check_supply(supply_pa, self._max_supply)
         # A leak lowers the equilibrium pressure below the supply pressure.
-        filling = supply_pa / self._tau_fill / self._law.rates[:, 2]
-        self._law.asymptotes[:, 2] = filling
+        filling = supply_pa / self._tau_fill / self._relaxation.rates[:, 2]
+        self._relaxation.asymptotes[:, 2] = filling
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def relaxation(self, time: float) -> Relaxation:
         """Return the propagation over a time (s) with one kind for each chamber."""
-        kinds = self._law.kinds
-        rates = self._law.rates[kinds.ravel()]
-        relaxation = self._law._replace(
+        kinds = self._relaxation.kinds
+        rates = self._relaxation.rates[kinds.ravel()]
+        relaxation = self._relaxation._replace(
             kinds=np.arange(kinds.size).reshape(kinds.shape),
             rates=rates,
-            asymptotes=self._law.asymptotes[kinds.ravel()],
+            asymptotes=self._relaxation.asymptotes[kinds.ravel()],
             decay=np.empty_like(rates),
             lag=np.empty_like(rates),
             mode=np.empty(1),
@@ -308,7 +308,7 @@ class LagPneumatics(LagChambers):
         trace = self._empty_trace(len(times))
         free = np.empty(self._segments)
         now = _Chambers(self.pressure.copy(), self._linear.copy(), free)
-        drawn = _fill_trace(now, schedule, times, self._law, trace)
+        drawn = _fill_trace(now, schedule, times, self._relaxation, trace)
         np.multiply(
             trace.pneumatic_energy, self._energy_per_amount, out=trace.pneumatic_energy
         )
@@ -321,7 +321,7 @@ class LagPneumatics(LagChambers):
 
 
 @compiled
-def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-def]
+def _fill_trace(now, schedule, times, relaxation, trace):  # type: ignore[no-untyped-def]
     """Simulate a schedule, fill in the trace, and return the consumed air, J.
 
     The trace contains the amount consumed since the start of the schedule.
@@ -336,7 +336,7 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
         stop = schedule.span if is_last else starts[run + 1]
         # A filling chamber consumes the increase of its amount of air plus the leaked air.
         # Other chambers consume nothing.
-        content_before = _filling_content(state, now, law)
+        content_before = _filling_content(state, now, relaxation)
         leaked = last = 0.0
         while True:
             # The rows of the trace before the next valve event are computed first. The
@@ -344,32 +344,36 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
             # of the next interval.
             requested = row < times.shape[0] and (times[row] <= stop or is_last)
             t = (times[row] if requested else stop) - begin
-            if law.leak > 0.0:
-                leaked += _leaked(last, t, state, now, law)
+            if relaxation.leak > 0.0:
+                leaked += _leaked(last, t, state, now, relaxation)
                 last = t
-            _fill_decay(t, law)
+            _fill_decay(t, relaxation)
             content = 0.0
             for j in range(now.bend.shape[0]):
                 plus, minus, x = advance_segment(
-                    state[j], j, now.pressure[j], now.linear[j], law
+                    state[j], j, now.pressure[j], now.linear[j], relaxation
                 )
-                free, derivative, curve = apply_bend_law(x, law)
-                free += law.bias[j]
-                content += filling_content(state[j], plus, minus, free, law, AMBIENT_PA)
+                free, derivative, curve = apply_bend_law(x, relaxation)
+                free += relaxation.bias[j]
+                content += filling_content(
+                    state[j], plus, minus, free, relaxation, AMBIENT_PA
+                )
                 if not requested:
                     now.pressure[j, 0] = plus
                     now.pressure[j, 1] = minus
                     now.linear[j] = x
                     now.bend[j] = free
                     continue
-                rise = _drive_rate(state[j], j, plus, minus, law)
-                speed = (law.gain[j, 0] * plus - law.gain[j, 1] * minus - x) / law.tau
+                rise = _drive_rate(state[j], j, plus, minus, relaxation)
+                speed = (
+                    relaxation.gain[j, 0] * plus - relaxation.gain[j, 1] * minus - x
+                ) / relaxation.tau
                 trace.pressure[row, j, 0] = plus
                 trace.pressure[row, j, 1] = minus
                 trace.bend[row, j] = free
                 trace.bend_rate[row, j] = derivative * speed
                 trace.bend_acceleration[row, j] = (
-                    derivative * (rise - speed) / law.tau + curve * speed * speed
+                    derivative * (rise - speed) / relaxation.tau + curve * speed * speed
                 )
                 trace.valves[row, j, 0] = state[j, 0]
                 trace.valves[row, j, 1] = state[j, 1]
@@ -383,29 +387,40 @@ def _fill_trace(now, schedule, times, law, trace):  # type: ignore[no-untyped-de
 
 
 @inlined
-def _filling_content(state, now, law):  # type: ignore[no-untyped-def]
+def _filling_content(state, now, relaxation):  # type: ignore[no-untyped-def]
     content = 0.0
     for j in range(now.linear.shape[0]):
-        free = law.bias[j] + apply_bend_law(now.linear[j], law)[0]
+        free = relaxation.bias[j] + apply_bend_law(now.linear[j], relaxation)[0]
         content += filling_content(
-            state[j], now.pressure[j, 0], now.pressure[j, 1], free, law, AMBIENT_PA
+            state[j],
+            now.pressure[j, 0],
+            now.pressure[j, 1],
+            free,
+            relaxation,
+            AMBIENT_PA,
         )
     return content
 
 
 @kernel_only
-def _drive_rate(state, j, plus, minus, law):  # type: ignore[no-untyped-def]
-    first = law.kinds[j, 0]
-    second = law.kinds[j, 1]
+def _drive_rate(state, j, plus, minus, relaxation):  # type: ignore[no-untyped-def]
+    first = relaxation.kinds[j, 0]
+    second = relaxation.kinds[j, 1]
     up = state[0] + 1
     down = state[1] + 1
-    rise = law.gain[j, 0] * law.rates[first, up] * (law.asymptotes[first, up] - plus)
-    fall = law.rates[second, down] * (law.asymptotes[second, down] - minus)
-    return rise - law.gain[j, 1] * fall
+    rise = (
+        relaxation.gain[j, 0]
+        * relaxation.rates[first, up]
+        * (relaxation.asymptotes[first, up] - plus)
+    )
+    fall = relaxation.rates[second, down] * (
+        relaxation.asymptotes[second, down] - minus
+    )
+    return rise - relaxation.gain[j, 1] * fall
 
 
 @kernel_only
-def _leaked(last, t, state, now, law):  # type: ignore[no-untyped-def]
+def _leaked(last, t, state, now, relaxation):  # type: ignore[no-untyped-def]
     """Return λ ∫ p V dt of the filling chambers by Simpson's rule, J.
 
     The integral extends from the time `last` to the time `t` (s), both measured from
@@ -413,68 +428,70 @@ def _leaked(last, t, state, now, law):  # type: ignore[no-untyped-def]
     """
     leaked = 0.0
     for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
-        _fill_decay(at, law)
+        _fill_decay(at, relaxation)
         for j in range(now.linear.shape[0]):
             plus, minus, x = advance_segment(
-                state[j], j, now.pressure[j], now.linear[j], law
+                state[j], j, now.pressure[j], now.linear[j], relaxation
             )
-            free = law.bias[j] + apply_bend_law(x, law)[0]
-            content = filling_content(state[j], plus, minus, free, law, 0.0)
-            leaked += law.leak * (t - last) * weight * content
+            free = relaxation.bias[j] + apply_bend_law(x, relaxation)[0]
+            content = filling_content(state[j], plus, minus, free, relaxation, 0.0)
+            leaked += relaxation.leak * (t - last) * weight * content
     return leaked
 
 
 @compiled
-def _fill_decay(t, law):  # type: ignore[no-untyped-def]
-    mode = math.exp(-t / law.tau)
-    law.mode[0] = mode
-    for kind in range(law.rates.shape[0]):
+def _fill_decay(t, relaxation):  # type: ignore[no-untyped-def]
+    mode = math.exp(-t / relaxation.tau)
+    relaxation.mode[0] = mode
+    for kind in range(relaxation.rates.shape[0]):
         for s in range(3):
-            rate = law.rates[kind, s]
+            rate = relaxation.rates[kind, s]
             decay = math.exp(-rate * t)
-            law.decay[kind, s] = decay
-            law.lag[kind, s] = _exponential_response(rate, law.tau, t, decay, mode)
+            relaxation.decay[kind, s] = decay
+            relaxation.lag[kind, s] = _exponential_response(
+                rate, relaxation.tau, t, decay, mode
+            )
 
 
 @kernel_only
-def advance_segment(state, j, pressure, linear, law):  # type: ignore[no-untyped-def]
+def advance_segment(state, j, pressure, linear, relaxation):  # type: ignore[no-untyped-def]
     """Return pressures (Pa) and linear bend (rad) of a segment without valve events.
 
-    The factors in `law` determine the elapsed time (`_fill_decay`).
+    The factors in `relaxation` determine the elapsed time (`_fill_decay`).
 
     Args:
         state: valve states, shape (2,).
         j: segment index.
         pressure: initial gauge pressures, shape (2,), Pa.
         linear: initial linear bend, rad.
-        law: `Relaxation`.
+        relaxation: `Relaxation`.
     """
-    first = law.kinds[j, 0]
-    second = law.kinds[j, 1]
+    first = relaxation.kinds[j, 0]
+    second = relaxation.kinds[j, 1]
     # The valve states −1, 0 and +1 correspond to columns 0, 1 and 2 of the arrays.
     up = state[0] + 1
     down = state[1] + 1
-    mode = law.mode[0]
-    target_plus = law.asymptotes[first, up]
-    target_minus = law.asymptotes[second, down]
+    mode = relaxation.mode[0]
+    target_plus = relaxation.asymptotes[first, up]
+    target_minus = relaxation.asymptotes[second, down]
     deviation_plus = pressure[0] - target_plus
     deviation_minus = pressure[1] - target_minus
     # This term is the response of x to both pressures if x is initially 0.
-    lagged = law.gain[j, 0] * (
-        target_plus * (1.0 - mode) + deviation_plus * law.lag[first, up]
+    lagged = relaxation.gain[j, 0] * (
+        target_plus * (1.0 - mode) + deviation_plus * relaxation.lag[first, up]
     )
-    lagged -= law.gain[j, 1] * (
-        target_minus * (1.0 - mode) + deviation_minus * law.lag[second, down]
+    lagged -= relaxation.gain[j, 1] * (
+        target_minus * (1.0 - mode) + deviation_minus * relaxation.lag[second, down]
     )
     return (
-        target_plus + deviation_plus * law.decay[first, up],
-        target_minus + deviation_minus * law.decay[second, down],
+        target_plus + deviation_plus * relaxation.decay[first, up],
+        target_minus + deviation_minus * relaxation.decay[second, down],
         linear * mode + lagged,
     )
 
 
 @kernel_only
-def filling_content(state, plus, minus, bend, law, ambient):  # type: ignore[no-untyped-def]
+def filling_content(state, plus, minus, bend, relaxation, ambient):  # type: ignore[no-untyped-def]
     """Return the sum of (p + ambient) V over the filling chambers of a segment, J.
 
     Args:
@@ -482,14 +499,16 @@ def filling_content(state, plus, minus, bend, law, ambient):  # type: ignore[no-
         plus: gauge pressure of the + chamber, Pa.
         minus: gauge pressure of the − chamber, Pa.
         bend: bend q, rad.
-        law: `Relaxation`.
+        relaxation: `Relaxation`.
         ambient: ambient pressure, Pa.
     """
     total = float(0.0)
     pressure = float(plus)
     for side in range(2):
         if state[side] == 1:
-            size, _ = volume(law.dead_volume, law.displacement, bend, side)
+            size, _ = volume(
+                relaxation.dead_volume, relaxation.displacement, bend, side
+            )
             total += (pressure + ambient) * size
         pressure = float(minus)
     return total

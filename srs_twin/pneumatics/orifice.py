@@ -40,7 +40,7 @@ from srs_twin.pneumatics.base import (
 )
 from srs_twin.pneumatics.chambers import (
     AMBIENT_PA,
-    bend_law,
+    bend_law_of,
     chamber_gains,
     check_pressure,
     invert_bend_law,
@@ -173,11 +173,11 @@ class OrificePneumatics(Pneumatics):
         line_pressure: current gauge pressure between supply and inlets, Pa.
         drawn: amount of air P V that the supply has delivered since `reset`, J.
         lost: amount of air P V that was vented or leaked since `reset`, J.
-        plumbing: valves and supply line.
+        parameters: valves and supply line.
     """
 
     kind = "orifice"
-    state_attributes = ("_state", "_amounts", "plumbing", "_energy_per_amount")
+    state_attributes = ("_state", "_amounts", "parameters", "_energy_per_amount")
     depends_on_bend = True
     # A segment that bends away from a closed chamber compresses the air in the chamber.
     # In gen3 the pressure ratio reaches 1.6.
@@ -219,14 +219,14 @@ class OrificePneumatics(Pneumatics):
         nominal = conductances(spec, critical)
         self._capacity = nominal.capacity
         self._max_supply = supply_pa
-        self._line_begins = begins + AMBIENT_PA
+        self._initial_line_pressure = begins + AMBIENT_PA
         fill, vent = self.conductances = _chamber_conductances(spec, critical)
-        self.plumbing = OrificeParameters(
+        self.parameters = OrificeParameters(
             dead=spec.chamber.dead_volume,
             displacement=spec.chamber.displacement,
             gain=chamber_gains(spec),
             bias=spec.modules.array("bias"),
-            law=bend_law(spec),
+            bend_law=bend_law_of(spec),
             tau=spec.actuator.tau_mode,
             critical=critical,
             fill=REFERENCE_PA * fill,
@@ -249,25 +249,25 @@ class OrificePneumatics(Pneumatics):
         """Vent all chambers, close all inlets, and fill the line."""
         super().reset()
         self._state = np.zeros((self._segments, 3))
-        self._fill(self.pressure, self.plumbing.bias)
+        self._fill(self.pressure, self.parameters.bias)
         # The three amounts of air are contained in the line, delivered by the supply,
         # and lost.
         self._amounts = np.array(
-            [self._line_begins * self.plumbing.line_volume, 0.0, 0.0]
+            [self._initial_line_pressure * self.parameters.line_volume, 0.0, 0.0]
         )
 
     def _fill(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        plumbing = self.plumbing
+        parameters = self.parameters
         for j, side in np.ndindex(pressure.shape):
-            size, _ = volume(plumbing.dead, plumbing.displacement, bend[j], side)
+            size, _ = volume(parameters.dead, parameters.displacement, bend[j], side)
             self._state[j, side] = (AMBIENT_PA + pressure[j, side]) * size
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """Set pressures (Pa), and equal free and actual bends (rad)."""
-        plumbing = self.plumbing
-        linear = invert_bend_law(bend - self.rest_bend, plumbing.law)
+        parameters = self.parameters
+        linear = invert_bend_law(bend - self.rest_bend, parameters.bend_law)
         self.pressure = check_pressure(
-            pressure, self.max_pressure_ratio * (plumbing.supply - AMBIENT_PA)
+            pressure, self.max_pressure_ratio * (parameters.supply - AMBIENT_PA)
         )
         self.bend = np.array(bend, dtype=float)
         self._fill(self.pressure, self.bend)
@@ -277,7 +277,9 @@ class OrificePneumatics(Pneumatics):
         """Set the gauge supply pressure, Pa."""
         check_supply(supply_pa, self._max_supply)
         band = REGULATOR_BAND * max(supply_pa, 1.0)
-        self.plumbing = self.plumbing._replace(supply=supply_pa + AMBIENT_PA, band=band)
+        self.parameters = self.parameters._replace(
+            supply=supply_pa + AMBIENT_PA, band=band
+        )
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def leak(self, segment: int, side: int, per_s: float) -> None:
@@ -288,14 +290,14 @@ class OrificePneumatics(Pneumatics):
             side: 0 for the + chamber, 1 for the − chamber.
             per_s: relative rate at which the pressure of the held chamber falls, 1/s.
         """
-        leaks = self.plumbing.leak.copy()
+        leaks = self.parameters.leak.copy()
         leaks[segment - 1, side] = per_s * self._capacity
-        self.plumbing = self.plumbing._replace(leak=leaks)
+        self.parameters = self.parameters._replace(leak=leaks)
 
     @property
     def line_pressure(self) -> float:
         """Current gauge pressure between supply and inlets, Pa."""
-        return float(self._amounts[LINE]) / self.plumbing.line_volume - AMBIENT_PA
+        return float(self._amounts[LINE]) / self.parameters.line_volume - AMBIENT_PA
 
     @property
     def drawn(self) -> float:
@@ -330,7 +332,7 @@ class OrificePneumatics(Pneumatics):
         if bend is not None:
             actual.bend[:] = bend
             actual.rate[:] = 0.0 if bend_rate is None else bend_rate
-        simulate(now, schedule, times, self._substep, actual, self.plumbing, trace)
+        simulate(now, schedule, times, self._substep, actual, self.parameters, trace)
         np.multiply(
             trace.pneumatic_energy, self._energy_per_amount, out=trace.pneumatic_energy
         )

@@ -53,7 +53,7 @@ class OrificeParameters(NamedTuple):
         dead, displacement: dead volume V₀ (m³) and displacement A (m³/rad).
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends b, shape (segments,), rad.
-        law: bend law.
+        bend_law: bend law.
         tau: mode time constant τ₂, s.
         critical: critical pressure ratio b of the valves, dimensionless.
         fill, vent: P₀ C of each inlet and outlet, shape (segments, 2), m³/s.
@@ -69,7 +69,7 @@ class OrificeParameters(NamedTuple):
     displacement: float
     gain: np.ndarray
     bias: np.ndarray
-    law: BendLaw
+    bend_law: BendLaw
     tau: float
     critical: float
     fill: np.ndarray
@@ -233,7 +233,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # t
     line_derivative = air.line_volume - weight * closing
     for j in range(y.shape[0]):
         # The derivative of the bend with respect to x is 0 for a prescribed bend.
-        q, bend_rate, _ = apply_bend_law(y[j, _X], air.law)
+        q, bend_rate, _ = apply_bend_law(y[j, _X], air.bend_law)
         q, bend_rate = (
             (workspace.bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
         )
@@ -332,7 +332,7 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
         if coupled:
             q = bend[j]
         else:
-            q = air.bias[j] + apply_bend_law(y[j, _X], air.law)[0]
+            q = air.bias[j] + apply_bend_law(y[j, _X], air.bend_law)[0]
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             dy[j, side] = c.inflow - c.outflow
@@ -503,7 +503,7 @@ def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore
 @kernel_only
 def _fill_end(now, span, actual, air):  # type: ignore[no-untyped-def]
     for j in range(now.y.shape[0]):
-        now.bend[j] = air.bias[j] + apply_bend_law(now.y[j, _X], air.law)[0]
+        now.bend[j] = air.bias[j] + apply_bend_law(now.y[j, _X], air.bend_law)[0]
         q = now.bend[j]
         if actual.coupled:
             q = actual.bend[j] + actual.rate[j] * span
@@ -563,7 +563,7 @@ def _fill_rows(times, step, state, actual, air, trace):  # type: ignore[no-untyp
 def _fill_segment(trace, row, j, at, state, actual, air):  # type: ignore[no-untyped-def]
     y = at.y
     dy = at.rates
-    free, derivative, curve = apply_bend_law(y[j, _X], air.law)
+    free, derivative, curve = apply_bend_law(y[j, _X], air.bend_law)
     free = free + air.bias[j]
     speed = derivative * dy[j, _X]
     q = free

@@ -16,7 +16,7 @@ import numpy as np
 from srs_twin.compute.compiled import compiled
 from srs_twin.errors import InputError
 from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace
-from srs_twin.pneumatics.chambers import apply_bend_law, bend_law, chamber_gains
+from srs_twin.pneumatics.chambers import apply_bend_law, bend_law_of, chamber_gains
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
@@ -59,7 +59,7 @@ class RecordedPressures(Pneumatics):
         self._time = np.asarray(time, float)
         self._measured = np.asarray(pressure, float)
         self._tau = spec.actuator.tau_mode
-        self._law = bend_law(spec)
+        self._bend_law = bend_law_of(spec)
         self._drive = (self._measured * chamber_gains(spec) * [1.0, -1.0]).sum(axis=-1)
         self._derivative = np.zeros_like(self._drive)
         self._derivative[:-1] = (
@@ -112,7 +112,9 @@ class RecordedPressures(Pneumatics):
         linear = drive + derivative * (since - self._tau) + fade
         speed = derivative - fade / self._tau
         acceleration = fade / self._tau**2
-        _fill_bends((linear, speed, acceleration), self.rest_bend, self._law, trace)
+        _fill_bends(
+            (linear, speed, acceleration), self.rest_bend, self._bend_law, trace
+        )
         for j in range(trace.pressure.shape[1]):
             for side in range(2):
                 trace.pressure[:, j, side] = np.interp(
@@ -138,11 +140,11 @@ def _linear_bend_at_samples(
 
 
 @compiled
-def _fill_bends(motion, bias, law, trace):  # type: ignore[no-untyped-def]
+def _fill_bends(motion, bias, bend_law, trace):  # type: ignore[no-untyped-def]
     linear, speed, acceleration = motion
     for k in range(linear.shape[0]):
         for j in range(linear.shape[1]):
-            bend, derivative, curve = apply_bend_law(linear[k, j], law)
+            bend, derivative, curve = apply_bend_law(linear[k, j], bend_law)
             trace.bend[k, j] = bias[j] + bend
             # The derivatives of the nonlinear bend are computed by the chain rule.
             trace.bend_rate[k, j] = derivative * speed[k, j]

@@ -30,7 +30,7 @@ def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
 
 
 COMPUTATIONS = _functions(computations)
-"""Functions that compute the numbers of a claim without a run (key `law`).
+"""Functions that compute the numbers of a claim without a run (key `computation`).
 
 The argument of a function is the dictionary `set`. The function returns numbers, keyed
 by ``<column>.<metric>``.
@@ -87,7 +87,7 @@ class RunRequest(Section):
     """Shipped scenario."""
     sweep: Name | None = None
     """Shipped sweep."""
-    law: Name | None = None
+    computation: Name | None = None
     """Computation that replaces runs."""
     set: Changes = {}
     """Changed fields of the scenario, or arguments of the computation."""
@@ -98,8 +98,8 @@ class RunRequest(Section):
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
-        if [self.scenario, self.sweep, self.law].count(None) != 2:
-            raise ValueError("give exactly one of scenario, sweep and law")
+        if [self.scenario, self.sweep, self.computation].count(None) != 2:
+            raise ValueError("give exactly one of scenario, sweep and computation")
         if self.where and self.sweep is None:
             raise ValueError("where is only allowed with sweep; remove it")
         if self.periods is not None and self.scenario is None:
@@ -108,9 +108,9 @@ class RunRequest(Section):
 
     @property
     def kind(self) -> str:
-        """Kind of the request: "scenario", "sweep" or "law"."""
-        if self.law is not None:
-            return "law"
+        """Kind of the request: "scenario", "sweep" or "computation"."""
+        if self.computation is not None:
+            return "computation"
         return "scenario" if self.sweep is None else "sweep"
 
     @property
@@ -120,7 +120,7 @@ class RunRequest(Section):
 
     def check_names(self, document: Document, loc: Loc) -> None:
         """Report an unknown scenario, sweep or computation to the document."""
-        names = COMPUTATIONS if self.kind == "law" else shipped_names(self.kind)
+        names = COMPUTATIONS if self.kind == "computation" else shipped_names(self.kind)
         if self.name not in names:
             document.report(
                 (*loc, self.kind), str(UnknownNameError(self.kind, self.name, names))

@@ -131,10 +131,10 @@ def _count_met(
 
 
 def verification_grade(
-    law: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
+    law_counts: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
 ) -> Grade:
     """Return the verification grade."""
-    met, rows = law
+    met, rows = law_counts
     text = "its laws are tests of the program"
     if rows:
         text = f"{met} of {rows} laws met"

@@ -43,13 +43,13 @@ class ReproductionJob:
     Attributes:
         key: SHA-256 of all inputs.
         experiment: complete scenario, or None for a computation.
-        law: name of the computation, or None for a scenario.
+        computation: name of the computation, or None for a scenario.
         arguments: arguments of the computation.
     """
 
     key: str
     experiment: Experiment | None = None
-    law: str | None = None
+    computation: str | None = None
     arguments: Mapping[str, Set] = field(default_factory=dict)
 
     @property
@@ -156,15 +156,15 @@ class RunStore:
         return tuple(self._jobs[key] for key in self._keys[text])
 
     def _make_jobs(self, request: RunRequest) -> Iterator[ReproductionJob]:
-        if request.kind == "law":
+        if request.kind == "computation":
             key = digest_of(
-                law=request.name,
+                computation=request.name,
                 arguments=request.set,
                 versions=versions(),
                 sources=source_digests("srs_twin.reproduction.computations"),
                 data=_data_digests(),
             )
-            yield ReproductionJob(key, law=request.name, arguments=request.set)
+            yield ReproductionJob(key, computation=request.name, arguments=request.set)
             return
         is_sweep = request.kind == "sweep"
         settings: list[Mapping[str, Plain]] = [{}]
@@ -244,10 +244,10 @@ def run_job(job: ReproductionJob) -> Row:
     """Run a job in this process. The row contains the error of a failed job."""
     if job.experiment is not None:
         return run_point(job.experiment, Point(job.key, {}))
-    assert job.law is not None, "a job is a scenario or a computation"
+    assert job.computation is not None, "a job is a scenario or a computation"
     start = time.perf_counter()
     try:
-        values = COMPUTATIONS[job.law](**job.arguments)
+        values = COMPUTATIONS[job.computation](**job.arguments)
     except SrsError as error:
         return failed_row(job.key, error, time.perf_counter() - start)
     return Row(job.key, DONE, values, time.perf_counter() - start)

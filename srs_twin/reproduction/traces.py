@@ -25,8 +25,8 @@ def tail_drift(run: Trajectory) -> float | None:
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
-    _, slope = window.running_mean(run, run.stack("connector_heading")[:, -1])
-    return float(slope.mean())
+    _, drift = window.running_mean(run, run.stack("connector_heading")[:, -1])
+    return float(drift.mean())
 
 
 def speed_regularity(run: Trajectory) -> float | None:

@@ -30,8 +30,8 @@ from typing import Literal, get_args
 
 import numpy as np
 
-Law = Literal["axis", "wheel", "viscous", "ellipse", "cosine"]
-LAWS: tuple[Law, ...] = get_args(Law)
+FrictionLaw = Literal["axis", "wheel", "viscous", "ellipse", "cosine"]
+FRICTION_LAWS: tuple[FrictionLaw, ...] = get_args(FrictionLaw)
 """Names of the friction laws, which are also the names of the functions below."""
 
 TWO_POINT_LAWS = ("wheel", "ellipse", "cosine")

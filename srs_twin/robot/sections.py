@@ -268,7 +268,7 @@ class ContactFile(Records):
     def skin(self) -> Skin:
         """Return the skin."""
         given = {
-            "law": self.law,
+            "friction_law": self.law,
             "points": self.points_per_segment and self.points_per_segment.value,
         }
         values: dict[str, Any] = {

@@ -280,15 +280,15 @@ class Skin:
     """Contact of a body without wheels, which lies on the floor along its whole length.
 
     Attributes:
-        law: friction law, "ellipse" or "cosine" (`robot.friction`).
+        friction_law: friction law, "ellipse" or "cosine" (`robot.friction`).
         points: number of pairs of contact points along a segment.
     """
 
-    law: SkinLaw = "ellipse"
+    friction_law: SkinLaw = "ellipse"
     points: int = 6
 
     def __post_init__(self) -> None:
-        check_choice("friction law of a skin", self.law, SKIN_LAWS)
+        check_choice("friction law of a skin", self.friction_law, SKIN_LAWS)
         _require(self.points >= 1, "points", self.points, "a segment has 1 or more")
 
 

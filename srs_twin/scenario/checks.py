@@ -276,10 +276,10 @@ def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     for kind, plant in file.plants.running.items():
         for key in plant.wheel_keys:
             if key in plant.model_fields_set:
-                law = "has a skin with its own friction law (robot: contact.law)"
+                reason = "has a skin with its own friction law (robot: contact.law)"
                 yield Contradiction(
                     ("plants", kind, key),
-                    f"{robot.name} {law}; remove this key",
+                    f"{robot.name} {reason}; remove this key",
                     at_key=True,
                 )
 

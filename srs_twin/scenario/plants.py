@@ -14,18 +14,18 @@ from srs_twin.plants.analytical.options import (
     default_timestep,
 )
 from srs_twin.plants.twin.mjcf.numerics import (
-    LAW_OF,
+    FRICTION_LAW_OF,
     PRESETS,
     Contact,
     ContactName,
-    Law as LawOnLoads,
+    LawOnLoads,
     LoadedContact,
     ModelSettings,
     PreloadedContact,
     Preset,
     Wheels,
 )
-from srs_twin.robot.friction import Law
+from srs_twin.robot.friction import FrictionLaw
 from srs_twin.robot.scale import Scale, divide
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
@@ -95,7 +95,7 @@ class AnalyticalFile(_PlantFile):
     """Moment of inertia of each connector; "point" is zero. "connector" is a compact
     body with two wheels. "lumped" is the value of the dissertation, which counts the
     segments twice."""
-    friction: Law = constructor_default()
+    friction: FrictionLaw = constructor_default()
     """Friction law; "axis" has one contact per connector (dissertation), "wheel" two
     wheels at the track. "ellipse" and "cosine" have two skids at the track, and
     "viscous" is a law for tests. A robot with skin has its own law."""
@@ -164,14 +164,14 @@ class TwinFile(_PlantFile):
         return scaled
 
     @property
-    def law(self) -> LawOnLoads:
+    def friction_law(self) -> LawOnLoads:
         """Friction law, by default the law of the wheels or skids."""
-        return self.friction or LAW_OF[self.wheels]
+        return self.friction or FRICTION_LAW_OF[self.wheels]
 
     def build_contact(self) -> Contact:
         """Return the contact model."""
         if self.contact == "loaded":
-            return LoadedContact(self.law)
+            return LoadedContact(self.friction_law)
         return PreloadedContact(self.wheels)
 
     def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:

@@ -127,9 +127,7 @@ def build_kernels(
     functions = as_warp_functions(_PARTS, **warp_functions())
     loaded = "workspace" in structs
     kernels = _valve_kernels(structs["wave"], settings)
-    kernels |= _chamber_kernel(
-        structs["relaxation"], structs["chambers"], settings, functions
-    )
+    kernels |= _chamber_kernel(structs, settings, functions)
     kernels |= _accumulation_kernel(structs, settings.h, loaded, functions)
     kernels |= _observation_kernel(structs, functions)
     if loaded:
@@ -184,17 +182,16 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
 
 
 def _chamber_kernel(
-    relaxation: WarpStruct,
-    chambers: WarpStruct,
+    structs: Mapping[str, WarpStruct],
     settings: StepSettings,
     functions: Mapping[str, Any],
 ) -> Kernels:
     slot = functions["advance_slot"]
-    bend_law = functions["apply_bend_law"]
-    Relaxations = relaxation.batched
-    relaxation_of = relaxation.select
-    ChamberStates = chambers.batched
-    chambers_of = chambers.select
+    apply_bend_law = functions["apply_bend_law"]
+    Relaxations = structs["relaxation"].batched
+    relaxation_of = structs["relaxation"].select
+    ChamberStates = structs["chambers"].batched
+    chambers_of = structs["chambers"].select
     SLOTS = settings.slots
     END_WEIGHT = 0.5 if settings.mean_control else 0.0
 
@@ -206,24 +203,24 @@ def _chamber_kernel(
         ctrl: wp.array2d(dtype=float),
     ):
         i, j = wp.tid()
-        law = relaxation_of(relaxations, i)
+        relaxation = relaxation_of(relaxations, i)
         air = chambers_of(all_chambers, i)
         pressure = air.pressure[j]
         # With this drive, the bend of a segment with the damping time c/k equals the
         # free bend without lag. The free bend is at the beginning of the step.
-        driven = air.bend[j] + law.damping_time * air.bend_rate[j]
-        bend = air.bend[j] + law.bias[j]
+        driven = air.bend[j] + relaxation.damping_time * air.bend_rate[j]
+        bend = air.bend[j] + relaxation.bias[j]
         for s in range(SLOTS):
-            bend = slot(law, air, valves[i, s, j], j, bend)
-        free, derivative, _ = bend_law(air.linear[j], law)
-        pull = law.gain[j, 0] * pressure[0] - law.gain[j, 1] * pressure[1]
+            bend = slot(relaxation, air, valves[i, s, j], j, bend)
+        free, derivative, _ = apply_bend_law(air.linear[j], relaxation)
+        pull = relaxation.gain[j, 0] * pressure[0] - relaxation.gain[j, 1] * pressure[1]
         air.bend[j] = free
-        air.bend_rate[j] = derivative * (pull - air.linear[j]) / law.tau
-        end = air.bend[j] + law.damping_time * air.bend_rate[j]
+        air.bend_rate[j] = derivative * (pull - air.linear[j]) / relaxation.tau
+        end = air.bend[j] + relaxation.damping_time * air.bend_rate[j]
         driven += END_WEIGHT * (end - driven)
         # A control is the pressure of one chamber, so it cannot be negative.
-        ctrl[i, 2 * j] = wp.max(driven, 0.0) / law.gain[j, 0]
-        ctrl[i, 2 * j + 1] = wp.max(-driven, 0.0) / law.gain[j, 1]
+        ctrl[i, 2 * j] = wp.max(driven, 0.0) / relaxation.gain[j, 0]
+        ctrl[i, 2 * j + 1] = wp.max(-driven, 0.0) / relaxation.gain[j, 1]
 
     return {"advance_chambers": advance_chambers}
 
@@ -315,21 +312,21 @@ def _observation_kernel(
     return {"observe": observe}
 
 
-def advance_slot(law, air, state, j, before):  # type: ignore[no-untyped-def]
+def advance_slot(relaxation, air, state, j, before):  # type: ignore[no-untyped-def]
     """Advance the chambers of segment j by a valve slot, and return the new bend, rad.
 
     The argument `before` is the bend at the beginning of the slot.
     """
     pressure = air.pressure[j]
     content_before = filling_content(
-        state, pressure[0], pressure[1], before, law, AMBIENT_PA
+        state, pressure[0], pressure[1], before, relaxation, AMBIENT_PA
     )
-    plus, minus, x = advance_segment(state, j, pressure, air.linear[j], law)
-    after, _, _ = apply_bend_law(x, law)
-    after += law.bias[j]
-    content = filling_content(state, plus, minus, after, law, AMBIENT_PA)
+    plus, minus, x = advance_segment(state, j, pressure, air.linear[j], relaxation)
+    after, _, _ = apply_bend_law(x, relaxation)
+    after += relaxation.bias[j]
+    content = filling_content(state, plus, minus, after, relaxation, AMBIENT_PA)
     # The supply delivers the increase of the amount of air in chambers that fill.
-    air.drawn[j] = air.drawn[j] + law.worth * (content - content_before)
+    air.drawn[j] = air.drawn[j] + relaxation.worth * (content - content_before)
     pressure[0] = plus
     pressure[1] = minus
     air.linear[j] = x

@@ -121,10 +121,10 @@ def values() -> dict[tuple[str, str], str]:
         ("diff", "rel"): f"{Tolerances().rel:.0e}".replace("e-0", "e-"),
         ("diff", "abs_"): f"{Tolerances().abs:.0e}".replace("e-0", "e-"),
         ("new robot", "bend"): f"{_BEND_RAD:g}; joints {_SERVO_BEND_RAD:g}",
-        ("replay", "law"): _plants(["analytical"], "complete", None, False)[
+        ("replay", "friction_law"): _plants(["analytical"], "complete", None, False)[
             "analytical"
         ]["friction"],
-        ("calibrate locomotion", "law"): fitted["friction"],
+        ("calibrate locomotion", "friction_law"): fitted["friction"],
         ("calibrate locomotion", "model"): fitted["model"],
         ("calibrate footprint", "frequency"): "{gait:g}, ilc {ilc:g}".format(
             **FREQUENCY_HZ

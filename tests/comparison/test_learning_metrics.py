@@ -188,8 +188,8 @@ def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
         )
         com = np.stack([speed * time, np.zeros(len(time))], axis=-1)
     # One connector is to the left of the path and determines the left edge.
-    aside = np.stack([-np.sin(angle[:, 2]), np.cos(angle[:, 2])], axis=-1)
-    position[:, 2] += 0.03 * aside
+    lateral = np.stack([-np.sin(angle[:, 2]), np.cos(angle[:, 2])], axis=-1)
+    position[:, 2] += 0.03 * lateral
     run = learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING), width=width)
     run = with_columns(
         run,

@@ -54,14 +54,15 @@ def test_a_linear_reading_has_r_squared_1(reach, slope, offset):
 def test_depth_and_position_of_a_fold_are_recovered(press, scale, place):
     bend = there_and_back(1.4)
 
-    def law(q):
+    def reading(q):
         return q - press * scale * np.tanh((q - place) / scale)
 
     crest = scale * math.acosh(math.sqrt(press))
-    found = reading_metrics(run(bend, law(bend)))
+    found = reading_metrics(run(bend, reading(bend)))
     # Bins smooth the extrema by less than the steepest slope times the bin width.
     assert found["reading_backstep_rad"] == pytest.approx(
-        law(place - crest) - law(place + crest), abs=press * BIN_RAD**2 / scale + 1e-3
+        reading(place - crest) - reading(place + crest),
+        abs=press * BIN_RAD**2 / scale + 1e-3,
     )
     assert found["reading_backstep_at_rad"] == pytest.approx(place, abs=2 * BIN_RAD)
 

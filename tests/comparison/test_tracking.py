@@ -93,8 +93,8 @@ def test_overshoot_and_rise_time_of_a_second_order_system(zeta, omega, after):
 def test_first_order_lag_never_overshoots():
     tau = 0.05
     after = 0.4
-    law = lambda t: after * (1 - np.exp(-np.maximum(t - 0.5, 0) / tau))  # noqa: E731
-    found = tracking_metrics(run(step_to(after), law))
+    response = lambda t: after * (1 - np.exp(-np.maximum(t - 0.5, 0) / tau))  # noqa: E731
+    found = tracking_metrics(run(step_to(after), response))
     assert found["overshoot_rel"] == pytest.approx(0.0, abs=1e-12)
     assert found["rise_time_s"] == pytest.approx(tau * math.log(9), abs=1e-5)
     assert found["settling_2_s"] == pytest.approx(tau * math.log(50), abs=1e-5)

@@ -125,7 +125,7 @@ def test_unreadable_index_disables_the_cache(kernel, damage):
 
 
 def test_index_that_names_a_removed_function_is_replaced(kernel):
-    """Kernels that took a friction law as an argument name it; the law may be gone after an edit."""
+    """Kernels that took a friction law as an argument contain its name, and an edit can remove the law."""
     index = Path(kernel.entry._cache._cache_file._index_path)
     index.parent.mkdir(exist_ok=True)
     index.write_bytes(
@@ -138,28 +138,28 @@ def test_index_that_names_a_removed_function_is_replaced(kernel):
     assert again.entry.stats.cache_hits.total() == 1
 
 
-LAW = """
+SOURCE = """
 from srs_twin.compute.compiled import compiled
 SLOPE = 2.0
 @compiled
-def law(x):
+def force(x):
     return SLOPE * x
 """
 CALLER = """
-import law as laws
-from law import law
+import force as forces
+from force import force
 from srs_twin.compute.compiled import compiled
 @compiled
 def twice(x):
-    return law(x) + law(x)
+    return force(x) + force(x)
 print(twice(1.0), twice.entry.stats.cache_hits.total())
 """
 
 
 @pytest.mark.slow
 def test_inlined_code_invalidates_the_cache_and_comments_do_not(tmp_path):
-    def answer(law):
-        (tmp_path / "law.py").write_text(law)
+    def answer(source):
+        (tmp_path / "force.py").write_text(source)
         (tmp_path / "caller.py").write_text(CALLER)
         env = os.environ | {
             "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
@@ -175,17 +175,17 @@ def test_inlined_code_invalidates_the_cache_and_comments_do_not(tmp_path):
         )
         return tuple(map(float, done.stdout.split()))
 
-    assert answer(LAW) == (4.0, 0.0)
-    assert answer(LAW) == (4.0, 1.0)
+    assert answer(SOURCE) == (4.0, 0.0)
+    assert answer(SOURCE) == (4.0, 1.0)
     assert answer(
-        LAW
+        SOURCE
         + "# a comment, and a function that no kernel calls\ndef other(): return 1\n"
     ) == (
         4.0,
         1.0,
     )
-    assert answer(LAW.replace("2.0", "3.0")) == (6.0, 0.0)
-    assert answer(LAW.replace("SLOPE * x", "SLOPE * x * x + 1.0")) == (6.0, 0.0)
+    assert answer(SOURCE.replace("2.0", "3.0")) == (6.0, 0.0)
+    assert answer(SOURCE.replace("SLOPE * x", "SLOPE * x * x + 1.0")) == (6.0, 0.0)
 
 
 PROGRAM = """

@@ -45,9 +45,9 @@ def test_values_never_exceed_the_peak(reference):
 
 @given(references, st.floats(0, 3))
 def test_numbers_and_arrays_give_the_same_values(reference, time):
-    for law in (reference.value, reference.rate, reference.is_clipped):
-        assert np.ndim(law(time)) == 0
-        assert law(np.array([time]))[0] == law(time)
+    for function in (reference.value, reference.rate, reference.is_clipped):
+        assert np.ndim(function(time)) == 0
+        assert function(np.array([time]))[0] == function(time)
 
 
 @given(references, st.floats(0.1, 0.9))

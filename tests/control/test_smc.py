@@ -356,11 +356,11 @@ def test_gains_for_another_number_of_segments_are_refused():
 def filtered(
     cutoff: float, values: np.ndarray, tick: float = TICK
 ) -> tuple[np.ndarray, np.ndarray]:
-    law = VelocityFilter(cutoff, tick)
+    velocity_filter = VelocityFilter(cutoff, tick)
     out = []
     for value in values:
-        law.step(np.array([value]))
-        out.append((law.value[0], law.rate[0]))
+        velocity_filter.step(np.array([value]))
+        out.append((velocity_filter.value[0], velocity_filter.rate[0]))
     return np.array(out).T
 
 
@@ -384,12 +384,12 @@ def test_filter_equals_the_analog_butterworth_filter_for_linear_readings(cutoff)
 @pytest.mark.parametrize("cutoff", [8.0, 25.0])
 def test_filter_noise_is_as_stated(cutoff):
     noise = np.random.default_rng(6).standard_normal(400_000) * 0.2
-    law = VelocityFilter(np.full(400, cutoff), TICK)
+    velocity_filter = VelocityFilter(np.full(400, cutoff), TICK)
     rates = []
     for k, row in enumerate(noise.reshape(1000, 400)):
-        law.step(row)
+        velocity_filter.step(row)
         if k > 200:
-            rates.append(law.rate.copy())
+            rates.append(velocity_filter.rate.copy())
     # Response of the rate to one reading: that of SciPy's filter to a triangle two
     # ticks wide.
     triangle = np.zeros(400)

@@ -20,19 +20,19 @@ ADDED = ("A friction law", "A metric", "A file format", "A command")
 OMITTED = "…"
 """Entries of a line that the page leaves out; it stands for any text in the file."""
 
-LAW = """
+FRICTION_LAW_CHECK = """
 import numpy as np
 from numba import njit
 from srs_twin.robot import friction
 from srs_twin.scenario.loading import parse_scenario
 
-law, h = friction.blend, 1e-8
+friction_law, h = friction.blend, 1e-8
 def forces(v_t, v_n):
-    return np.array(law(v_t, v_n, 0.3, 0.1, 0.5, 1e-2)[:2])
-slopes = np.array(njit(law)(0.02, -0.03, 0.3, 0.1, 0.5, 1e-2)[2:]).reshape(2, 2)
+    return np.array(friction_law(v_t, v_n, 0.3, 0.1, 0.5, 1e-2)[:2])
+derivatives = np.array(njit(friction_law)(0.02, -0.03, 0.3, 0.1, 0.5, 1e-2)[2:]).reshape(2, 2)
 along = (forces(0.02 + h, -0.03) - forces(0.02 - h, -0.03)) / (2 * h)
 across = (forces(0.02, -0.03 + h) - forces(0.02, -0.03 - h)) / (2 * h)
-assert np.allclose(slopes, np.stack([along, across], axis=1), rtol=1e-5)
+assert np.allclose(derivatives, np.stack([along, across], axis=1), rtol=1e-5)
 
 plants = {"analytical": {"friction": "blend"}, "twin": {"friction": "blend"}}
 gait = {"kind": "gait", "frequency_hz": 2.0}
@@ -158,8 +158,8 @@ def test_diffs_apply_after_other_additions():
 
 
 @pytest.mark.slow
-def test_law_of_the_page_has_its_slopes_and_is_accepted_by_both_plants(extended):
-    extended("-c", LAW)
+def test_law_of_the_page_has_its_derivatives_and_is_accepted_by_both_plants(extended):
+    extended("-c", FRICTION_LAW_CHECK)
 
 
 @pytest.mark.slow

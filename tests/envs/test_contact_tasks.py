@@ -213,7 +213,7 @@ def test_object_is_observed_at_its_place_and_lost_when_far():
 
 
 @given(st.floats(-1, 1), st.sampled_from([1, 2, 5]), st.integers(1, 4))
-def test_holding_duty_is_the_share_of_filled_slots(duty, pulses, hold):
+def test_holding_duty_is_the_fraction_of_filled_slots(duty, pulses, hold):
     valves = np.ones((100, 6, 2), dtype=np.int8)
     hold_with(valves, hold, duty, pulses)
     filled, other = (0, 1) if duty >= 0 else (1, 0)

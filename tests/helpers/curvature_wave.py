@@ -82,7 +82,7 @@ def continuous_snake(
     backward: float,
     transverse: float,
     *,
-    law: str = "cosine",
+    friction_law: str = "cosine",
     segments: int = 32,
     points: int = 4,
 ) -> RobotSpec:
@@ -93,5 +93,5 @@ def continuous_snake(
         geometry=Geometry(segments + 1, 1.0 / segments, 0.0, 0.01, 0.001, 0.001, 0.03),
         mass=Mass.along_body((1.0 / segments,) * segments),
         friction=Friction(forward, transverse, mu_back=backward),
-        skin=Skin(law=law, points=points),
+        skin=Skin(friction_law=friction_law, points=points),
     )

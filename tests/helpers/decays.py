@@ -218,7 +218,7 @@ class Swing:
         }
 
 
-LAWS = ("leading", "following", "maxwell")
+DAMPING_LAWS = ("leading", "following", "maxwell")
 """Viscous damping of the deviation from the free bend, of the bend itself, and Maxwell branches."""
 
 
@@ -244,12 +244,12 @@ class Recorded:
     answers: dict[str, float]
 
 
-def draw(seed: int, law: str, *, closed: bool) -> Recorded:
+def draw(seed: int, damping_law: str, *, closed: bool) -> Recorded:
     """Draw a robot, its material and a release.
 
     Args:
         seed: seed of the draw.
-        law: one of `LAWS`.
+        damping_law: one of `LAWS`.
         closed: whether the valves are closed.
     """
     rng = np.random.default_rng(seed)
@@ -290,10 +290,10 @@ def draw(seed: int, law: str, *, closed: bool) -> Recorded:
         growth,
         closed,
         leak,
-        law != "following",
+        damping_law != "following",
     )
     omega = 2 * math.pi * swing.answers()["frequency"]
-    if law == "maxwell":
+    if damping_law == "maxwell":
         spread = rng.uniform(2.0, 6.0)
         x = np.array(
             [1 / spread, 1.0, spread]

@@ -157,7 +157,7 @@ class Result:
 
 
 @njit
-def wheel_force(along, across, spin, load, law, step):  # type: ignore[no-untyped-def]
+def wheel_force(along, across, spin, load, friction, step):  # type: ignore[no-untyped-def]
     """Return friction along and across (N), the new rim speed (m/s), the bearing's moment over the radius.
 
     The rim's speed w solves m_w/2 (w - w_before)/step = mu_n N (v_t - w)/|slip| - mu_t
@@ -169,10 +169,10 @@ def wheel_force(along, across, spin, load, law, step):  # type: ignore[no-untype
         across: across it, m/s.
         spin: rim's speed relative to the connector, m/s.
         load: N.
-        law: mu_t, mu_n, mass of a wheel (kg), slip speeds of contact and bearing (m/s).
+        friction: mu_t, mu_n, mass of a wheel (kg), slip speeds of contact and bearing (m/s).
         step: s.
     """
-    mu_t, mu_n, mass, eps, axle = law
+    mu_t, mu_n, mass, eps, axle = friction
     rate = mass / 2 / step
     low = min(spin, along, 0.0) - 1e-9
     high = max(spin, along, 0.0) + 1e-9
@@ -203,8 +203,8 @@ def wheel_force(along, across, spin, load, law, step):  # type: ignore[no-untype
     return -mu_n * load * (along - w) / slip, -mu_n * load * across / slip, w, drag
 
 
-def friction_law(n: dict[str, Any], slip: float) -> tuple[float, ...]:
-    """Return the `law` of `wheel_force` from a robot's numbers and a slip speed (m/s)."""
+def friction_parameters(n: dict[str, Any], slip: float) -> tuple[float, ...]:
+    """Return the `friction` argument of `wheel_force` for a robot's numbers and a slip speed (m/s)."""
     return n["mu_t"], n["mu_n"], n["wheel_kg"], slip, AXLE_FRACTION * slip
 
 
@@ -432,7 +432,7 @@ for _function in (_step1, _step2):
 
 
 @njit
-def _run(engine, views, wheels, law, sizes, torques, records):  # type: ignore[no-untyped-def]
+def _run(engine, views, wheels, friction, sizes, torques, records):  # type: ignore[no-untyped-def]
     """Step from rest and record; the arguments are made in `simulate`."""
     xmat, xpos, xipos, cvel, com, ctrl, applied, measured_bend = views
     bodies, places, connectors, loads, constant = wheels
@@ -475,16 +475,16 @@ def _run(engine, views, wheels, law, sizes, torques, records):  # type: ignore[n
             along = vx * ahead[0] + vy * ahead[1]
             across = -vx * ahead[1] + vy * ahead[0]
             pressed = loads[w] if constant else load[w]
-            f_t, f_n, spin[w], drag = wheel_force(
-                along, across, spin[w], pressed, law, step
+            f_t, f_lat, spin[w], drag = wheel_force(
+                along, across, spin[w], pressed, friction, step
             )
             # The force that spins the wheel acts at the hub, the force across at the
             # foot.
-            fx = f_t * ahead[0] - f_n * ahead[1]
-            fy = f_t * ahead[1] + f_n * ahead[0]
+            fx = f_t * ahead[0] - f_lat * ahead[1]
+            fy = f_t * ahead[1] + f_lat * ahead[0]
             for a in range(3):
                 arm[a] = hub[a] - xipos[body, a]
-            lateral = -radius * f_n
+            lateral = -radius * f_lat
             applied[body, 0] += fx
             applied[body, 1] += fy
             applied[body, 3] += (
@@ -554,7 +554,7 @@ def simulate(
             data.sensordata,
         ),
         (bodies, places, np.unique(bodies), rest, static),
-        friction_law(n, slip),
+        friction_parameters(n, slip),
         (radius, step, every),
         torques,
         records,

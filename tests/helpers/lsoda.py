@@ -111,7 +111,7 @@ class CompleteModel:
         self.mu_t = mu.mu_t
         self.mu_n = mu.mu_n
         self.rest = np.sqrt(mu.mu_n**2 - mu.mu_t**2)
-        self._law = {"axis": self._axis, "wheel": self._wheel}[friction]
+        self._friction_law = {"axis": self._axis, "wheel": self._wheel}[friction]
         # Headings and link directions are linear in the bends, connector positions in
         # the links.
         self.heading = relative_headings(np.eye(spec.segments)).T
@@ -133,8 +133,8 @@ class CompleteModel:
         velocity = complex(state[3], state[4]) * ahead.conjugate()
         local = (velocity + 1j * spin * rho + drift) * body.conj()
         along = local.real - self.arm * (spin + self.heading @ rate)
-        f_t, f_n = self._law(along, local.imag)
-        force = (f_t.sum(axis=0) + 1j * f_n) * body
+        f_t, f_lat = self._friction_law(along, local.imag)
+        force = (f_t.sum(axis=0) + 1j * f_lat) * body
         turning = (rho.conj() * force).imag.sum() - (self.arm * f_t).sum()
         push = force.sum() * ahead / self.total
         return np.array([state[3], state[4], spin, push.real, push.imag, turning])
@@ -154,20 +154,24 @@ class CompleteModel:
         drift = self.place @ ((interval + 1j * span * (self.direction @ rate)) * link)
         return np.exp(1j * (self.heading @ bend)), rho, drift
 
-    def _axis(self, v_t: np.ndarray, v_n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _axis(
+        self, v_t: np.ndarray, v_lat: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the force along each contact, shape (contacts, N), and across each connector, (N,)."""
         f_t = -self.load * self.mu_t * v_t / np.sqrt(v_t * v_t + self.slip2)
-        return f_t, -self.load * self.mu_n * v_n / np.sqrt(v_n * v_n + self.slip2)
+        return f_t, -self.load * self.mu_n * v_lat / np.sqrt(v_lat * v_lat + self.slip2)
 
-    def _wheel(self, v_t: np.ndarray, v_n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _wheel(
+        self, v_t: np.ndarray, v_lat: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the same forces as `_axis` for the wheel law."""
-        n2 = v_n * v_n + self.slip2
+        n2 = v_lat * v_lat + self.slip2
         fraction = self.mu_n / np.sqrt(v_t * v_t + n2)
         slide = fraction * v_t
         rolls = np.abs(slide) > self.mu_t
         f_t = -self.load * np.clip(slide, -self.mu_t, self.mu_t)
-        f_n = -self.load * v_n * np.where(rolls, self.rest / np.sqrt(n2), fraction)
-        return f_t, f_n.sum(axis=0)
+        f_lat = -self.load * v_lat * np.where(rolls, self.rest / np.sqrt(n2), fraction)
+        return f_t, f_lat.sum(axis=0)
 
 
 def solve(

@@ -117,14 +117,14 @@ class _Load:
         # The end of an arc of length l with bend q moves laterally by l q/2.
         inertia = end_kg * (spec.geometry.segment_length / 2) ** 2
         pull = spec.bending.stiffness / inertia
-        law = [
+        matrix = [
             [0, 1, 0, 0],
             [-pull, -pull * spec.actuator.tau_mode, pull, 0],
             [0, 0, 0, 1],
             [0, 0, 0, 0],
         ]
         self._gain = spec.actuator.gain
-        self._step = expm(TICK_S * np.array(law))
+        self._step = expm(TICK_S * np.array(matrix))
         self._state = np.zeros(
             (4, spec.segments)
         )  # bend, its rate, free bend, its rate

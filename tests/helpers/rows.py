@@ -56,11 +56,11 @@ def fill_rows(body, q, u, solid, rows, rates):  # type: ignore[no-untyped-def]
             turn = (n - 1 - k) / n - (1.0 if k < j else 0.5 if k == j else 0.0)
             own = 1.0 if k == j else 0.0
             forth = own * derivative
-            aside = span * turn
-            forth_rate = own * bulge - aside * spin
+            lateral = span * turn
+            forth_rate = own * bulge - lateral * spin
             aside_rate = length_rate * turn + own * derivative * spin
-            rows[i, 0, 3 + k] = rows[j, 0, 3 + k] - forth * c + aside * s
-            rows[i, 1, 3 + k] = rows[j, 1, 3 + k] - forth * s - aside * c
+            rows[i, 0, 3 + k] = rows[j, 0, 3 + k] - forth * c + lateral * s
+            rows[i, 1, 3 + k] = rows[j, 1, 3 + k] - forth * s - lateral * c
             rates[i, 0, 3 + k] = rates[j, 0, 3 + k] - forth_rate * c + aside_rate * s
             rates[i, 1, 3 + k] = rates[j, 1, 3 + k] - forth_rate * s - aside_rate * c
     _centre(mass, rows, rates)

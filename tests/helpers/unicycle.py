@@ -42,7 +42,7 @@ class Unicycle(Plant):
         wheel: gait whose offset steers.
         curvature_at: function from offset to curvature, 1/m.
         speed: forward speed, m/s.
-        settle: response length ℓ, m.
+        response_length: response length ℓ, m.
         wag: amplitude of the heading oscillation at the gait frequency, rad.
         stops: time at which it stops, s.
     """
@@ -50,7 +50,7 @@ class Unicycle(Plant):
     wheel: Wheel
     curvature_at: object
     speed: float = 0.2
-    settle: float = 0.05
+    response_length: float = 0.05
     wag: float = 0.3
     stops: float = math.inf
     tick: float = 0.02
@@ -71,7 +71,7 @@ class Unicycle(Plant):
             distance = self.speed * self.tick / substeps
             self.curvature += (
                 self.curvature_at(self.wheel.offset) - self.curvature
-            ) * (1 - math.exp(-distance / self.settle))
+            ) * (1 - math.exp(-distance / self.response_length))
             self.heading += distance * self.curvature / 2
             self.x += distance * math.cos(self.heading)
             self.y += distance * math.sin(self.heading)

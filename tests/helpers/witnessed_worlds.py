@@ -49,7 +49,7 @@ class Witnessed:
     gap: float = math.inf
 
 
-def _settled(body: Footprint) -> float:
+def _response_length(body: Footprint) -> float:
     """Return the length after which the transient of a change of offset has ended, m."""
     return max((item.length for item in body.transients), default=0.0)
 
@@ -266,7 +266,7 @@ def _pocket(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     depth = max(2 * (body.ahead + body.behind), 2 * body.at(0.0).left)
     pieces = [
         *start.draw_path(rng, float(rng.uniform(1.0, 2.0))),
-        (0.0, _settled(body) + body.behind + depth),
+        (0.0, _response_length(body) + body.behind + depth),
     ]
     walls = _sides(
         start, [(0.0, depth)], [*pieces[:-1], (0.0, pieces[-1][1] - depth)], ratio
@@ -334,8 +334,8 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     body = start.body
     columns = 3
     rows = 2
-    cell = 2.2 / min(body.tightest) + 2 * _settled(body)
-    entry = start.lead_in + _settled(body) + body.ahead + start.room
+    cell = 2.2 / min(body.tightest) + 2 * _response_length(body)
+    entry = start.lead_in + _response_length(body) + body.ahead + start.room
     before, opened = _random_spanning_tree(rng, columns, rows)
     cells = [(columns - 1, int(rng.integers(rows)))]
     while cells[0] in before:
@@ -347,17 +347,17 @@ def _maze(rng: np.random.Generator, start: _Start) -> Witnessed | None:
     ]
     if moves[-2] == (-1, 0):
         return None
-    settle = _settled(body)
+    response_length = _response_length(body)
     pieces = [(0.0, entry)]
     for (ax, ay), (bx, by) in zip(moves, moves[1:], strict=False):
         turn = ax * by - ay * bx
-        radius = cell / 2 - settle
+        radius = cell / 2 - response_length
         bend = (
             [(turn / radius, radius * math.pi / 2)]
             if turn
-            else [(0.0, cell - 2 * settle)]
+            else [(0.0, cell - 2 * response_length)]
         )
-        pieces += [(0.0, settle), *bend, (0.0, settle)]
+        pieces += [(0.0, response_length), *bend, (0.0, response_length)]
     pieces.append((0.0, body.behind + 0.05))
     walls = []
     x0 = entry
@@ -402,7 +402,7 @@ def _walls(
     straight = body.at(0.0)
     width = straight.left + straight.right
     thick = float(rng.uniform(0.02, 0.08))
-    lead_in = _settled(body) + body.ahead + 0.01
+    lead_in = _response_length(body) + body.ahead + 0.01
     run_out = body.behind + 0.01
     pieces = [(0.0, 0.5 * width + first)]
     heading = 0.0

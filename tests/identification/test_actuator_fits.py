@@ -339,11 +339,11 @@ def test_a_dead_zone_explains_curves_that_a_straight_line_does_not(curve):
 def test_parameters_of_a_dead_zone_are_recovered_in_the_robot(tmp_path):
     x_full = MODULE.actuator.gain * 60e3
 
-    def law(u):
+    def curve(u):
         x = u * x_full
         return x - 0.1 * np.log(np.cosh((x + 0.3) / 0.2) / np.cosh((x - 0.3) / 0.2))
 
-    result = fit_static([table := convex(law)], MODULE)
+    result = fit_static([table := convex(curve)], MODULE)
     truth = {
         "actuator.dead_zone_rad": 0.3,
         "actuator.dead_zone_transition_rad": 0.2,

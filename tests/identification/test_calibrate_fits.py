@@ -204,8 +204,8 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
             "unknown plant 'twn'; did you mean twin",
         ),
         (
-            ["locomotion", "w.csv", "--plant", "twin", "--law", "wheel"],
-            "--law: remove this option",
+            ["locomotion", "w.csv", "--plant", "twin", "--friction-law", "wheel"],
+            "--friction-law: remove this option",
         ),
         (
             ["locomotion", "w.csv", "--pressure", "nan"],

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from decays import LAWS, Recorded, Swing, draw
+from decays import DAMPING_LAWS, Recorded, Swing, draw
 
 import srs_twin as srs
 from srs_twin.cli import main
@@ -323,9 +323,9 @@ def test_command_prints_the_fit_with_its_loss_factor(tmp_path, monkeypatch, caps
     assert (tmp_path / "calibration/fits/gen2_damping.html").exists()
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_other_laws_of_the_material_are_within_the_model_error(law):
-    each = draw(2000, law, closed=True)
+@pytest.mark.parametrize("damping_law", DAMPING_LAWS)
+def test_other_laws_of_the_material_are_within_the_model_error(damping_law):
+    each = draw(2000, damping_law, closed=True)
     quantities = answers(fit(each))
     assert quantities["stiffness"].value == pytest.approx(
         each.answers["stiffness"], rel=0.05
@@ -336,8 +336,8 @@ def test_other_laws_of_the_material_are_within_the_model_error(law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", LAWS)
-def test_intervals_contain_the_truth_in_54_of_60_decays(law, capsys):
+@pytest.mark.parametrize("damping_law", DAMPING_LAWS)
+def test_intervals_contain_the_truth_in_54_of_60_decays(damping_law, capsys):
     """Half of the valves are closed.
 
     Seeds below 3000 served the development of the fit.
@@ -345,7 +345,7 @@ def test_intervals_contain_the_truth_in_54_of_60_decays(law, capsys):
     inside = Counter()
     refused = 0
     for seed in range(3000, 3060):
-        each = draw(seed, law, closed=seed % 2 == 1)
+        each = draw(seed, damping_law, closed=seed % 2 == 1)
         try:
             quantities = answers(fit(each))
         except InputError:
@@ -357,5 +357,5 @@ def test_intervals_contain_the_truth_in_54_of_60_decays(law, capsys):
             if contains(quantities.get(name), value)
         )
     with capsys.disabled():
-        print(f"\n{law}: {dict(inside)} of 60, {refused} refused")
+        print(f"\n{damping_law}: {dict(inside)} of 60, {refused} refused")
     assert inside["stiffness"] >= 54 and inside["loss_factor"] >= 54

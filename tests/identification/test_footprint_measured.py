@@ -52,17 +52,17 @@ def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float,
     """
     half = crawl.geometry.width / 2
     half_length = crawl.geometry.body_length / 2
-    ahead, aside = crawl.sway
+    ahead, lateral = crawl.sway
     if curvature == 0:
         return (
-            half + aside,
-            half + aside,
+            half + lateral,
+            half + lateral,
             half_length + half + ahead,
             half_length + half + ahead,
         )
     radius = 1 / abs(curvature)
-    inner = half + aside
-    outer = math.hypot(half_length, radius + half + aside) - radius
+    inner = half + lateral
+    outer = math.hypot(half_length, radius + half + lateral) - radius
     corner = math.atan2(half_length, radius - half)
     disc = math.atan2(half_length, radius) + math.asin(
         half / math.hypot(half_length, radius)
@@ -75,16 +75,16 @@ def edges_of_a_bar(crawl: Crawl, curvature: float) -> tuple[float, float, float,
 
 @pytest.mark.default_cases(at=[0, 5, 8])
 @pytest.mark.parametrize("curvature", [-4.0, -0.3, 0.0, 1e-5, 0.3, 4.0])
-@pytest.mark.parametrize("aside", [0.0, 0.006])
-def test_speed_curvature_and_edges_of_a_bar_on_a_circle(curvature, aside):
-    crawl = Crawl((curvature,), sway=(0.0, aside))
+@pytest.mark.parametrize("lateral", [0.0, 0.006])
+def test_speed_curvature_and_edges_of_a_bar_on_a_circle(curvature, lateral):
+    crawl = Crawl((curvature,), sway=(0.0, lateral))
     fit = steady(crawl)
     left, right, ahead, behind = edges_of_a_bar(crawl, curvature)
     assert fit.speed == pytest.approx(0.15, rel=1e-3)
     assert fit.curvature == pytest.approx(curvature, rel=1e-3, abs=1e-5)
     # The outer edge is reached by the ends of the bar, the inner edge by its middle.
     assert (fit.left, fit.right) == pytest.approx((left, right), abs=1e-4)
-    if not aside:
+    if not lateral:
         assert (fit.ahead, fit.behind) == pytest.approx((ahead, behind), abs=1e-4)
 
 

@@ -118,7 +118,7 @@ def thrown(
     *,
     noise=0.0,
     seed=0,
-    law="wheel",
+    friction_law="wheel",
     fraction=None,
     heading=0.3,
     seconds=1.0,
@@ -128,7 +128,14 @@ def thrown(
     """Return a coasting test that moves as a straight body, sampled at 100 Hz, with bends as recorded."""
     time = np.arange(0.0, seconds, 0.01)
     fraction = spin_fraction(SPEC) if fraction is None else fraction
-    way = slide(velocity, time, law=law, mu_t=mu[0], mu_n=mu[1], fraction=fraction)
+    way = slide(
+        velocity,
+        time,
+        friction_law=friction_law,
+        mu_t=mu[0],
+        mu_n=mu[1],
+        fraction=fraction,
+    )
     c = np.cos(heading)
     s = np.sin(heading)
     place = way @ np.array([[c, s], [-s, c]]) + [3.0, -2.0]
@@ -152,20 +159,24 @@ def test_a_sliding_point_stops_at_the_distance_of_sharp_friction(degrees):
     mu_t = SPEC.friction.mu_t
     mu_n = SPEC.friction.mu_n
     late = np.array([0.0, 4.0])
-    wheel = slide(velocity, late, law="wheel", mu_t=mu_t, mu_n=mu_n, fraction=0.03)[-1]
+    wheel = slide(
+        velocity, late, friction_law="wheel", mu_t=mu_t, mu_n=mu_n, fraction=0.03
+    )[-1]
     assert wheel == pytest.approx(sliding_wheel(velocity, 0.03), rel=0.005, abs=1e-4)
-    skid = slide(velocity, late, law="ellipse", mu_t=mu_t, mu_n=mu_n)[-1]
+    skid = slide(velocity, late, friction_law="ellipse", mu_t=mu_t, mu_n=mu_n)[-1]
     assert skid == pytest.approx(sliding_skid(velocity), rel=0.005, abs=1e-3)
 
 
-@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
-def test_throws_identify_both_coefficients(law):
-    fraction = 0.0 if law == "ellipse" else None
+@pytest.mark.parametrize("friction_law", ["axis", "wheel", "ellipse"])
+def test_throws_identify_both_coefficients(friction_law):
+    fraction = 0.0 if friction_law == "ellipse" else None
     runs = [
-        thrown(v, law=law, fraction=fraction, seed=k)
+        thrown(v, friction_law=friction_law, fraction=fraction, seed=k)
         for k, v in enumerate([(0.5, 0.0), (0.2, 0.8)])
     ]
-    fit = fit_coasting(runs, SPEC, law=law, wheel_inertia=law != "ellipse")
+    fit = fit_coasting(
+        runs, SPEC, friction_law=friction_law, wheel_inertia=friction_law != "ellipse"
+    )
     assert fit["friction.mu_t"].value == pytest.approx(MU_T, rel=1e-3)
     assert fit["friction.mu_n"].value == pytest.approx(MU_N, rel=1e-3)
 
@@ -258,11 +269,15 @@ def test_coefficients_of_the_analytical_plant_are_recovered():
     assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.01)
 
 
-@pytest.mark.parametrize(("wheels", "law"), [("rolling", "wheel"), ("skid", "ellipse")])
-def test_coefficients_of_the_twin_are_recovered(wheels, law):
+@pytest.mark.parametrize(
+    ("wheels", "friction_law"), [("rolling", "wheel"), ("skid", "ellipse")]
+)
+def test_coefficients_of_the_twin_are_recovered(wheels, friction_law):
     plant = TwinSnake(SPEC, contact=PreloadedContact(wheels), tick=0.01)
     runs = [coasted(plant, (0.5, 0.0), 1.0), coasted(plant, (0.0, 0.8), 0.4)]
-    fit = fit_coasting(runs, SPEC, law=law, wheel_inertia=wheels == "rolling")
+    fit = fit_coasting(
+        runs, SPEC, friction_law=friction_law, wheel_inertia=wheels == "rolling"
+    )
     assert fit["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
     # Contacts stop slip within 10 ms, so the friction tests allow 3 % of the distance.
     assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.03)
@@ -368,6 +383,6 @@ def test_unsuitable_throws_are_refused():
     with pytest.raises(InputError, match="2 samples after the push"):
         CoastingTest.from_trajectory(Trajectory(still), "x", start=0.98)
     with pytest.raises(InputError, match="friction law 'viscous' is not allowed here"):
-        fit_coasting([thrown((0.5, 0.0))], SPEC, law="viscous")
+        fit_coasting([thrown((0.5, 0.0))], SPEC, friction_law="viscous")
     with pytest.raises(InputError, match="give at least one"):
         fit_coasting([], SPEC)

@@ -40,8 +40,8 @@ TRUTH = {
 OFFSETS = (0.0, 0.3, -0.3)
 
 
-def law(spec, offset):
-    """Return a path by a law of our own: without masses, and of the friction only the ratio acts."""
+def known_path(spec, offset):
+    """Return a path of a massless model that depends on the ratio of the friction coefficients only."""
     length = spec.geometry.segment_length
     friction = spec.friction
     speed = 2 * length * (1 - 3 * friction.mu_t / friction.mu_n + 0.5 * offset**2)
@@ -51,37 +51,39 @@ def law(spec, offset):
 
 
 @pytest.fixture
-def lawful(monkeypatch):
-    """Put the law in place of the plants; return a drive."""
+def known_paths(monkeypatch):
+    """Replace the plants by `known_path`, and return a drive."""
     asked = []
 
     def message(drive, offsets, *, threads=None):
         asked.append(tuple(offsets))
-        return [law(drive.spec, offset) for offset in offsets]
+        return [known_path(drive.spec, offset) for offset in offsets]
 
     monkeypatch.setattr(module, "predicted", message)
     return GaitSetup(load_robot("gen4"), 1.5, 131e3, "ilc", 0.7, "analytical"), asked
 
 
 def measured(offsets, truth=TRUTH, noise=0.0):
-    paths = [law(with_values(load_robot("gen4"), truth), offset) for offset in offsets]
+    paths = [
+        known_path(with_values(load_robot("gen4"), truth), offset) for offset in offsets
+    ]
     return [
         OffsetRun(offset, path.speed * (1 + noise * (-1) ** k), path.curvature)
         for k, (offset, path) in enumerate(zip(offsets, paths, strict=True))
     ]
 
 
-def test_known_values_are_recovered_from_three_rows(lawful):
-    found = fit_offsets(measured(OFFSETS), lawful[0], TRUTH)
+def test_known_values_are_recovered_from_three_rows(known_paths):
+    found = fit_offsets(measured(OFFSETS), known_paths[0], TRUTH)
     for name, value in TRUTH.items():
         assert found[name].value == pytest.approx(value, rel=1e-3), name
         assert found[name].verdict == "identified"
 
 
-def test_what_is_held_is_said_to_be_unknowable_where_it_is(lawful):
+def test_what_is_held_is_said_to_be_unknowable_where_it_is(known_paths):
     besides = ("friction.mu_n", "mass.connectors_kg", "geometry.rigid_gap_m")
     found = fit_offsets(
-        measured(OFFSETS, noise=0.02), lawful[0], TRUTH, besides=besides
+        measured(OFFSETS, noise=0.02), known_paths[0], TRUTH, besides=besides
     )
     for name in besides:
         assert found[name].verdict == "not identifiable" and found[name].value is None
@@ -92,20 +94,20 @@ def test_what_is_held_is_said_to_be_unknowable_where_it_is(lawful):
     assert found.correlation.shape == (6, 6)
 
 
-def test_what_is_held_though_it_could_be_told_is_only_held(lawful):
+def test_what_is_held_though_it_could_be_told_is_only_held(known_paths):
     names = [name for name in TRUTH if name != "friction.mu_t"]
     runs = measured(
         OFFSETS,
         TRUTH | {"friction.mu_t": load_robot("gen4").friction.mu_t},
         noise=0.001,
     )
-    found = fit_offsets(runs, lawful[0], names, besides=["friction.mu_t"])
+    found = fit_offsets(runs, known_paths[0], names, besides=["friction.mu_t"])
     assert [item.name for item in found.parameters] == names
     assert list(found.held) == ["friction.mu_t"]
 
 
-def test_rows_to_validate_with_are_not_run_before_the_end(lawful):
-    drive, asked = lawful
+def test_rows_to_validate_with_are_not_run_before_the_end(known_paths):
+    drive, asked = known_paths
     found = fit_offsets(
         measured(OFFSETS), drive, TRUTH, validation=measured((0.1, -0.2))
     )
@@ -115,12 +117,12 @@ def test_rows_to_validate_with_are_not_run_before_the_end(lawful):
 
 
 def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own(
-    lawful,
+    known_paths,
 ):
     """Of the friction only the ratio acts: fit and validation are both met, though neither is told."""
     names = [*TRUTH, "friction.mu_n"]
     found = fit_offsets(
-        measured(OFFSETS), lawful[0], names, validation=measured((0.1, -0.2))
+        measured(OFFSETS), known_paths[0], names, validation=measured((0.1, -0.2))
     )
     assert [found[name].value for name in ("friction.mu_t", "friction.mu_n")] == [
         None,
@@ -144,11 +146,13 @@ def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own
         with_averages(fit, {})
 
 
-def test_the_same_row_cannot_fit_and_validate(lawful):
+def test_the_same_row_cannot_fit_and_validate(known_paths):
     with pytest.raises(InputError, match="validate with other data"):
-        fit_offsets(measured(OFFSETS), lawful[0], TRUTH, validation=measured((0.3,)))
+        fit_offsets(
+            measured(OFFSETS), known_paths[0], TRUTH, validation=measured((0.3,))
+        )
     with pytest.raises(InputError, match="give at least one"):
-        fit_offsets([], lawful[0], TRUTH)
+        fit_offsets([], known_paths[0], TRUTH)
 
 
 def test_paths_have_the_sign_of_their_offset_and_0_that_of_the_fitted_rows():

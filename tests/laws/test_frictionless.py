@@ -38,9 +38,9 @@ def valves(plant: Plant) -> np.ndarray:
 
 @pytest.mark.slow
 @ALL
-@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse", "viscous"])
-def test_bending_analytical_snake_conserves_momentum(options, law):
-    plant = AnalyticalSnake(UNEVEN, friction=law, **options)
+@pytest.mark.parametrize("friction_law", ["axis", "wheel", "ellipse", "viscous"])
+def test_bending_analytical_snake_conserves_momentum(options, friction_law):
+    plant = AnalyticalSnake(UNEVEN, friction=friction_law, **options)
     gait = Gait(2.0, 0.2)
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
     gait.reset(plant.spec, plant.tick)

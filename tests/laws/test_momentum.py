@@ -12,9 +12,9 @@ from srs_twin import AnalyticalSnake, Gait, PreloadedContact, TwinSnake, rollout
 SLIPPERY = robot(mu_t=0.0, mu_n=0.0)
 
 
-@pytest.mark.parametrize("law", ["axis", "wheel", "viscous"])
-def test_analytical_model_coasts_without_friction(law):
-    plant = AnalyticalSnake(SLIPPERY, friction=law)
+@pytest.mark.parametrize("friction_law", ["axis", "wheel", "viscous"])
+def test_analytical_model_coasts_without_friction(friction_law):
+    plant = AnalyticalSnake(SLIPPERY, friction=friction_law)
     throw(plant, (0.3, -0.2), spin=2.0, heading=0.4)
     for _ in range(50):
         state = plant.step(vented(SLIPPERY))

@@ -46,8 +46,8 @@ def beam(
 
 
 def compliant(spec: RobotSpec, world: World, **options) -> AnalyticalSnake:
-    law = {"friction": "ellipse", "inertia": "connector", "contact": True}
-    return AnalyticalSnake(spec, model="compliant", world=world, **law | options)
+    settings = {"friction": "ellipse", "inertia": "connector", "contact": True}
+    return AnalyticalSnake(spec, model="compliant", world=world, **settings | options)
 
 
 def free_snake(spec: RobotSpec, **options) -> AnalyticalSnake:

@@ -10,7 +10,7 @@ import pytest
 from snakes import GRAVITY, robot, throw, vented
 
 from srs_twin import AnalyticalSnake, LoadedContact, Plant, PreloadedContact, TwinSnake
-from srs_twin.plants.twin.mjcf.numerics import LAW_OF
+from srs_twin.plants.twin.mjcf.numerics import FRICTION_LAW_OF
 
 SPEC = robot(stiffness=20.0)
 MU_T = SPEC.friction.mu_t
@@ -25,9 +25,10 @@ SPIN_MASS = 2 * SPEC.geometry.connectors * SPEC.mass.wheel / 2
 def twin(
     wheels: str = "rolling", contact: str = "preloaded", slip_speed: float = 1e-4
 ) -> TwinSnake:
-    law = LoadedContact(LAW_OF[wheels], slip_speed=slip_speed)
+    loaded_contact = LoadedContact(FRICTION_LAW_OF[wheels], slip_speed=slip_speed)
     return TwinSnake(
-        SPEC, contact=law if contact == "loaded" else PreloadedContact(wheels)
+        SPEC,
+        contact=loaded_contact if contact == "loaded" else PreloadedContact(wheels),
     )
 
 
@@ -77,9 +78,9 @@ def sliding_wheel(velocity: tuple[float, float], spin_fraction: float) -> np.nda
 
 @pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize("heading", [0.0, 2.0])
-@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
-def test_analytical_stops_along_and_across(law, heading):
-    plant = AnalyticalSnake(SPEC, friction=law)
+@pytest.mark.parametrize("friction_law", ["axis", "wheel", "ellipse"])
+def test_analytical_stops_along_and_across(friction_law, heading):
+    plant = AnalyticalSnake(SPEC, friction=friction_law)
     along = stopped(plant, (0.5, 0.0), heading)
     assert along == pytest.approx(
         [0.5**2 / (2 * MU_T * GRAVITY), 0], rel=0.01, abs=1e-9

@@ -54,19 +54,19 @@ def test_a_serpenoid_without_slip_advances_by_the_mean_cosine_of_its_heading(
 
 
 @pytest.mark.parametrize(
-    ("segments", "friction", "middle", "radius", "law"),
+    ("segments", "friction", "middle", "radius", "friction_law"),
     [
         (2, Friction(1e-4, 1.0), (0.7, -0.7), 0.3, "axis"),
         (4, Friction(100.0, 1000.0), (0.0,) * 4, 0.5, "viscous"),
     ],
 )
 def test_the_displacement_without_inertia_is_that_of_the_local_connection(
-    segments, friction, middle, radius, law
+    segments, friction, middle, radius, friction_law
 ):
     """Kelly and Murray, for wheels without slip and for viscous friction."""
     spec = wheeled(segments, friction)
     path = loop(middle, radius, PERIOD)
-    run = without_inertia(spec, PrescribedBends(spec, path), friction=law)
+    run = without_inertia(spec, PrescribedBends(spec, path), friction=friction_law)
     x, y, heading = (
         run[f"{name}_1"][[-51, -1]] for name in ("x", "y", "connector_heading")
     )
@@ -76,7 +76,7 @@ def test_the_displacement_without_inertia_is_that_of_the_local_connection(
         math.sin(heading[0]),
     )
     moved = np.array([c * dx + s * dy, c * dy - s * dx, heading[1] - heading[0]])
-    own = displacement(path, PERIOD, spec, slips=law == "viscous")
+    own = displacement(path, PERIOD, spec, slips=friction_law == "viscous")
     assert np.abs(own).max() > 0.05
     assert moved == pytest.approx(own, abs=2e-3 * np.abs(own).max())
 

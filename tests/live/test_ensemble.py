@@ -185,9 +185,9 @@ def test_motion_by_bends_minimises_friction(robot):
         c = np.cos(first[:, 2])
         s = np.sin(first[:, 2])
         ahead = c * x + s * y
-        aside = c * y - s * x
+        lateral = c * y - s * x
         return float(
-            np.sum(spec.friction.mu_t * ahead**2 + spec.friction.mu_n * aside**2)
+            np.sum(spec.friction.mu_t * ahead**2 + spec.friction.mu_n * lateral**2)
         )
 
     for bent in 1e-3 * np.eye(4):

@@ -118,7 +118,7 @@ def test_drooping_supply_is_followed_and_is_not_a_fault(supply):
 
 
 @pytest.mark.slow
-def test_starved_is_reported_and_cleared_when_the_supply_recovers():
+def test_low_supply_pressure_is_reported_and_cleared_on_recovery():
     back = DROOPS_S + OUTAGE[1]
     named = {}
     for moment in shadowed(Run(104, back + 3.0, supply="outage"), members=8):

@@ -60,7 +60,7 @@ def follow(
     seed=0,
     radius=0.05,
     max_cross_track_error=None,
-    replans=3,
+    max_replans=3,
     replan=None,
     submit=None,
     curvature_at=as_told,
@@ -80,7 +80,7 @@ def follow(
     wheel = Wheel()
     end = plan.end or Pose(1.0, 0.0, 0.0)
     conditions = Conditions(
-        camera, delay, SETTLE, max_cross_track_error, replans, lag=lag
+        camera, delay, SETTLE, max_cross_track_error, max_replans, lag=lag
     )
     follower = Follower(
         wheel,
@@ -115,10 +115,10 @@ def beside(plan, way, since=0.0):
 
 
 @pytest.mark.default_cases(1)
-@pytest.mark.parametrize("aside", [0.1, -0.1])
-def test_follower_converges_to_a_straight_path(aside):
+@pytest.mark.parametrize("lateral", [0.1, -0.1])
+def test_follower_converges_to_a_straight_path(lateral):
     plan = a_plan()
-    follower, _, way = follow(plan, start=(0.0, aside, 0.0))
+    follower, _, way = follow(plan, start=(0.0, lateral, 0.0))
     assert follower.ending == "goal_reached"
     assert np.abs(beside(plan, way, since=7.0)).max() < 1e-3
     assert math.hypot(way[-1, 1] - 3.0, way[-1, 2]) < 0.01
@@ -155,17 +155,17 @@ def test_late_frames_are_compensated():
 @given(
     gain=st.floats(0.6, 1.6),
     drift=st.floats(-0.5, 0.5),
-    aside=st.floats(-0.1, 0.1),
+    lateral=st.floats(-0.1, 0.1),
     heading=st.floats(-0.5, 0.5),
     speed=st.floats(0.12, 0.3),
 )
 def test_snake_that_differs_from_its_footprint_converges(
-    gain, drift, aside, heading, speed
+    gain, drift, lateral, heading, speed
 ):
     plan = a_plan(((0.0, 8.0),))
     _, _, way = follow(
         plan,
-        start=(0.0, aside, heading),
+        start=(0.0, lateral, heading),
         curvature_at=lambda offset: gain * as_told(offset) + drift,
         speed=speed,
         delay=0.1,
@@ -174,24 +174,28 @@ def test_snake_that_differs_from_its_footprint_converges(
     assert np.abs(beside(plan, way, since=4.0 / speed)).max() < 0.01
 
 
-@pytest.mark.parametrize("law", [ours, lambda: WaypointSteering(0.6, 0.2, 0.2)])
-def test_mirrored_paths_are_followed_symmetrically(law):
+@pytest.mark.parametrize(
+    "make_steering", [ours, lambda: WaypointSteering(0.6, 0.2, 0.2)]
+)
+def test_mirrored_paths_are_followed_symmetrically(make_steering):
     ways = []
     for side in (1.0, -1.0):
         plan = a_plan(tuple((side * k, length) for k, length in WINDING))
-        _, plant, way = follow(plan, steering=law(), wag=side * 0.3, delay=0.1)
+        _, plant, way = follow(
+            plan, steering=make_steering(), wag=side * 0.3, delay=0.1
+        )
         ways.append(way * (1, 1, side, side))
         assert np.isfinite([offset for _, offset in plant.offsets]).all()
     assert len(ways[0]) == len(ways[1])
     assert ways[0] == pytest.approx(ways[1], abs=1e-9)
 
 
-def test_bearing_law_visits_all_nodes_and_arrives():
-    law = WaypointSteering(0.6, 0.2, 0.2)
+def test_waypoint_steering_visits_all_nodes_and_arrives():
+    steering = WaypointSteering(0.6, 0.2, 0.2)
     plan = a_plan(WINDING)
-    follower, _, way = follow(plan, steering=law, radius=0.1)
+    follower, _, way = follow(plan, steering=steering, radius=0.1)
     assert follower.ending == "goal_reached"
-    assert law.node == math.ceil(plan.length / 0.2 - 1e-9) - 1
+    assert steering.node == math.ceil(plan.length / 0.2 - 1e-9) - 1
     ours_beside = beside(plan, follow(plan)[2])
     assert np.sqrt((beside(plan, way) ** 2).mean()) > 2 * np.sqrt(
         (ours_beside**2).mean()
@@ -221,13 +225,13 @@ class Watcher(Steering):
         return 0.2 if len(self.poses) % 120 < 60 else -0.2
 
 
-def test_law_receives_the_pose_at_which_its_command_takes_effect():
+def test_steering_receives_the_pose_at_which_its_command_takes_effect():
     """Also while earlier commands are still delayed."""
-    law = Watcher()
+    steering = Watcher()
     delay = 0.3
-    _, plant, way = follow(a_plan(), steering=law, delay=delay, duration=8.0)
+    _, plant, way = follow(a_plan(), steering=steering, delay=delay, duration=8.0)
     ahead = round(delay / plant.tick)
-    given = np.array([(pose.x, pose.y) for pose in law.poses])[:-ahead]
+    given = np.array([(pose.x, pose.y) for pose in steering.poses])[:-ahead]
     apart = np.hypot(*(given - way[ahead : ahead + len(given), 1:3]).T)
     settled = slice(round(1.0 / plant.tick), None)
     assert np.hypot(*np.diff(way[settled, 1:3], axis=0).T).sum() > 1.0
@@ -386,7 +390,7 @@ def test_run_with_a_required_margin_ends_near_an_obstacle_when_no_plan_is_left(l
         steering=WaypointSteering(0.3, 0.2, 0.1),
         curvature_at=lambda offset: as_told(offset) + 0.7,
         max_cross_track_error=1.0,
-        replans=0,
+        max_replans=0,
         replan=lambda pose, _: a_plan(start=pose),
         world=BESIDE,
         margin=0.05,
@@ -408,7 +412,7 @@ def test_straying_requests_new_plans_up_to_the_limit():
         a_plan(),
         curvature_at=blind,
         max_cross_track_error=0.1,
-        replans=2,
+        max_replans=2,
         replan=replan,
     )
     assert follower.ending == "strayed" and len(asked) == 2
@@ -468,7 +472,7 @@ def test_old_plan_is_kept_if_there_is_no_new_one():
         curvature_at=blind,
         max_cross_track_error=0.1,
         replan=refuse,
-        replans=2,
+        max_replans=2,
     )
     assert follower.ending == "strayed" and len(follower.plans) == 1
     events = follower.events()

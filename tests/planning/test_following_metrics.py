@@ -110,11 +110,11 @@ def test_cross_track_of_a_rod_parallel_to_its_path():
 
 def test_inside_fraction_counts_the_time_within_the_edges():
     trajectory = STILL.trajectory()
-    aside = np.where(
+    lateral = np.where(
         trajectory.time < 1.5, 0.0, np.where(trajectory.time < 3.0, 0.02, 0.04)
     )
     columns = {
-        name: column + (aside if name.startswith(("y_", "com_y")) else 0)
+        name: column + (lateral if name.startswith(("y_", "com_y")) else 0)
         for name, column in trajectory.columns.items()
     }
     metrics = following_metrics(

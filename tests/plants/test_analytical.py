@@ -17,7 +17,7 @@ from srs_twin.pneumatics import Schedule
 
 SPEC = robot()
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
-LAWS = pytest.mark.parametrize("law", ["axis", "wheel"])
+FRICTION_LAWS = pytest.mark.parametrize("friction_law", ["axis", "wheel"])
 
 
 def test_reset_gives_a_straight_snake_at_rest_at_the_pose():
@@ -118,8 +118,10 @@ def test_momentum_changes_by_the_impulse_of_the_floor(turning):
     st.floats(-15, 15),
     st.floats(-3, 3),
 )
-def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, heading):
-    plant = AnalyticalSnake(robot(mu_t=0.2), friction=law)
+def test_coasting_snake_loses_energy_and_comes_to_rest(
+    friction_law, vx, vy, spin, heading
+):
+    plant = AnalyticalSnake(robot(mu_t=0.2), friction=friction_law)
     throw(plant, (vx, vy), spin=spin, heading=heading)
     inertia = (plant.spec.mass.array() * (0.055 * np.arange(-2, 3)) ** 2).sum()
 
@@ -138,10 +140,10 @@ def test_coasting_snake_loses_energy_and_comes_to_rest(law, vx, vy, spin, headin
 
 @pytest.mark.default_cases(at=[0, 18, 28])
 @pytest.mark.parametrize("degrees", range(0, 91, 5))
-@LAWS
-def test_newton_converges_when_a_coasting_snake_stops(law, degrees):
+@FRICTION_LAWS
+def test_newton_converges_when_a_coasting_snake_stops(friction_law, degrees):
     """Regression: Newton's method alternated between the sides of the kink where a wheel stops rolling."""
-    plant = AnalyticalSnake(SPEC, friction=law, slip_speed=0.001)
+    plant = AnalyticalSnake(SPEC, friction=friction_law, slip_speed=0.001)
     angle = np.radians(degrees)
     throw(plant, (0.5 * np.cos(angle), 0.5 * np.sin(angle)))
     for _ in range(65):
@@ -149,10 +151,10 @@ def test_newton_converges_when_a_coasting_snake_stops(law, degrees):
     assert np.abs(state.com_velocity).max() < 1e-6
 
 
-@LAWS
-def test_spinning_snake_decelerates_by_the_friction_moment(law):
+@FRICTION_LAWS
+def test_spinning_snake_decelerates_by_the_friction_moment(friction_law):
     """A spinning straight snake slides sideways: I ω̇ = −μ_n g Σ m |r|, so Δθ = I ω²/(2 μ_n g Σ m|r|)."""
-    plant = AnalyticalSnake(robot(mu_t=0.0), friction=law, slip_speed=1e-5)
+    plant = AnalyticalSnake(robot(mu_t=0.0), friction=friction_law, slip_speed=1e-5)
     throw(plant, (0.0, 0.0), spin=10.0)
     for _ in range(100):
         state = plant.step(vented(SPEC))
@@ -164,10 +166,10 @@ def test_spinning_snake_decelerates_by_the_friction_moment(law):
 
 
 @pytest.mark.default_cases(at=[0, 3, 4])
-@LAWS
+@FRICTION_LAWS
 @pytest.mark.parametrize("connectors", [2, 4, 9])
-def test_any_number_of_connectors_runs(law, connectors):
-    plant = AnalyticalSnake(chain((0.03,) * connectors), friction=law)
+def test_any_number_of_connectors_runs(friction_law, connectors):
+    plant = AnalyticalSnake(chain((0.03,) * connectors), friction=friction_law)
     step = np.pi / 2 if connectors == 2 else 2 * np.pi / (connectors - 1)
     trajectory = rollout(plant, Gait(2.0, phase_step=step), 2.0)
     assert trajectory.stack("x").shape == (201, connectors)
@@ -181,10 +183,10 @@ def test_any_number_of_connectors_runs(law, connectors):
     )
 
 
-@LAWS
-def test_finer_steps_change_the_speed_by_less_than_two_permille(law):
+@FRICTION_LAWS
+def test_finer_steps_change_the_speed_by_less_than_two_permille(friction_law):
     def speed(**options: float) -> float:
-        plant = AnalyticalSnake(SPEC, friction=law, **options)
+        plant = AnalyticalSnake(SPEC, friction=friction_law, **options)
         path = rollout(plant, Gait(2.0), 5.0, record_hz=50).com
         return float(np.hypot(*(path[-1] - path[50])) / 4)
 

@@ -217,7 +217,7 @@ def _six() -> list[bytes]:
     return _SIX
 
 
-def test_jobs_of_one_factory_fraction_a_plant_without_interference():
+def test_jobs_of_one_factory_use_a_plant_without_interference():
     made: list[int] = []
 
     def make() -> TwinSnake:

@@ -153,7 +153,7 @@ def test_the_hull_is_within_its_bound_of_the_arc():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("shape", "aside", "touched"),
+    ("shape", "lateral", "touched"),
     [
         ("circle", 0.0, True),
         ("circle", 0.133, None),
@@ -164,19 +164,19 @@ def test_the_hull_is_within_its_bound_of_the_arc():
         ("square", 0.16, False),
     ],
 )
-def test_clearance_is_positive_exactly_without_contact(shape, aside, touched):
+def test_clearance_is_positive_exactly_without_contact(shape, lateral, touched):
     """The twin of generation 2 passes a circle or a square of 0.1 m at a given distance from its path, m.
 
     At small distances (None), contact depends on the follower.
     """
     corners = [
-        [0.35, aside - 0.1],
-        [0.55, aside - 0.1],
-        [0.55, aside + 0.1],
-        [0.35, aside + 0.1],
+        [0.35, lateral - 0.1],
+        [0.55, lateral - 0.1],
+        [0.55, lateral + 0.1],
+        [0.35, lateral + 0.1],
     ]
     world = {
-        "circle": {"obstacles": [{"x_m": 0.45, "y_m": aside, "radius_m": 0.1}]},
+        "circle": {"obstacles": [{"x_m": 0.45, "y_m": lateral, "radius_m": 0.1}]},
         "square": {"polygons": [{"corners_m": corners}]},
     }[shape]
     given = {

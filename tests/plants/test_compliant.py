@@ -15,7 +15,7 @@ from srs_twin.plants.analytical import compliant_kernels, kernels
 from srs_twin.plants.analytical.compliant_kernels import CompliantModel, WorkArrays
 from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kinematics import BodyParameters
-from srs_twin.robot.friction import LAWS
+from srs_twin.robot.friction import FRICTION_LAWS
 from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import Mass
 
@@ -23,9 +23,11 @@ LENGTH = 0.037
 GAP = 0.018
 SLIP = 0.02
 
-MARKED_LAWS = [
-    pytest.param(law, marks=[] if law == "wheel" else [pytest.mark.slow])
-    for law in LAWS
+MARKED_FRICTION_LAWS = [
+    pytest.param(
+        friction_law, marks=[] if friction_law == "wheel" else [pytest.mark.slow]
+    )
+    for friction_law in FRICTION_LAWS
 ]
 """Laws of friction; those whose kernels no other quick test compiles are slow."""
 
@@ -41,7 +43,7 @@ class Body:
     inertia: np.ndarray
     stiffness: float = 0.44
     damping: float = 1e-3
-    law: str = "viscous"
+    friction_law: str = "viscous"
     track: float = 0.015
     mu_t: float = 0.5
     mu_n: float = 3.0
@@ -52,7 +54,7 @@ class Body:
 
     @property
     def floor(self) -> FloorFriction:
-        return floor_friction(self.law, self.track, self.mu_t, self.mu_n, SLIP)
+        return floor_friction(self.friction_law, self.track, self.mu_t, self.mu_n, SLIP)
 
     @property
     def model(self) -> CompliantModel:
@@ -215,9 +217,9 @@ def test_power_is_balanced(seed):
     assert slope_at_zero(energy, 1e-4) == pytest.approx(power, abs=1e-9 * scale)
 
 
-@pytest.mark.parametrize("law", MARKED_LAWS)
-def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(law):
-    body, q, u, moment = draw(7, law=law, mu_t=0.05, mu_n=0.5)
+@pytest.mark.parametrize("friction_law", MARKED_FRICTION_LAWS)
+def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(friction_law):
+    body, q, u, moment = draw(7, friction_law=friction_law, mu_t=0.05, mu_n=0.5)
 
     def missed(a: float) -> float:
         def residual(v: np.ndarray) -> np.ndarray:
@@ -237,10 +239,10 @@ def test_newton_matrix_is_the_stage_jacobian_up_to_second_order(law):
 
 
 @pytest.mark.default_cases(3)
-@pytest.mark.parametrize("law", MARKED_LAWS)
+@pytest.mark.parametrize("friction_law", MARKED_FRICTION_LAWS)
 @pytest.mark.parametrize("connectors", [2, 3, 5, 9, 65])
-def test_linear_cost_solve_equals_dense_solve(connectors, law):
-    body, q, u, residual = draw(connectors, connectors, law=law)
+def test_linear_cost_solve_equals_dense_solve(connectors, friction_law):
+    body, q, u, residual = draw(connectors, connectors, friction_law=friction_law)
     residual = np.append(residual, [0.3, -0.2, 0.1])
     for a in (1e-2, 3e-4):
         step = body.newton(q, u, a, residual)
@@ -420,10 +422,10 @@ def test_stiff_compliant_bends_equal_prescribed_bends():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["axis", "wheel"])
-def test_stiff_compliant_model_has_the_speed_of_complete(law):
+@pytest.mark.parametrize("friction_law", ["axis", "wheel"])
+def test_stiff_compliant_model_has_the_speed_of_complete(friction_law):
     spec = robot()
-    options = {"friction": law, "supply_pa": 48300.0, "timestep": 0.001}
+    options = {"friction": friction_law, "supply_pa": 48300.0, "timestep": 0.001}
     complete = rollout(AnalyticalSnake(spec, **options), Gait(2.0), 4.0)
     stiff = rollout(
         compliant(with_bending(spec, stiffness=320.0), **options), Gait(2.0), 4.0

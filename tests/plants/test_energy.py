@@ -62,21 +62,21 @@ def power(plant: AnalyticalSnake | TwinSnake, h: SnakeState) -> np.ndarray:
 
 @ALL
 @pytest.mark.parametrize(
-    ("law", "mu"),
+    ("friction_law", "mu"),
     [
         pytest.param("viscous", {"mu_t": 1.0, "mu_n": 15.0}, marks=pytest.mark.slow),
         pytest.param("axis", {}, marks=pytest.mark.slow),
         ("wheel", {}),
     ],
 )
-def test_work_is_the_integral_of_the_torque_power(options, law, mu):
+def test_work_is_the_integral_of_the_torque_power(options, friction_law, mu):
     """To second order in the step: the kernels integrate the friction power, not the torque power."""
     spec = robot(**mu)
 
     def missed(step: float) -> float:
         plant = AnalyticalSnake(
             spec,
-            friction=law,
+            friction=friction_law,
             timestep=step,
             slip_speed=0.01,
             pneumatics=Wave(spec, bias=0.1),
@@ -109,7 +109,7 @@ def stored(plant: AnalyticalSnake, h: SnakeState) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    "law",
+    "friction_law",
     [
         pytest.param("axis", marks=pytest.mark.slow),
         "wheel",
@@ -119,12 +119,12 @@ def stored(plant: AnalyticalSnake, h: SnakeState) -> np.ndarray:
 @pytest.mark.parametrize(
     "options", [each for each in slow_but(("complete",), MODELS) if each.id != "lumped"]
 )
-def test_friction_only_dissipates(options, law):
+def test_friction_only_dissipates(options, friction_law):
     """Work minus kinetic energy never decreases."""
     spec = robot()
     step = 2e-4
     plant = AnalyticalSnake(
-        spec, friction=law, timestep=step, supply_pa=SUPPLY, **options
+        spec, friction=friction_law, timestep=step, supply_pa=SUPPLY, **options
     )
     h = driven(plant, 1.0, 1 / step)
     taken = h.work - kinetic(h, spec, step) - stored(plant, h)
@@ -212,7 +212,7 @@ def in_springs_and_dampers(
     bends.
     """
     model = plant.physics.model
-    law = plant.spec.bending
+    bending = plant.spec.bending
     rates = free_rates(plant, h)
     free = cumulative_simpson(rates, dx=float(h.time[1] - h.time[0]), axis=0, initial=0)
     stored = lost = 0.0
@@ -220,8 +220,8 @@ def in_springs_and_dampers(
         joints = [model.joint(f"hinge_{j + 1}_{k}") for j in range(plant.spec.segments)]
         angle = h.qpos[:, [item.qposadr[0] for item in joints]] - free / 2
         rate = qvel[:, [item.dofadr[0] for item in joints]] - rates / 2
-        stored = stored + law.stiffness * (angle**2).sum(axis=1)
-        lost = lost + 2 * law.damping * (rate**2).sum(axis=1)
+        stored = stored + bending.stiffness * (angle**2).sum(axis=1)
+        lost = lost + 2 * bending.damping * (rate**2).sum(axis=1)
     return stored, lost
 
 

@@ -32,14 +32,16 @@ from srs_twin.plants.analytical.kinematics import (
 from srs_twin.plants.analytical.steps import PrescribedState, advance, bend_within
 from srs_twin.pneumatics import Trace
 from srs_twin.robot import friction
-from srs_twin.robot.friction import LAWS
+from srs_twin.robot.friction import FRICTION_LAWS
 from srs_twin.robot.geometry import body_shape, relative_headings
 
 GRAVITY = 9.81
 
-MARKED_LAWS = [
-    pytest.param(law, marks=[] if law == "wheel" else [pytest.mark.slow])
-    for law in LAWS
+MARKED_FRICTION_LAWS = [
+    pytest.param(
+        friction_law, marks=[] if friction_law == "wheel" else [pytest.mark.slow]
+    )
+    for friction_law in FRICTION_LAWS
 ]
 """Laws of friction; those whose kernels no other quick test compiles are slow."""
 
@@ -49,7 +51,7 @@ class Swim:
     """Masses on constant-curvature segments with prescribed bends, on a floor with friction."""
 
     mass: tuple[float, ...]
-    law: str
+    friction_law: str
     length: float = 0.037
     gap: float = 0.018
     track: float = 0.0
@@ -89,7 +91,9 @@ def run(
     state[kernels.STATE_VY] = across
     mass = np.array(swim.mass)
     solid = BodyParameters.of(mass, np.zeros_like(mass), swim.length, swim.gap)
-    floor = floor_friction(swim.law, swim.track, swim.mu_t, swim.mu_n, swim.slip)
+    floor = floor_friction(
+        swim.friction_law, swim.track, swim.mu_t, swim.mu_n, swim.slip
+    )
     trace = Trace.empty(len(bends), len(mass) - 1)._replace(bend=bends, bend_rate=rates)
     now = PrescribedState(state, derivative, np.array([0.0, across, 0.0]))
     seen = kernels.Samples(np.empty((0, kernels.STATES)), np.empty((0, 3)))
@@ -122,21 +126,21 @@ def drag(swim: Swim, load: float, velocity: complex, heading: float) -> complex:
     along = v.real
     across = v.imag
     slip = swim.slip
-    if swim.law == "axis":
+    if swim.friction_law == "axis":
         f_t = swim.mu_t * along / math.hypot(along, slip)
-        f_n = swim.mu_n * across / math.hypot(across, slip)
+        f_lat = swim.mu_n * across / math.hypot(across, slip)
     else:
         speed = math.sqrt(along**2 + across**2 + slip**2)
         f_t = math.copysign(min(swim.mu_t, swim.mu_n * abs(along) / speed), along)
         locked = swim.mu_n * abs(along) / speed <= swim.mu_t
-        f_n = (
+        f_lat = (
             swim.mu_n * across / speed
             if locked
             else math.sqrt(swim.mu_n**2 - swim.mu_t**2)
             * across
             / math.hypot(across, slip)
         )
-    return -load * (f_t + 1j * f_n) * np.exp(1j * heading)
+    return -load * (f_t + 1j * f_lat) * np.exp(1j * heading)
 
 
 def by_newton(swim: Swim, duration: float) -> np.ndarray:
@@ -226,10 +230,10 @@ def test_kernel_satisfies_newtons_law(name):
 
 
 @pytest.mark.parametrize(
-    ("law", "mu_t", "mu_n"), [("axis", 0.1, 1.0), ("viscous", 1.0, 10.0)]
+    ("friction_law", "mu_t", "mu_n"), [("axis", 0.1, 1.0), ("viscous", 1.0, 10.0)]
 )
-def test_time_integration_has_second_order(law, mu_t, mu_n):
-    swim = Swim((0.03, 0.05, 0.02, 0.04), law, slip=0.1, mu_t=mu_t, mu_n=mu_n)
+def test_time_integration_has_second_order(friction_law, mu_t, mu_n):
+    swim = Swim((0.03, 0.05, 0.02, 0.04), friction_law, slip=0.1, mu_t=mu_t, mu_n=mu_n)
     steps = np.array([2e-3, 1e-3, 5e-4])
     exact = by_kernel(swim, 0.8, 2e-5)
     errors = [np.linalg.norm((by_kernel(swim, 0.8, h) - exact)[:3]) for h in steps]
@@ -262,13 +266,13 @@ def posed(solid: BodyParameters, bend: np.ndarray, rate: np.ndarray) -> np.ndarr
     return body
 
 
-@pytest.mark.parametrize("law", MARKED_LAWS)
+@pytest.mark.parametrize("friction_law", MARKED_FRICTION_LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
-def test_floor_force_slopes_match_finite_differences(law, track):
+def test_floor_force_derivatives_match_finite_differences(friction_law, track):
     solid, bend, rate = draw(2, 4)
     body = posed(solid, bend, rate)
     u = np.array([0.2, -0.1, 1.5])
-    floor = floor_friction(law, track, 0.1, 0.6, 0.05)
+    floor = floor_friction(friction_law, track, 0.1, 0.6, 0.05)
 
     def total(v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         f = forces_and_derivatives(body, solid.mass, Twist(*v), floor)
@@ -299,9 +303,9 @@ def test_floor_force_slopes_match_finite_differences(law, track):
     assert power == pytest.approx(-contact_power, rel=1e-12) and power > 0
 
 
-@pytest.mark.parametrize("law", MARKED_LAWS)
+@pytest.mark.parametrize("friction_law", MARKED_FRICTION_LAWS)
 @pytest.mark.parametrize("track", [0.0, 0.02])
-def test_floor_evaluates_the_named_law(law, track):
+def test_floor_evaluates_the_named_law(friction_law, track):
     """A law without a kernel must not select another law."""
 
     @njit
@@ -315,12 +319,14 @@ def test_floor_evaluates_the_named_law(law, track):
     force = np.zeros(2)
     moment = 0.0
     for arm in contacts:
-        pushed = getattr(friction, law)(
+        pushed = getattr(friction, friction_law)(
             along + spin * arm, across, 2.0 / len(contacts), 0.1, 0.6, 0.05
         )[:2]
         force = force + pushed
         moment = moment + arm * pushed[0]
-    actual = compiled(along, across, spin, floor_friction(law, track, 0.1, 0.6, 0.05))
+    actual = compiled(
+        along, across, spin, floor_friction(friction_law, track, 0.1, 0.6, 0.05)
+    )
     assert actual[:3] == pytest.approx([*force, moment], rel=1e-12)
 
 

@@ -23,7 +23,7 @@ from srs_twin.comparison.compare import compare
 from srs_twin.errors import InputFileError
 from srs_twin.experiment import run_scenario
 from srs_twin.plants.base import SnakeState
-from srs_twin.robot.friction import LAWS
+from srs_twin.robot.friction import FRICTION_LAWS
 from srs_twin.scenario.loading import parse_scenario
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
@@ -44,7 +44,9 @@ def rms(values: np.ndarray) -> float:
     return float(np.sqrt((values**2).mean()))
 
 
-def ladder(amplitude: float, law: str, mu: dict[str, float]) -> tuple[float, float]:
+def ladder(
+    amplitude: float, friction_law: str, mu: dict[str, float]
+) -> tuple[float, float]:
     """Return the relative differences of path and torques between `simplified` and `complete`."""
     spec = robot(**mu)
     complete, simplified = (
@@ -52,7 +54,7 @@ def ladder(amplitude: float, law: str, mu: dict[str, float]) -> tuple[float, flo
             AnalyticalSnake(
                 spec,
                 model=model,
-                friction=law,
+                friction=friction_law,
                 timestep=5e-4,
                 slip_speed=0.02,
                 pneumatics=Wave(spec, amplitude=amplitude, bias=amplitude / 4),
@@ -76,9 +78,9 @@ def test_simplified_equals_complete_to_second_order_in_the_bends():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
-def test_simplified_torques_equal_complete_for_small_bends(law):
-    found = np.array([ladder(a, law, {}) for a in (0.2, 0.05)])
+@pytest.mark.parametrize("friction_law", ["axis", "wheel", "ellipse"])
+def test_simplified_torques_equal_complete_for_small_bends(friction_law):
+    found = np.array([ladder(a, friction_law, {}) for a in (0.2, 0.05)])
     assert np.log(found[0, 1] / found[1, 1]) / np.log(4) == pytest.approx(2, abs=0.2)
 
 
@@ -120,8 +122,10 @@ def phase(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", LAWS)
-def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
+@pytest.mark.parametrize("friction_law", FRICTION_LAWS)
+def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(
+    friction_law,
+):
     """The floor moves the centre of mass only; the bends alone rotate the body."""
     spec = chain(MASSES)
     wave = Wave(spec, bias=0.3)
@@ -129,7 +133,7 @@ def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
         spec,
         model="simplified",
         friction_torque=False,
-        friction=law,
+        friction=friction_law,
         timestep=5e-4,
         pneumatics=wave,
     )
@@ -147,7 +151,7 @@ def test_without_friction_torque_the_heading_drifts_by_the_geometric_phase(law):
         np.abs(terms.sum(axis=1)[1:-1]).max() < 2e-3 * np.abs(terms).sum(axis=1).max()
     )
     turned = AnalyticalSnake(
-        spec, model="simplified", friction=law, timestep=5e-4, pneumatics=wave
+        spec, model="simplified", friction=friction_law, timestep=5e-4, pneumatics=wave
     )
     assert np.abs(bent(turned, 2.0).heading - h.heading).max() > 0.01
 
@@ -180,7 +184,7 @@ def test_lumped_inertia_is_that_of_the_dissertation(inertia):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["axis", "wheel", "ellipse"])
+@pytest.mark.parametrize("friction_law", ["axis", "wheel", "ellipse"])
 @pytest.mark.parametrize(
     "options",
     [
@@ -191,7 +195,7 @@ def test_lumped_inertia_is_that_of_the_dissertation(inertia):
     ],
     ids=["complete", "lumped", "simplified", "no torque"],
 )
-def test_mass_cancels_with_prescribed_bends(options, law):
+def test_mass_cancels_with_prescribed_bends(options, friction_law):
     """Seven times the mass: the same path, seven times the torques and the work."""
     spec = chain(MASSES)
     heavy = replace(
@@ -199,7 +203,7 @@ def test_mass_cancels_with_prescribed_bends(options, law):
     )
     light, loaded = (
         rollout(
-            AnalyticalSnake(s, friction=law, supply_pa=SUPPLY, **options),
+            AnalyticalSnake(s, friction=friction_law, supply_pa=SUPPLY, **options),
             Gait(2.0, 0.2),
             1.0,
         )

@@ -53,7 +53,7 @@ MU = st.floats(0.01, 1.0)
 
 def wheel_law(mu_t: float, mu_n: float, slip: float) -> FloorLaw:
     return FloorLaw(
-        kind=LAWS_ON_LOADS.index("wheel"),
+        friction_law_index=LAWS_ON_LOADS.index("wheel"),
         forward=mu_t,
         across=mu_n,
         slip_speed=slip,
@@ -62,64 +62,74 @@ def wheel_law(mu_t: float, mu_n: float, slip: float) -> FloorLaw:
     )
 
 
-@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, at=st.floats(0, 6.3))
+@given(v_t=SPEED, v_lat=SPEED, mu_t=MU, mu_n=MU, at=st.floats(0, 6.3))
 def test_fast_contact_follows_the_ellipse_and_resting_contact_keeps_its_force(
-    v_t, v_n, mu_t, mu_n, at
+    v_t, v_lat, mu_t, mu_n, at
 ):
-    assume(abs(v_t) > 1e-3 and abs(v_n) > 1e-3)
+    assume(abs(v_t) > 1e-3 and abs(v_lat) > 1e-3)
     p_t = 0.99 * LOAD * mu_t * math.cos(at)
     p_n = 0.99 * LOAD * mu_n * math.sin(at)
     assert stick_slip_friction(0.0, 0.0, LOAD, mu_t, mu_n, 1e-3, p_t, p_n)[
         :2
     ] == pytest.approx((p_t, p_n), rel=1e-12)
-    assert stick_slip_friction(v_t, v_n, LOAD, mu_t, mu_n, 1e-9, p_t, p_n)[
+    assert stick_slip_friction(v_t, v_lat, LOAD, mu_t, mu_n, 1e-9, p_t, p_n)[
         :2
     ] == pytest.approx(
-        ellipse(v_t, v_n, LOAD, mu_t, mu_n, 0.0)[:2],
+        ellipse(v_t, v_lat, LOAD, mu_t, mu_n, 0.0)[:2],
         rel=1e-3,
         abs=1e-3 * LOAD * max(mu_t, mu_n),
     )
 
 
-@given(v_t=SPEED, v_n=SPEED, rim=SPEED, mu_t=MU, mu_n=MU, lag=st.floats(1e-3, 10), p=MU)
-def test_rim_speed_balances_contact_and_axle(v_t, v_n, rim, mu_t, mu_n, lag, p):
+@given(
+    v_t=SPEED, v_lat=SPEED, rim=SPEED, mu_t=MU, mu_n=MU, lag=st.floats(1e-3, 10), p=MU
+)
+def test_rim_speed_balances_contact_and_axle(v_t, v_lat, rim, mu_t, mu_n, lag, p):
     push = (p * LOAD, -p * LOAD)
-    law = wheel_law(mu_t, mu_n, 1e-3)
-    (f_t, f_n, *_), w = rolling_friction(v_t, v_n, LOAD, law, *push, rim, lag)
-    assert math.hypot(f_t, f_n) <= mu_n * LOAD * (1 + 1e-12)
+    friction_law = wheel_law(mu_t, mu_n, 1e-3)
+    (f_t, f_lat, *_), w = rolling_friction(
+        v_t, v_lat, LOAD, friction_law, *push, rim, lag
+    )
+    assert math.hypot(f_t, f_lat) <= mu_n * LOAD * (1 + 1e-12)
     drag = -f_t - lag * (w - rim)  # what the axle takes
     assert abs(drag) <= mu_t * LOAD * (1 + 1e-6)
     if w != 0:
         assert drag == pytest.approx(math.copysign(mu_t * LOAD, w), rel=1e-6)
     # With a rim at rest and no force from before friction only takes power.
-    (f_t, f_n, *_), _ = rolling_friction(v_t, v_n, LOAD, law, 0.0, 0.0, 0.0, lag)
-    assert f_t * v_t + f_n * v_n <= 1e-15
+    (f_t, f_lat, *_), _ = rolling_friction(
+        v_t, v_lat, LOAD, friction_law, 0.0, 0.0, 0.0, lag
+    )
+    assert f_t * v_t + f_lat * v_lat <= 1e-15
 
 
-@given(v_t=SPEED, v_n=SPEED, mu_n=MU, fraction=st.floats(0.01, 0.9))
-def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_n, mu_n, fraction):
-    assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
+@given(v_t=SPEED, v_lat=SPEED, mu_n=MU, fraction=st.floats(0.01, 0.9))
+def test_wheel_without_inertia_follows_the_wheel_law(v_t, v_lat, mu_n, fraction):
+    assume(abs(v_lat) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
-    expected = wheel(v_t, v_n, LOAD, fraction * mu_n, mu_n, slip)[:2]
-    law = wheel_law(fraction * mu_n, mu_n, slip)
-    traction, _ = rolling_friction(v_t, v_n, LOAD, law, 0.0, 0.0, 0.0, 1e-12)
+    expected = wheel(v_t, v_lat, LOAD, fraction * mu_n, mu_n, slip)[:2]
+    friction_law = wheel_law(fraction * mu_n, mu_n, slip)
+    traction, _ = rolling_friction(v_t, v_lat, LOAD, friction_law, 0.0, 0.0, 0.0, 1e-12)
     assert traction[:2] == pytest.approx(expected, abs=1e-4 * LOAD)
 
 
-@pytest.mark.parametrize("law", LAWS_ON_LOADS)
-@given(v_t=SPEED, v_n=SPEED, mu_n=MU, fraction=st.floats(0.01, 0.9))
-def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, fraction):
+@pytest.mark.parametrize("friction_law", LAWS_ON_LOADS)
+@given(v_t=SPEED, v_lat=SPEED, mu_n=MU, fraction=st.floats(0.01, 0.9))
+def test_sliding_contact_follows_the_law_of_its_name(
+    friction_law, v_t, v_lat, mu_n, fraction
+):
     """A law without a branch of its own in the friction solve would run as another one."""
-    assume(abs(v_n) > 1e-3 and abs(v_t) > 1e-3)
+    assume(abs(v_lat) > 1e-3 and abs(v_t) > 1e-3)
     slip = 1e-6
     mu_t = fraction * mu_n
-    expected = getattr(friction, law)(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
+    expected = getattr(friction, friction_law)(v_t, v_lat, LOAD, mu_t, mu_n, slip)[:2]
     contact = SimpleNamespace(
         wheels=1,
-        floor=wheel_law(mu_t, mu_n, slip)._replace(kind=LAWS_ON_LOADS.index(law)),
+        floor=wheel_law(mu_t, mu_n, slip)._replace(
+            friction_law_index=LAWS_ON_LOADS.index(friction_law)
+        ),
     )
     traction, _ = _friction_law.py_func(
-        contact, 0, v_t, v_n, LOAD, (0.0, 0.0, 0.0), 0.0, 1.0
+        contact, 0, v_t, v_lat, LOAD, (0.0, 0.0, 0.0), 0.0, 1.0
     )
     assert traction[:2] == pytest.approx(expected, abs=1e-4 * LOAD)
 
@@ -127,17 +137,17 @@ def test_sliding_contact_follows_the_law_of_its_name(law, v_t, v_n, mu_n, fracti
 @pytest.mark.default_cases(at=[0, 21, 38])
 @pytest.mark.parametrize("slip", [1e-2, 10.0])  # slides; sticks
 @pytest.mark.parametrize("seed", range(20))
-def test_rolling_friction_slopes_match_finite_differences(seed, slip):
-    v_t, v_n, rim, mu_t, mu_n, p_t, p_n = np.random.default_rng(seed).uniform(
+def test_rolling_friction_derivatives_match_finite_differences(seed, slip):
+    v_t, v_lat, rim, mu_t, mu_n, p_t, p_n = np.random.default_rng(seed).uniform(
         [-1, -1, -1, 0.01, 0.1, -0.1, -0.1], [1, 1, 1, 0.1, 1, 0.1, 0.1]
     )
     step = 1e-7
     arguments = (LOAD, wheel_law(mu_t, mu_n, slip), p_t, p_n, rim, 0.5)
-    here, _ = rolling_friction(v_t, v_n, *arguments)
-    ahead, _ = rolling_friction(v_t + step, v_n, *arguments)
-    behind, _ = rolling_friction(v_t - step, v_n, *arguments)
-    left, _ = rolling_friction(v_t, v_n + step, *arguments)
-    right, _ = rolling_friction(v_t, v_n - step, *arguments)
+    here, _ = rolling_friction(v_t, v_lat, *arguments)
+    ahead, _ = rolling_friction(v_t + step, v_lat, *arguments)
+    behind, _ = rolling_friction(v_t - step, v_lat, *arguments)
+    left, _ = rolling_friction(v_t, v_lat + step, *arguments)
+    right, _ = rolling_friction(v_t, v_lat - step, *arguments)
     found = [(ahead[k] - behind[k]) / (2 * step) for k in (0, 1)] + [
         (left[1] - right[1]) / (2 * step)
     ]

@@ -93,15 +93,15 @@ def mirrored(spec: RobotSpec) -> RobotSpec:
 @settings(max_examples=100)
 @given(st.floats(-5, 5), st.floats(0.3, 3))
 def test_bend_law_saturates_at_its_limit(x, limit):
-    law = BendLaw(limit, 0.0, 1.0, 1.0)
-    value, derivative, curve = apply_bend_law(x, law)
+    bend_law = BendLaw(limit, 0.0, 1.0, 1.0)
+    value, derivative, curve = apply_bend_law(x, bend_law)
     assert abs(value) < limit and np.sign(value) == np.sign(x) and 0 < derivative <= 1
     assert value**4 * (limit**4 + x**4) == pytest.approx(
         (x * limit) ** 4, rel=1e-9, abs=1e-12
     )
     step = 1e-4
-    ahead = apply_bend_law(x + step, law)
-    behind = apply_bend_law(x - step, law)
+    ahead = apply_bend_law(x + step, bend_law)
+    behind = apply_bend_law(x - step, bend_law)
     assert derivative == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx(
         (ahead[1] - behind[1]) / (2 * step), abs=1e-5 / limit**2
@@ -121,9 +121,9 @@ def test_bend_law_saturates_at_its_limit(x, limit):
 def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(
     x, limit, fraction, dead_zone, width
 ):
-    law = BendLaw(limit, fraction, dead_zone, width)
+    bend_law = BendLaw(limit, fraction, dead_zone, width)
     step = 1e-5
-    value, derivative, curve = apply_bend_law(x, law)
+    value, derivative, curve = apply_bend_law(x, bend_law)
     y = x - fraction * width / 2 * np.log(
         np.cosh((x + dead_zone) / width) / np.cosh((x - dead_zone) / width)
     )
@@ -131,10 +131,10 @@ def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(
         y if np.isinf(limit) else y / (1 + (y / limit) ** 4) ** 0.25, abs=1e-12
     )
     assert (value, derivative) == (
-        -apply_bend_law(-x, law)[0],
-        apply_bend_law(-x, law)[1],
+        -apply_bend_law(-x, bend_law)[0],
+        apply_bend_law(-x, bend_law)[1],
     ) and derivative >= 0
-    assert apply_bend_law(0.0, law)[1] == pytest.approx(
+    assert apply_bend_law(0.0, bend_law)[1] == pytest.approx(
         1 - fraction * np.tanh(dead_zone / width)
     )
     spec = unlike(
@@ -149,8 +149,8 @@ def test_bend_law_with_dead_zone_is_odd_smooth_and_monotone(
     assert equivalent_linear_pressure(spec, np.zeros((4, 2))) == pytest.approx(
         np.zeros((4, 2))
     )
-    ahead = apply_bend_law(x + step, law)
-    behind = apply_bend_law(x - step, law)
+    ahead = apply_bend_law(x + step, bend_law)
+    behind = apply_bend_law(x - step, bend_law)
     assert derivative == pytest.approx((ahead[0] - behind[0]) / (2 * step), abs=1e-6)
     assert curve == pytest.approx((ahead[1] - behind[1]) / (2 * step), abs=1e-4)
 
@@ -170,7 +170,7 @@ def test_equivalent_linear_pressure_gives_the_same_bend():
     )
 
 
-def law(spec: RobotSpec, kind: str, leak: float):
+def segment_equations(spec: RobotSpec, kind: str, leak: float):
     """Return y' of (p⁺, p⁻, x) of segment 2 from the dissertation, and its bend, for one valve state."""
     modules = spec.modules
     actuator = spec.actuator
@@ -200,7 +200,7 @@ def test_lag_solves_the_equations_of_unequal_modules(leak):
     spec = unlike()
     chambers = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
     assert chambers.bend == pytest.approx(spec.modules.bias, abs=0)
-    rates, bend = law(spec, "lag", leak)
+    rates, bend = segment_equations(spec, "lag", leak)
     y = np.zeros(3)
     at = np.linspace(0.002, 0.05, 25)
     for states in np.random.default_rng(2).choice([-1, 0, 1], size=(12, 4, 2)):
@@ -255,7 +255,7 @@ def test_unequal_orifice_chambers_conserve_air_and_reach_the_static_bend():
     spec = unlike()
     chambers = OrificePneumatics(spec, supply_pa=SUPPLY)
     assert not np.abs(chambers.pressure).any()
-    air = chambers.plumbing.dead
+    air = chambers.parameters.dead
     displacement = spec.chamber.displacement
 
     def content() -> float:

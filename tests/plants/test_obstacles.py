@@ -59,11 +59,11 @@ def test_a_snake_driven_into_an_obstacle_stays_out_of_it(name):
 
 @pytest.mark.slow
 @met
-@pytest.mark.parametrize("law", ["wheel", "ellipse"])
-def test_floor_and_obstacle_forces_accelerate_the_centre_of_mass(name, law):
+@pytest.mark.parametrize("friction_law", ["wheel", "ellipse"])
+def test_floor_and_obstacle_forces_accelerate_the_centre_of_mass(name, friction_law):
     """Newton's law of the whole snake with recorded forces and positions."""
     twin = TwinSnake(
-        robot(), supply_pa=48e3, world=WORLDS[name], contact=LoadedContact(law)
+        robot(), supply_pa=48e3, world=WORLDS[name], contact=LoadedContact(friction_law)
     )
     gait = Gait(2.0)
     mass = twin.spec.mass.total

@@ -30,7 +30,7 @@ from srs_twin.rollout import rollout
 
 SPEC = load_robot("skin_example")
 SETTINGS = ModelSettings()
-LAWS = pytest.mark.parametrize("law", friction.SKIN_LAWS)
+FRICTION_LAWS = pytest.mark.parametrize("friction_law", friction.SKIN_LAWS)
 
 
 def with_skin(spec: RobotSpec = SPEC, **changes: object) -> RobotSpec:
@@ -88,41 +88,51 @@ def test_cells_divide_the_arc_and_leave_the_gap_straight():
         SPEC.geometry.segment_length
     )
     q = np.random.default_rng(0).normal(size=(3, SPEC.segments))
-    division = cells_of_skin(SPEC)
-    assert division.total(division.split(q)) == pytest.approx(q)
+    discretisation = cells_of_skin(SPEC)
+    assert discretisation.total(discretisation.split(q)) == pytest.approx(q)
 
 
 def floor_law(slip: float) -> FloorLaw:
     return FloorLaw(
-        kind=0, forward=0.1, across=0.5, slip_speed=slip, spin_mass=0.0, backward=0.15
+        friction_law_index=0,
+        forward=0.1,
+        across=0.5,
+        slip_speed=slip,
+        spin_mass=0.0,
+        backward=0.15,
     )
 
 
-@LAWS
-def test_sliding_skin_of_the_twin_follows_the_law(law):
+@FRICTION_LAWS
+def test_sliding_skin_of_the_twin_follows_the_law(friction_law):
     rng = np.random.default_rng(1)
-    for v_t, v_n in rng.normal(size=(50, 2)):
+    for v_t, v_lat in rng.normal(size=(50, 2)):
         mu = 0.1 if v_t > 0 else 0.15
         slipping = skin_friction(
-            v_t, v_n, 2.0, floor_law(1e-9), 0.0, 0.0, law == "cosine"
+            v_t, v_lat, 2.0, floor_law(1e-9), 0.0, 0.0, friction_law == "cosine"
         )
         assert slipping[:2] == pytest.approx(
-            getattr(friction, law)(v_t, v_n, 2.0, mu, 0.5, 1e-12)[:2], rel=1e-6
+            getattr(friction, friction_law)(v_t, v_lat, 2.0, mu, 0.5, 1e-12)[:2],
+            rel=1e-6,
         )
 
 
-@LAWS
-def test_slopes_of_the_skin_of_the_twin_match_finite_differences(law):
+@FRICTION_LAWS
+def test_derivatives_of_the_twins_skin_match_finite_differences(friction_law):
     rng = np.random.default_rng(2)
     slip = 1e-2
     for _ in range(50):
         v = rng.normal(scale=slip, size=2)
         p = rng.normal(scale=0.2, size=2)
-        values = skin_friction(*v, 2.0, floor_law(slip), *p, law == "cosine")
+        values = skin_friction(*v, 2.0, floor_law(slip), *p, friction_law == "cosine")
         for k in range(2):
             h = np.eye(2)[k] * 1e-6 * slip
-            ahead = skin_friction(*(v + h), 2.0, floor_law(slip), *p, law == "cosine")
-            behind = skin_friction(*(v - h), 2.0, floor_law(slip), *p, law == "cosine")
+            ahead = skin_friction(
+                *(v + h), 2.0, floor_law(slip), *p, friction_law == "cosine"
+            )
+            behind = skin_friction(
+                *(v - h), 2.0, floor_law(slip), *p, friction_law == "cosine"
+            )
             derivatives = (np.array(ahead[:2]) - behind[:2]) / (2e-6 * slip)
             assert [values[2 + k], values[4 + k]] == pytest.approx(
                 list(derivatives), rel=1e-4, abs=1e-3
@@ -130,11 +140,11 @@ def test_slopes_of_the_skin_of_the_twin_match_finite_differences(law):
 
 
 @pytest.mark.slow
-@LAWS
+@FRICTION_LAWS
 @pytest.mark.parametrize("plant", [AnalyticalSnake, TwinSnake])
-def test_mirrored_gait_makes_the_mirrored_path(law, plant):
-    left = gait_run(plant(with_skin(law=law)), 0.3)
-    right = gait_run(plant(with_skin(law=law)), -0.3, np.pi)
+def test_mirrored_gait_makes_the_mirrored_path(friction_law, plant):
+    left = gait_run(plant(with_skin(friction_law=friction_law)), 0.3)
+    right = gait_run(plant(with_skin(friction_law=friction_law)), -0.3, np.pi)
     tolerance = (
         1e-6 if plant is AnalyticalSnake else 2e-4
     )  # of a path of some decimetres, m
@@ -162,7 +172,7 @@ def test_wave_of_curvature_has_the_speed_of_published_theory():
     assert wave_speed(continuous_snake(0.11, 0.14, 0.19)) == pytest.approx(
         0.1255, rel=0.01
     )
-    other = wave_speed(continuous_snake(0.11, 0.11, 0.19, law="ellipse"))
+    other = wave_speed(continuous_snake(0.11, 0.11, 0.19, friction_law="ellipse"))
     assert other == pytest.approx(
         1.9 * wave_speed(continuous_snake(0.11, 0.11, 0.19)), rel=0.05
     )
@@ -182,10 +192,14 @@ def test_backward_friction_brakes_only_backward_slip():
 
 
 @pytest.mark.slow
-@LAWS
-def test_results_converge_with_the_contact_points(law):
+@FRICTION_LAWS
+def test_results_converge_with_the_contact_points(friction_law):
     few, more, most = (
-        np.ptp(gait_run(AnalyticalSnake(with_skin(law=law, points=points))).com[:, 0])
+        np.ptp(
+            gait_run(
+                AnalyticalSnake(with_skin(friction_law=friction_law, points=points))
+            ).com[:, 0]
+        )
         for points in (6, 12, 48)
     )
     assert abs(more - most) < 0.5 * abs(few - most) < 0.02 * most
@@ -201,9 +215,9 @@ def test_results_of_the_twin_converge_with_the_contact_points():
 
 
 @pytest.mark.slow
-@LAWS
-def test_twin_agrees_with_the_compliant_model(law):
-    spec = with_skin(law=law, points=12)
+@FRICTION_LAWS
+def test_twin_agrees_with_the_compliant_model(friction_law):
+    spec = with_skin(friction_law=friction_law, points=12)
     model = AnalyticalSnake(
         spec, model="compliant", inertia="connector", load="instantaneous"
     )
@@ -274,7 +288,7 @@ def test_options_that_a_skin_does_not_have_are_refused():
     ):
         TwinSnake(SPEC, contact=PreloadedContact())
     with pytest.raises(InputError, match="friction law of a skin"):
-        Skin(law="wheel")
+        Skin(friction_law="wheel")
     with pytest.raises(
         InputError, match="either a skin and masses of segments, or wheels"
     ):

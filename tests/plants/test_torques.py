@@ -110,7 +110,7 @@ def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["complete", "compliant"])
 @pytest.mark.parametrize(
-    ("law", "mu", "inertia"),
+    ("friction_law", "mu", "inertia"),
     [
         ("viscous", SMOOTH, "point"),
         ("axis", {}, "point"),
@@ -118,13 +118,13 @@ def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray
         ("wheel", {}, "connector"),
     ],
 )
-def test_torques_satisfy_newtons_law(model, law, mu, inertia):
+def test_torques_satisfy_newtons_law(model, friction_law, mu, inertia):
     slip = 0.02
     spec = chain(MASSES, **mu)
     plant = AnalyticalSnake(
         spec,
         model=model,
-        friction=law,
+        friction=friction_law,
         inertia=inertia,
         timestep=STEP,
         slip_speed=slip,
@@ -133,7 +133,7 @@ def test_torques_satisfy_newtons_law(model, law, mu, inertia):
     h = bent(plant, 0.8, STEP)
     yaw = (
         yaw_of_two_wheels(h, spec, slip)
-        if law in TWO_POINT_LAWS
+        if friction_law in TWO_POINT_LAWS
         else np.zeros_like(h.connector_heading)
     )
     lumped = spec.mass.array() * np.array([1, 2, 2, 2, 1]) * spec.geometry.pitch**2 / 3
@@ -149,7 +149,7 @@ def test_torques_satisfy_newtons_law(model, law, mu, inertia):
 
 
 def apart(
-    law: str,
+    friction_law: str,
     mu: dict[str, float],
     inertia: str,
     stiffness: tuple[float, ...],
@@ -163,7 +163,7 @@ def apart(
     """
     spec = robot(**mu)
     options = {
-        "friction": law,
+        "friction": friction_law,
         "inertia": inertia,
         "supply_pa": 48.3e3,
         "timestep": STEP,
@@ -205,15 +205,15 @@ def apart(
 
 @pytest.mark.parametrize("inertia", ["point", "connector", "lumped"])
 @pytest.mark.parametrize(
-    ("law", "mu"),
+    ("friction_law", "mu"),
     [
         pytest.param("viscous", SMOOTH, marks=pytest.mark.slow),
         pytest.param("axis", {}, marks=pytest.mark.slow),
         ("wheel", {}),
     ],
 )
-def test_stiff_springs_exert_the_inverse_dynamics_torques(law, mu, inertia):
-    assert apart(law, mu, inertia, (320.0,))[0] < 0.02
+def test_stiff_springs_exert_the_inverse_dynamics_torques(friction_law, mu, inertia):
+    assert apart(friction_law, mu, inertia, (320.0,))[0] < 0.02
 
 
 @pytest.mark.slow

@@ -169,7 +169,7 @@ def reference(
     """Return pressures, bends, line amount, drawn and lost amounts by LSODA, shape (times, 15)."""
     n = spec.segments
     actuator = spec.actuator
-    air = chambers.plumbing
+    air = chambers.parameters
     fill, vent = (1e5 * c for c in chambers.conductances)
 
     def look(y):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.integrate import cumulative_simpson
 
-from srs_twin.recordings.body.trajectories import moving_slope
+from srs_twin.recordings.body.trajectories import moving_derivative
 from srs_twin.robot.geometry import arc_between, measured_bend, pair_heading
 
 pytestmark = pytest.mark.fast
@@ -63,7 +63,8 @@ def test_impossible_curvature_gives_a_half_circle():
 def test_slope_of_a_line_is_exact_everywhere(start, slope, half, seed):
     time = start + np.cumsum(np.random.default_rng(seed).uniform(0.005, 0.02, 30))
     assert (
-        np.abs(moving_slope(time, 3 + slope * time[:, None], half) - slope).max() < 1e-7
+        np.abs(moving_derivative(time, 3 + slope * time[:, None], half) - slope).max()
+        < 1e-7
     )
 
 
@@ -73,7 +74,7 @@ def test_oscillation_is_attenuated_as_stated_without_lag(rate):
     omega = 2 * np.pi * 0.6
     n = np.arange(1, 6)
     kept = 3 * (n * np.sin(n * omega / rate)).sum() / (5 * 6 * 5.5 * omega / rate)
-    found = moving_slope(time, np.sin(omega * time))[5:-5]
+    found = moving_derivative(time, np.sin(omega * time))[5:-5]
     assert np.abs(found - kept * omega * np.cos(omega * time[5:-5])).max() < 1e-9
 
 
@@ -81,7 +82,7 @@ def test_slope_equals_that_of_the_least_squares_line():
     random = np.random.default_rng(0)
     time = np.cumsum(random.uniform(0.01, 0.1, 40))
     values = random.standard_normal((40, 3))
-    found = moving_slope(time, values)
+    found = moving_derivative(time, values)
     for k in (0, 3, 20, 39):
         rows = slice(max(0, k - 5), k + 6)
         assert found[k] == pytest.approx(

@@ -344,10 +344,11 @@ def test_bench_replay_command(bench, srs_twin, tmp_path):
         cwd=tmp_path,
     )
     assert again.returncode == 0, again.stderr
-    refused = srs_twin(*words, "--bench", "--law", "axis", cwd=tmp_path)
+    refused = srs_twin(*words, "--bench", "--friction-law", "axis", cwd=tmp_path)
     assert (
         refused.returncode == 2
-        and "--law: remove this option; on a bench there is no floor" in refused.stderr
+        and "--friction-law: remove this option; on a bench there is no floor"
+        in refused.stderr
     )
     floor = srs_twin(*words, "-q", cwd=tmp_path)
     assert floor.returncode == 2 and "bends alone do not tell" in floor.stderr

@@ -63,7 +63,7 @@ ORIGINAL = {
     "follow-causes": None,
     "table10": None,
 }
-LAWS = {
+LAW_CLAIMS = {
     "friction-spring-car",
     "gen1-no-turn",
     "gen2-straight",
@@ -134,7 +134,7 @@ def test_bounds_of_every_row_are_those_of_the_committed_table():
 def test_uses_are_the_original_ones():
     assert all(
         row.use == "law"
-        for claim in LAWS
+        for claim in LAW_CLAIMS
         for row in rows_of(claim)
         if row.id != "table9.larger"
     )
@@ -242,8 +242,8 @@ ROW = """\
         ("  measure:", "  mesure:", "unknown key; did you mean measure?"),
         (
             "scenario: gen2_straight",
-            "scenario: x, law: y",
-            "give exactly one of scenario, sweep and law",
+            "scenario: x, computation: y",
+            "give exactly one of scenario, sweep and computation",
         ),
         ("value: 0.2", "value: .nan", "must be a number"),
         ("- id: one", f"{ROW}- id: one", "the row one is listed 2 times; list it once"),

@@ -42,8 +42,8 @@ FIGURE = (
         ("fig38}", "fig3}", "[0].of[0].sweep: unknown sweep 'fig3'; did you mean"),
         (
             "{sweep: fig38}",
-            "{law: turn_limt}",
-            "unknown law 'turn_limt'; did you mean turn_limit?",
+            "{computation: turn_limt}",
+            "unknown computation 'turn_limt'; did you mean turn_limit?",
         ),
         ("caption", "captoin", "unknown key; did you mean caption?"),
         (FIGURE, "{}\n", "must be a list of figures"),

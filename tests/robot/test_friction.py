@@ -13,33 +13,37 @@ from srs_twin.robot import friction
 
 pytestmark = pytest.mark.fast
 
-LAWS = {name: getattr(friction, name) for name in friction.LAWS}
+FRICTION_LAWS = {name: getattr(friction, name) for name in friction.FRICTION_LAWS}
 LOAD = 0.3
 SPEED = st.floats(-1, 1, allow_subnormal=False)
 MU = st.floats(0, 1.2, allow_subnormal=False)
 SLIP = st.floats(1e-4, 0.1)
-EACH_LAW = pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
+EACH_FRICTION_LAW = pytest.mark.parametrize(
+    "friction_law", FRICTION_LAWS.values(), ids=FRICTION_LAWS
+)
 
 
-def forces(law, v_t, v_n, mu_t, mu_n, slip=1e-3):
-    return law(v_t, v_n, LOAD, mu_t, mu_n, slip)[:2]
+def forces(friction_law, v_t, v_lat, mu_t, mu_n, slip=1e-3):
+    return friction_law(v_t, v_lat, LOAD, mu_t, mu_n, slip)[:2]
 
 
-@EACH_LAW
-@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
+@EACH_FRICTION_LAW
+@given(v_t=SPEED, v_lat=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
+def test_derivatives_match_finite_differences(
+    friction_law, v_t, v_lat, mu_t, mu_n, slip
+):
     # The wheel law has kinks at the transition from rolling to skidding and at v_t = 0.
-    fraction = mu_n * abs(v_t) / math.sqrt(v_t**2 + v_n**2 + slip**2)
+    fraction = mu_n * abs(v_t) / math.sqrt(v_t**2 + v_lat**2 + slip**2)
     assume(
-        law is not friction.wheel
+        friction_law is not friction.wheel
         or (abs(fraction - mu_t) > 1e-3 and (fraction < mu_t or abs(v_t) > 1e-3))
     )
     h = 1e-5 * slip
-    derivatives = law(v_t, v_n, LOAD, mu_t, mu_n, slip)[2:]
-    ahead = forces(law, v_t + h, v_n, mu_t, mu_n, slip)
-    behind = forces(law, v_t - h, v_n, mu_t, mu_n, slip)
-    left = forces(law, v_t, v_n + h, mu_t, mu_n, slip)
-    right = forces(law, v_t, v_n - h, mu_t, mu_n, slip)
+    derivatives = friction_law(v_t, v_lat, LOAD, mu_t, mu_n, slip)[2:]
+    ahead = forces(friction_law, v_t + h, v_lat, mu_t, mu_n, slip)
+    behind = forces(friction_law, v_t - h, v_lat, mu_t, mu_n, slip)
+    left = forces(friction_law, v_t, v_lat + h, mu_t, mu_n, slip)
+    right = forces(friction_law, v_t, v_lat - h, mu_t, mu_n, slip)
     steepest = LOAD * max(mu_t, mu_n) / slip
     differences = [
         (ahead[0] - behind[0]) / (2 * h),
@@ -50,40 +54,40 @@ def test_derivatives_match_finite_differences(law, v_t, v_n, mu_t, mu_n, slip):
     assert derivatives == pytest.approx(differences, abs=1e-5 * steepest + 1e-7)
 
 
-@EACH_LAW
-@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_friction_never_does_positive_work(law, v_t, v_n, mu_t, mu_n, slip):
-    f_t, f_n = forces(law, v_t, v_n, mu_t, mu_n, slip)
+@EACH_FRICTION_LAW
+@given(v_t=SPEED, v_lat=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
+def test_friction_never_does_positive_work(friction_law, v_t, v_lat, mu_t, mu_n, slip):
+    f_t, f_lat = forces(friction_law, v_t, v_lat, mu_t, mu_n, slip)
     assert f_t * v_t <= 0
-    assert f_n * v_n <= 0
+    assert f_lat * v_lat <= 0
 
 
-@EACH_LAW
-@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU)
-def test_reversed_motion_reverses_the_force(law, v_t, v_n, mu_t, mu_n):
-    there = forces(law, v_t, v_n, mu_t, mu_n)
-    back = forces(law, -v_t, -v_n, mu_t, mu_n)
+@EACH_FRICTION_LAW
+@given(v_t=SPEED, v_lat=SPEED, mu_t=MU, mu_n=MU)
+def test_reversed_motion_reverses_the_force(friction_law, v_t, v_lat, mu_t, mu_n):
+    there = forces(friction_law, v_t, v_lat, mu_t, mu_n)
+    back = forces(friction_law, -v_t, -v_lat, mu_t, mu_n)
     assert back == pytest.approx([-f for f in there], abs=1e-15)
 
 
-@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
+@given(v_t=SPEED, v_lat=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
 def test_axis_law_stays_in_its_box_and_wheel_law_in_its_cone(
-    v_t, v_n, mu_t, mu_n, slip
+    v_t, v_lat, mu_t, mu_n, slip
 ):
-    f_t, f_n = forces(friction.axis, v_t, v_n, mu_t, mu_n, slip)
+    f_t, f_lat = forces(friction.axis, v_t, v_lat, mu_t, mu_n, slip)
     assert abs(f_t) <= LOAD * mu_t * (1 + 1e-12)
-    assert abs(f_n) <= LOAD * mu_n * (1 + 1e-12)
-    f_t, f_n = forces(friction.wheel, v_t, v_n, mu_t, mu_n, slip)
-    assert math.hypot(f_t, f_n) <= LOAD * mu_n * (1 + 1e-12)
+    assert abs(f_lat) <= LOAD * mu_n * (1 + 1e-12)
+    f_t, f_lat = forces(friction.wheel, v_t, v_lat, mu_t, mu_n, slip)
+    assert math.hypot(f_t, f_lat) <= LOAD * mu_n * (1 + 1e-12)
     assert abs(f_t) <= LOAD * mu_t * (1 + 1e-12)
 
 
 @given(SPEED, SPEED, MU, SLIP, st.floats(1, 3))
-def test_wheel_with_a_locked_axle_slides_isotropically(v_t, v_n, mu_n, slip, excess):
-    f_t, f_n = forces(friction.wheel, v_t, v_n, mu_n * excess, mu_n, slip)
-    speed = math.sqrt(v_t**2 + v_n**2 + slip**2)
-    assert (f_t, f_n) == pytest.approx(
-        (-LOAD * mu_n * v_t / speed, -LOAD * mu_n * v_n / speed), abs=1e-12
+def test_wheel_with_a_locked_axle_slides_isotropically(v_t, v_lat, mu_n, slip, excess):
+    f_t, f_lat = forces(friction.wheel, v_t, v_lat, mu_n * excess, mu_n, slip)
+    speed = math.sqrt(v_t**2 + v_lat**2 + slip**2)
+    assert (f_t, f_lat) == pytest.approx(
+        (-LOAD * mu_n * v_t / speed, -LOAD * mu_n * v_lat / speed), abs=1e-12
     )
 
 
@@ -102,10 +106,10 @@ def test_wheel_law_is_continuous_where_rolling_begins():
     mu_t = 0.1
     mu_n = 0.6
     slip = 1e-3
-    v_n = 0.2
-    edge = mu_t * math.sqrt((v_n**2 + slip**2) / (mu_n**2 - mu_t**2))
+    v_lat = 0.2
+    edge = mu_t * math.sqrt((v_lat**2 + slip**2) / (mu_n**2 - mu_t**2))
     below, above = (
-        forces(friction.wheel, edge * k, v_n, mu_t, mu_n, slip)
+        forces(friction.wheel, edge * k, v_lat, mu_t, mu_n, slip)
         for k in (1 - 1e-9, 1 + 1e-9)
     )
     assert below == pytest.approx(above, rel=1e-7)
@@ -113,7 +117,7 @@ def test_wheel_law_is_continuous_where_rolling_begins():
 
 
 def spinning_wheel(
-    v_t: float, v_n: float, mu_t: float, mu_n: float
+    v_t: float, v_lat: float, mu_t: float, mu_n: float
 ) -> tuple[float, float]:
     """Return the steady floor force on a wheel towed at v_t along and v_n across, N.
 
@@ -127,9 +131,9 @@ def spinning_wheel(
     rim = 0.0  # ω R
     for _ in range(40_000):
         creep = v_t - rim
-        slide = math.sqrt(creep**2 + v_n**2 + tiny**2)
+        slide = math.sqrt(creep**2 + v_lat**2 + tiny**2)
         f_t = -mu_n * LOAD * creep / slide
-        f_n = -mu_n * LOAD * v_n / slide
+        f_lat = -mu_n * LOAD * v_lat / slide
         # The floor force changes the spin; the axle friction opposes the spin or locks
         # the wheel.
         turning = rim - step * f_t * radius**2 / inertia
@@ -138,13 +142,13 @@ def spinning_wheel(
         if abs(after - rim) < 1e-12:
             break
         rim = after
-    return f_t, f_n
+    return f_t, f_lat
 
 
 @pytest.mark.default_cases(3)
 @pytest.mark.parametrize("mu_t", [0.043, 0.3, 0.9])
 @pytest.mark.parametrize(
-    ("v_t", "v_n"),
+    ("v_t", "v_lat"),
     [
         (0.3, 0.0),
         (0.3, 0.1),
@@ -155,30 +159,34 @@ def spinning_wheel(
         (0.2, 0.01),
     ],
 )
-def test_wheel_law_equals_a_simulated_spinning_wheel(v_t, v_n, mu_t):
+def test_wheel_law_equals_a_simulated_spinning_wheel(v_t, v_lat, mu_t):
     mu_n = 0.57
-    expected = spinning_wheel(v_t, v_n, mu_t, mu_n)
-    force = forces(friction.wheel, v_t, v_n, mu_t, mu_n, 1e-4)
+    expected = spinning_wheel(v_t, v_lat, mu_t, mu_n)
+    force = forces(friction.wheel, v_t, v_lat, mu_t, mu_n, 1e-4)
     assert force == pytest.approx(expected, abs=0.005 * LOAD * mu_n)
 
 
-def at_slip(law, degrees: float, mu_t: float, mu_n: float) -> tuple[float, float]:
+def at_slip(
+    friction_law, degrees: float, mu_t: float, mu_n: float
+) -> tuple[float, float]:
     """Return the force at 0.1 m/s in a direction at an angle to the heading."""
     angle = math.radians(degrees)
-    return forces(law, 0.1 * math.cos(angle), 0.1 * math.sin(angle), mu_t, mu_n, 1e-6)
+    return forces(
+        friction_law, 0.1 * math.cos(angle), 0.1 * math.sin(angle), mu_t, mu_n, 1e-6
+    )
 
 
 @given(SPEED, SPEED, st.floats(0.01, 1.2), st.floats(0.01, 1.2), SLIP)
 def test_ellipse_law_stays_in_its_ellipse_and_reaches_its_boundary(
-    v_t, v_n, mu_t, mu_n, slip
+    v_t, v_lat, mu_t, mu_n, slip
 ):
-    def filled(v_t, v_n):
-        f_t, f_n = forces(friction.ellipse, v_t, v_n, mu_t, mu_n, slip)
-        return math.hypot(f_t / mu_t, f_n / mu_n) / LOAD
+    def filled(v_t, v_lat):
+        f_t, f_lat = forces(friction.ellipse, v_t, v_lat, mu_t, mu_n, slip)
+        return math.hypot(f_t / mu_t, f_lat / mu_n) / LOAD
 
-    assert filled(v_t, v_n) <= 1 + 1e-12
-    assume(math.hypot(v_t, v_n) > 1e-3)
-    assert filled(v_t * 1e7, v_n * 1e7) == pytest.approx(1, rel=1e-4)
+    assert filled(v_t, v_lat) <= 1 + 1e-12
+    assume(math.hypot(v_t, v_lat) > 1e-3)
+    assert filled(v_t * 1e7, v_lat * 1e7) == pytest.approx(1, rel=1e-4)
 
 
 @given(st.floats(-3.2, 3.2), st.floats(0.02, 1.2), st.floats(0.02, 1.2))
@@ -232,7 +240,8 @@ def test_skid_has_less_axial_drag_than_the_axis_law_at_15_degrees_of_slip(
     mu_t, mu_n, times
 ):
     axis, ellipse = (
-        at_slip(law, 15, mu_t, mu_n) for law in (friction.axis, friction.ellipse)
+        at_slip(friction_law, 15, mu_t, mu_n)
+        for friction_law in (friction.axis, friction.ellipse)
     )
     assert axis[0] / ellipse[0] == pytest.approx(times, abs=0.01)
     assert times == pytest.approx(
@@ -241,29 +250,35 @@ def test_skid_has_less_axial_drag_than_the_axis_law_at_15_degrees_of_slip(
     assert axis[1] / ellipse[1] == pytest.approx(1, abs=0.15)
 
 
-@EACH_LAW
-def test_zero_coefficients_give_zero_force(law):
+@EACH_FRICTION_LAW
+def test_zero_coefficients_give_zero_force(friction_law):
     for v in ((0.1, -0.2), (0.0, 0.0)):
-        assert list(law(*v, LOAD, 0.0, 0.0, 1e-3)) == pytest.approx([0] * 6, abs=1e-15)
-        force = law(*v, LOAD, 0.0, 0.5, 1e-3)
+        assert list(friction_law(*v, LOAD, 0.0, 0.0, 1e-3)) == pytest.approx(
+            [0] * 6, abs=1e-15
+        )
+        force = friction_law(*v, LOAD, 0.0, 0.5, 1e-3)
         assert np.isfinite(force).all() and force[0] == pytest.approx(0, abs=1e-15)
 
 
-@EACH_LAW
-@given(v_t=SPEED, v_n=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
-def test_mixed_derivatives_are_equal_except_of_cosine(law, v_t, v_n, mu_t, mu_n, slip):
+@EACH_FRICTION_LAW
+@given(v_t=SPEED, v_lat=SPEED, mu_t=MU, mu_n=MU, slip=SLIP)
+def test_mixed_derivatives_are_equal_except_of_cosine(
+    friction_law, v_t, v_lat, mu_t, mu_n, slip
+):
     """Other laws have a potential; the kernels store only one of their two mixed derivatives."""
-    _, _, _, t_by_n, n_by_t, _ = law(v_t, v_n, LOAD, mu_t, mu_n, slip)
-    fraction_t, fraction_n = (mu_n, mu_t) if law is friction.cosine else (1.0, 1.0)
+    _, _, _, t_by_n, n_by_t, _ = friction_law(v_t, v_lat, LOAD, mu_t, mu_n, slip)
+    fraction_t, fraction_n = (
+        (mu_n, mu_t) if friction_law is friction.cosine else (1.0, 1.0)
+    )
     assert fraction_t * t_by_n == pytest.approx(
         fraction_n * n_by_t, rel=1e-12, abs=1e-15
     )
 
 
-@given(v_t=SPEED, v_n=SPEED, mu=MU, slip=SLIP)
-def test_laws_of_isotropic_skin_agree(v_t, v_n, mu, slip):
-    assert forces(friction.cosine, v_t, v_n, mu, mu, slip) == pytest.approx(
-        forces(friction.ellipse, v_t, v_n, mu, mu, slip), rel=1e-9, abs=1e-12
+@given(v_t=SPEED, v_lat=SPEED, mu=MU, slip=SLIP)
+def test_laws_of_isotropic_skin_agree(v_t, v_lat, mu, slip):
+    assert forces(friction.cosine, v_t, v_lat, mu, mu, slip) == pytest.approx(
+        forces(friction.ellipse, v_t, v_lat, mu, mu, slip), rel=1e-9, abs=1e-12
     )
 
 
@@ -271,31 +286,42 @@ def test_laws_of_isotropic_skin_agree(v_t, v_n, mu, slip):
     angle=st.floats(0, 2 * math.pi), mu_t=st.floats(0.05, 1), mu_n=st.floats(0.05, 1)
 )
 def test_sliding_skin_is_on_its_friction_ellipse(angle, mu_t, mu_n):
-    for law in friction.SKIN_LAWS:
-        f_t, f_n = forces(LAWS[law], math.cos(angle), math.sin(angle), mu_t, mu_n, 1e-9)
-        assert math.hypot(f_t / mu_t, f_n / mu_n) == pytest.approx(LOAD, rel=1e-9)
+    for friction_law in friction.SKIN_LAWS:
+        f_t, f_lat = forces(
+            FRICTION_LAWS[friction_law],
+            math.cos(angle),
+            math.sin(angle),
+            mu_t,
+            mu_n,
+            1e-9,
+        )
+        assert math.hypot(f_t / mu_t, f_lat / mu_n) == pytest.approx(LOAD, rel=1e-9)
 
 
-@EACH_LAW
-def test_compiled_scalars_equal_arrays(law):
-    v_t, v_n = np.random.default_rng(1).uniform(-0.1, 0.1, size=(2, 20))
-    whole = law(v_t, v_n, LOAD, 0.1, 0.5, 1e-2)
-    scalar = njit(law)
+@EACH_FRICTION_LAW
+def test_compiled_scalars_equal_arrays(friction_law):
+    v_t, v_lat = np.random.default_rng(1).uniform(-0.1, 0.1, size=(2, 20))
+    whole = friction_law(v_t, v_lat, LOAD, 0.1, 0.5, 1e-2)
+    scalar = njit(friction_law)
     for k in range(20):
         assert [part[k] for part in whole] == pytest.approx(
-            scalar(v_t[k], v_n[k], LOAD, 0.1, 0.5, 1e-2)
+            scalar(v_t[k], v_lat[k], LOAD, 0.1, 0.5, 1e-2)
         )
 
 
 def test_two_point_laws_are_laws():
-    assert {"wheel", "ellipse"} <= set(friction.TWO_POINT_LAWS) <= set(friction.LAWS)
+    assert (
+        {"wheel", "ellipse"}
+        <= set(friction.TWO_POINT_LAWS)
+        <= set(friction.FRICTION_LAWS)
+    )
 
 
 def test_laws_are_elementwise():
     generator = np.random.default_rng(0)
     v = generator.uniform(-0.1, 0.1, size=(2, 3, 4))
-    for law in LAWS.values():
-        whole = law(v[0], v[1], LOAD, 0.1, 0.5, 1e-2)
+    for friction_law in FRICTION_LAWS.values():
+        whole = friction_law(v[0], v[1], LOAD, 0.1, 0.5, 1e-2)
         for index in np.ndindex(3, 4):
-            single = law(v[0][index], v[1][index], LOAD, 0.1, 0.5, 1e-2)
+            single = friction_law(v[0][index], v[1][index], LOAD, 0.1, 0.5, 1e-2)
             assert [part[index] for part in whole] == pytest.approx(single, rel=1e-14)

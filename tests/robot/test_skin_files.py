@@ -45,7 +45,10 @@ def test_numbers_of_a_skin_reach_the_robot():
         0.14,
         0.5,
     )
-    assert spec.skin is not None and (spec.skin.law, spec.skin.points) == ("cosine", 6)
+    assert spec.skin is not None and (spec.skin.friction_law, spec.skin.points) == (
+        "cosine",
+        6,
+    )
     assert spec.mass.segments == (0.025,) * 8 and spec.mass.total == pytest.approx(0.2)
     assert (
         spec.mass.connectors[0] == 0.0125
@@ -124,7 +127,10 @@ def test_overrides_change_the_skin():
         set={"robot.contact.law": "ellipse", "robot.contact.transverse": 0.8},
     )
     assert scenario.robot.skin is not None
-    assert (scenario.robot.skin.law, scenario.robot.friction.mu_n) == ("ellipse", 0.8)
+    assert (scenario.robot.skin.friction_law, scenario.robot.friction.mu_n) == (
+        "ellipse",
+        0.8,
+    )
 
 
 DATA = {

@@ -225,10 +225,10 @@ def test_each_world_has_individual_parameters(contact):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["cosine", "ellipse"])
-def test_skin_agrees_with_the_cpu_engine(law, capfd):
+@pytest.mark.parametrize("friction_law", ["cosine", "ellipse"])
+def test_skin_agrees_with_the_cpu_engine(friction_law, capfd):
     base = load_robot("skin_example")
-    spec = replace(base, skin=replace(base.skin, law=law))
+    spec = replace(base, skin=replace(base.skin, friction_law=friction_law))
     other = replace(spec, friction=replace(spec.friction, mu_back=0.2, mu_n=0.3))
     here, there = both([spec, other], [(1.0, 0.0), (1.0, 0.2)], 0.1)
     assert (

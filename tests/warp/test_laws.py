@@ -40,7 +40,7 @@ def evaluated():
     """Return a function that evaluates the law in Warp for constants, states and previous forces."""
     floor = FloorLaw(0, 0.0, 0.0, 0.0, 0.0, 0.0)
     struct = warp_struct(Constants(1, floor, 0.0))
-    laws = as_warp_functions(
+    functions = as_warp_functions(
         [
             stick_slip_friction,
             skin_friction,
@@ -49,7 +49,7 @@ def evaluated():
             _friction_law,
         ]
     )
-    law = laws["_friction_law"]
+    friction_law = functions["_friction_law"]
     All = struct.batched
     select = struct.select
 
@@ -61,7 +61,7 @@ def evaluated():
         out: wp.array2d(dtype=float),
     ):
         i = wp.tid()
-        traction, rim = law(
+        traction, rim = friction_law(
             select(constants, i),
             0,
             state[i, 0],
@@ -94,8 +94,8 @@ def evaluated():
 @pytest.mark.parametrize(
     "skin", [False, True], ids=["same both ways", "differs backwards"]
 )
-@pytest.mark.parametrize("law", LAWS_ON_LOADS)
-def test_every_law_of_the_twin_agrees_in_warp(evaluated, law, skin):
+@pytest.mark.parametrize("friction_law", LAWS_ON_LOADS)
+def test_every_law_of_the_twin_agrees_in_warp(evaluated, friction_law, skin):
     """A law that Warp cannot translate stops the engine for all laws."""
     rng = np.random.default_rng(5)
     velocity = rng.choice([-1, 1], (CONTACTS, 3)) * 10 ** rng.uniform(
@@ -110,7 +110,7 @@ def test_every_law_of_the_twin_agrees_in_warp(evaluated, law, skin):
         Constants(
             wheels=1,
             floor=FloorLaw(
-                kind=LAWS_ON_LOADS.index(law),
+                friction_law_index=LAWS_ON_LOADS.index(friction_law),
                 forward=t,
                 across=n,
                 slip_speed=1e-3,

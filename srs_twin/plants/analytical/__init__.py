@@ -76,7 +76,7 @@ class AnalyticalSnake(PneumaticPlant):
         options: assumptions and numerical settings.
         timestep: maximum step of the integrator, s. Valve events also end a step.
         body: mechanics of the model.
-        friction: friction law of the floor, one of `robot.friction.LAWS`.
+        friction: friction law of the floor, one of `robot.friction.FRICTION_LAWS`.
     """
 
     name = "analytical"
@@ -134,7 +134,7 @@ class AnalyticalSnake(PneumaticPlant):
     @property
     def friction(self) -> str:
         """Friction law of the floor."""
-        return self.options.law_on(self.spec)
+        return self.options.friction_law_on(self.spec)
 
     def _make_floor(self) -> FloorFriction:
         spec = self.spec

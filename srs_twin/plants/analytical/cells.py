@@ -209,14 +209,18 @@ A force within the transition is divided between the two halves.
 def cells_of_skin(spec: RobotSpec) -> Cells:
     """Return the cells of a robot with skin, with masses from the trapezoidal rule."""
     assert spec.skin is not None and spec.mass.segments is not None, "a robot with skin"
-    division = Discretisation.of(spec.geometry, spec.skin.points)
-    cells = np.outer(spec.mass.segments, division.length / spec.geometry.pitch).ravel()
-    return Cells(spec, division, (np.append(0.0, cells) + np.append(cells, 0.0)) / 2)
+    discretisation = Discretisation.of(spec.geometry, spec.skin.points)
+    cells = np.outer(
+        spec.mass.segments, discretisation.length / spec.geometry.pitch
+    ).ravel()
+    return Cells(
+        spec, discretisation, (np.append(0.0, cells) + np.append(cells, 0.0)) / 2
+    )
 
 
 def cells_of_wheels(spec: RobotSpec, count: int) -> Cells:
     """Return about `count` cells per segment of a robot on wheels."""
-    division = Discretisation.of(spec.geometry, count)
-    mass = np.zeros(spec.segments * len(division.fraction) + 1)
-    mass[:: len(division.fraction)] = spec.mass.array()
-    return Cells(spec, division, mass)
+    discretisation = Discretisation.of(spec.geometry, count)
+    mass = np.zeros(spec.segments * len(discretisation.fraction) + 1)
+    mass[:: len(discretisation.fraction)] = spec.mass.array()
+    return Cells(spec, discretisation, mass)

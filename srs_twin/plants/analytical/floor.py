@@ -41,7 +41,7 @@ import numpy as np
 from srs_twin.compute.compiled import compiled, inlined, kernel_only, overload_part
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
 from srs_twin.robot import friction
-from srs_twin.robot.friction import LAWS
+from srs_twin.robot.friction import FRICTION_LAWS
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 
@@ -112,8 +112,10 @@ class ContactTerms(NamedTuple):
 
 
 @compiled
-def _one_contact(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    t, n, tt, tn, _, nn = law(along, across, weight, floor.mu_t, floor.mu_n, floor.slip)
+def _one_contact(friction_law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+    t, n, tt, tn, _, nn = friction_law(
+        along, across, weight, floor.mu_t, floor.mu_n, floor.slip
+    )
     return ContactTerms(t, n, 0.0, tt, tn, 0.0, tn, nn, 0.0, 0.0, 0.0)
 
 
@@ -139,20 +141,24 @@ def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _two_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+def _two_contacts(friction_law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     arm = floor.track
     half = weight / 2
-    left = law(along - spin * arm, across, half, floor.mu_t, floor.mu_n, floor.slip)
-    right = law(along + spin * arm, across, half, floor.mu_t, floor.mu_n, floor.slip)
+    left = friction_law(
+        along - spin * arm, across, half, floor.mu_t, floor.mu_n, floor.slip
+    )
+    right = friction_law(
+        along + spin * arm, across, half, floor.mu_t, floor.mu_n, floor.slip
+    )
     return _sum_pair(left, right, 1.0, 1.0, arm)
 
 
 @inlined
-def _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # type: ignore[no-untyped-def]
+def _loaded_pair(friction_law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # type: ignore[no-untyped-def]
     # `v_a` and `v_b` are the velocities of the left and right contact along the
     # heading.
-    left = law(v_a, across, 1.0, mu_a, floor.mu_n, floor.slip)
-    right = law(v_b, across, 1.0, mu_b, floor.mu_n, floor.slip)
+    left = friction_law(v_a, across, 1.0, mu_a, floor.mu_n, floor.slip)
+    right = friction_law(v_b, across, 1.0, mu_b, floor.mu_n, floor.slip)
     a_n = left[1]
     b_n = right[1]
     lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
@@ -162,30 +168,34 @@ def _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # type: ign
 
 
 @compiled
-def _two_loaded_contacts(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+def _two_loaded_contacts(friction_law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     v_a = along - spin * floor.track
     v_b = along + spin * floor.track
     mu = floor.mu_t
-    return _loaded_pair(law, v_a, v_b, mu, mu, across, weight, floor)
+    return _loaded_pair(friction_law, v_a, v_b, mu, mu, across, weight, floor)
 
 
 @compiled
-def _skin(law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
+def _skin(friction_law, along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
     v_a = along - spin * floor.track
     v_b = along + spin * floor.track
     mu_a = floor.mu_t if v_a >= 0.0 else floor.mu_back
     mu_b = floor.mu_t if v_b >= 0.0 else floor.mu_back
-    return _loaded_pair(law, v_a, v_b, mu_a, mu_b, across, weight, floor)
+    return _loaded_pair(friction_law, v_a, v_b, mu_a, mu_b, across, weight, floor)
 
 
-_LAWS = tuple(compiled(getattr(friction, name)) for name in LAWS)
+_FRICTION_LAWS = tuple(compiled(getattr(friction, name)) for name in FRICTION_LAWS)
 _CONTACTS = (_one_contact, _two_contacts, _two_loaded_contacts, _skin)
-_CASES = tuple((contacts, law) for contacts in _CONTACTS for law in _LAWS)
-_COSINE = LAWS.index("cosine")
+_CASES = tuple(
+    (contacts, friction_law)
+    for contacts in _CONTACTS
+    for friction_law in _FRICTION_LAWS
+)
+_COSINE = FRICTION_LAWS.index("cosine")
 
 
 def floor_friction(
-    law: str,
+    friction_law: str,
     track: float,
     mu_t: float,
     mu_n: float,
@@ -197,7 +207,7 @@ def floor_friction(
     """Return a level floor without drag at a time unit of 1.
 
     Args:
-        law: friction law, one of `robot.friction.LAWS`.
+        friction_law: friction law, one of `robot.friction.FRICTION_LAWS`.
         track: distance of the two contacts from the centre line, m. The value 0 means
             one contact per connector.
         mu_t: friction coefficient along the heading, dimensionless.
@@ -207,7 +217,7 @@ def floor_friction(
             dimensionless.
         mu_back: friction coefficient for slip towards the tail, or None for wheels.
     """
-    if mu_back is not None or law == "cosine":
+    if mu_back is not None or friction_law == "cosine":
         contacts = _skin
     elif track != 0.0 and load_transfer != 0.0:
         contacts = _two_loaded_contacts
@@ -215,7 +225,9 @@ def floor_friction(
         contacts = _two_contacts
     else:
         contacts = _one_contact
-    case = LAWS.index(law) + len(LAWS) * _CONTACTS.index(contacts)
+    case = FRICTION_LAWS.index(friction_law) + len(FRICTION_LAWS) * _CONTACTS.index(
+        contacts
+    )
     return FloorFriction(
         case=(None,) * case,
         track=track,
@@ -269,8 +281,10 @@ def connector_friction(along, across, spin, weight, floor) -> Any:  # type: igno
         weight: total normal load of the contacts, N.
         floor: friction parameters of the floor.
     """
-    contacts, law = _CASES[len(floor.case)]
-    return _add_drag(contacts(law, along, across, spin, weight, floor), along, floor)
+    contacts, friction_law = _CASES[len(floor.case)]
+    return _add_drag(
+        contacts(friction_law, along, across, spin, weight, floor), along, floor
+    )
 
 
 @compiled
@@ -298,9 +312,9 @@ def _add_drag(terms, along, floor):  # type: ignore[no-untyped-def]
 
 @overload_part(connector_friction)
 def _compile_connector_friction(along, across, spin, weight, floor):  # type: ignore[no-untyped-def]
-    contacts, law = _CASES[floor.types[floor.fields.index("case")].count]
+    contacts, friction_law = _CASES[floor.types[floor.fields.index("case")].count]
     return lambda along, across, spin, weight, floor: _add_drag(
-        contacts(law, along, across, spin, weight, floor), along, floor
+        contacts(friction_law, along, across, spin, weight, floor), along, floor
     )
 
 
@@ -449,7 +463,7 @@ def _unsymmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
 
 
 def _forces_of_case(case: int) -> Any:
-    if case % len(LAWS) == _COSINE:
+    if case % len(FRICTION_LAWS) == _COSINE:
         return _unsymmetric_forces
     return _symmetric_forces
 
@@ -518,7 +532,7 @@ def slide(
     velocity: tuple[float, float],
     times: np.ndarray,
     *,
-    law: str,
+    friction_law: str,
     mu_t: float,
     mu_n: float,
     fraction: float = 0.0,
@@ -528,7 +542,7 @@ def slide(
     Args:
         velocity: initial velocities along and across the heading, m/s.
         times: times of the positions, ascending from 0, shape (times,), s.
-        law: friction law, one of `robot.friction.LAWS`.
+        friction_law: friction law, one of `robot.friction.FRICTION_LAWS`.
         mu_t: friction coefficient along the heading, dimensionless.
         mu_n: friction coefficient across the heading, dimensionless.
         fraction: relative inertia s of the wheels (`spin_fraction`), dimensionless.
@@ -536,7 +550,9 @@ def slide(
     Returns:
         Positions along and across the heading, shape (times, 2), m.
     """
-    floor = floor_friction(law, 0.0, mu_t / (1 + fraction), mu_n, _COASTING_SLIP_SPEED)
+    floor = floor_friction(
+        friction_law, 0.0, mu_t / (1 + fraction), mu_n, _COASTING_SLIP_SPEED
+    )
     position = np.empty((len(times), 2))
     _fill_positions(
         float(velocity[0]),

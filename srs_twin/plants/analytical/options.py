@@ -10,7 +10,7 @@ from srs_twin.compute.arrays import check_positive
 from srs_twin.errors import InputError, check_choice
 from srs_twin.io.arguments import check_types
 from srs_twin.plants.base import BASES, refusals
-from srs_twin.robot.friction import LAWS, TWO_POINT_LAWS
+from srs_twin.robot.friction import FRICTION_LAWS, TWO_POINT_LAWS
 from srs_twin.robot.rules import Violation, raise_violations
 from srs_twin.robot.scale import SHIPPED, Scale, divide
 from srs_twin.robot.spec import RobotSpec
@@ -112,7 +112,7 @@ class AnalyticalOptions:
     def __post_init__(self) -> None:
         check_types("AnalyticalSnake", AnalyticalOptions, vars(self))
         check_choice("model", self.model, MODELS)
-        check_choice("friction law", self.friction, LAWS)
+        check_choice("friction law", self.friction, FRICTION_LAWS)
         check_choice("load", self.load, LOADS)
         check_choice("inertia", self.inertia, INERTIAS)
         check_choice("base", self.base, BASES)
@@ -127,15 +127,15 @@ class AnalyticalOptions:
                 f"cells {self.cells} is not allowed; a segment needs 1 or more cells"
             )
 
-    def law_on(self, spec: RobotSpec) -> str:
+    def friction_law_on(self, spec: RobotSpec) -> str:
         """Return the law of the robot's skin, or `friction` without a skin."""
-        return self.friction if spec.skin is None else spec.skin.law
+        return self.friction if spec.skin is None else spec.skin.friction_law
 
     def track_of(self, spec: RobotSpec) -> float:
         """Return the distance of a robot's contacts from its centre line, m."""
         if self.track is not None:
             return self.track
-        if self.law_on(spec) in TWO_POINT_LAWS:
+        if self.friction_law_on(spec) in TWO_POINT_LAWS:
             return spec.geometry.half_track
         return 0.0
 
@@ -179,12 +179,12 @@ class AnalyticalOptions:
                 "the mass of a body with skin is along its length, not 'lumped'; use"
                 " 'point' or 'connector'",
             )
-        law = self.law_on(spec)
-        if self.load == "instantaneous" and law not in TWO_POINT_LAWS:
+        friction_law = self.friction_law_on(spec)
+        if self.load == "instantaneous" and friction_law not in TWO_POINT_LAWS:
             yield Violation(
                 "load",
-                f"friction '{law}' has one contact per connector; instantaneous loads need"
-                " two: use 'wheel' or 'ellipse'",
+                f"friction '{friction_law}' has one contact per connector; instantaneous"
+                " loads need two: use 'wheel' or 'ellipse'",
             )
         elif self.load == "instantaneous" and self.track_of(spec) == 0.0:
             yield Violation(

@@ -88,10 +88,10 @@ def make_constants(
     assert skin is not None and spec.mass.segments is not None, (
         "spatial robots have a skin"
     )
-    if skin.law != "ellipse":
+    if skin.friction_law != "ellipse":
         raise InputError(
             "model 'quasistatic' needs a friction law with a potential, 'ellipse', not"
-            f" {skin.law!r}"
+            f" {skin.friction_law!r}"
         )
     if spec.actuator.extension:
         raise InputError(

@@ -114,17 +114,17 @@ def _residual(velocity, body, workspace, h, slip, out, with_matrix):  # type: ig
         workspace.load[p] = load
         workspace.force[p, 0] = 0.0
         workspace.force[p, 1] = 0.0
-        if load <= 0.0 and workspace.law_load[p] <= 0.0:
+        if load <= 0.0 and workspace.friction_load[p] <= 0.0:
             continue
         along = across = 0.0
         for i in range(used):
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
-        mu_t = mu.ahead if along >= 0.0 else mu.back
+        mu_t = mu.forward if along >= 0.0 else mu.backward
         # f_t and f_lat are the friction along and across the body. tt, tn and nn are
         # the derivatives of friction with respect to the velocities along and across.
         f_t, f_lat, tt, tn, _, nn = _ellipse(
-            along, across, workspace.law_load[p], mu_t, mu.across, slip
+            along, across, workspace.friction_load[p], mu_t, mu.across, slip
         )
         workspace.force[p, 0] = f_t
         workspace.force[p, 1] = f_lat
@@ -252,8 +252,8 @@ def _solve_step(velocity, state, body, workspace, h, weight):  # type: ignore[no
         _residual(velocity, body, workspace, h, slip, workspace.residual, False)
         largest = 0.0
         for p in range(workspace.load.shape[0]):
-            largest = max(largest, abs(workspace.load[p] - workspace.law_load[p]))
-            workspace.law_load[p] = workspace.load[p]
+            largest = max(largest, abs(workspace.load[p] - workspace.friction_load[p]))
+            workspace.friction_load[p] = workspace.load[p]
         if largest < _LOAD_TOLERANCE * weight:
             break
     return converged
@@ -364,7 +364,7 @@ def advance(now, steps, free, sample_steps, body, workspace, samples):  # type: 
     weight = body.mass.sum() * GRAVITY
     loads = BENDS + 3 * workspace.bend.shape[0] + 3 * points
     for p in range(points):
-        workspace.law_load[p] = state[loads + p]
+        workspace.friction_load[p] = state[loads + p]
     sample = record(state, velocity, sample_steps, 0, 0, samples)
     for step in range(steps.shape[0]):
         done = 0.0

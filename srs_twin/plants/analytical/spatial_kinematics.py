@@ -38,13 +38,13 @@ class SkinFriction(NamedTuple):
     """Friction coefficients of a skin, and the slip speed of the friction law.
 
     Attributes:
-        ahead, back: coefficients for slip towards the head and the tail, dimensionless.
+        ahead, backward: coefficients for slip towards the head and the tail, dimensionless.
         across: coefficient across the heading, dimensionless.
         slip: slip speed ε, m/s.
     """
 
-    ahead: float
-    back: float
+    forward: float
+    backward: float
     across: float
     slip: float
 
@@ -106,8 +106,8 @@ class Workspace(NamedTuple):
             each point, shape (S P, 6, velocities).
         rows: Jacobian from the body's velocities to the contact velocities of each
             point, shape (S P, ROWS, velocities).
-        load, law_load: normal force on each point, and normal force in the friction
-            law, shape (S P,), N.
+        load, friction_load: normal force on each point, and normal force in the
+            friction law, shape (S P,), N.
         force: friction along and across the body, shape (S P, 2), N.
         linear: derivative of the residual without contacts, shape (velocities,
             velocities).
@@ -127,7 +127,7 @@ class Workspace(NamedTuple):
     motion: np.ndarray
     rows: np.ndarray
     load: np.ndarray
-    law_load: np.ndarray
+    friction_load: np.ndarray
     force: np.ndarray
     linear: np.ndarray
     at_rest: np.ndarray

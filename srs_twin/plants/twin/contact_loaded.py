@@ -423,7 +423,7 @@ def _floor_law(spec: RobotSpec, contact: LoadedContact, wheel_spin: float) -> Fl
     # the heading.
     spin_mass = 0.0 if slides else wheel_spin * spec.mass.wheel / 2
     return FloorLaw(
-        kind=LAWS_ON_LOADS.index(contact.law),
+        friction_law_index=LAWS_ON_LOADS.index(contact.law),
         forward=spec.friction.mu_t,
         backward=spec.friction.backward,
         across=spec.friction.mu_n,

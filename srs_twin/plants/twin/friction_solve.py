@@ -356,7 +356,9 @@ def store_friction(contacts, state, workspace, force):  # type: ignore[no-untype
         rim = workspace.response[w, _RIM_SPEED]
         along, across = _contact_velocity(contacts, workspace, w, 0.5)
         power -= f_t * along + f_lat * across
-        slip_along = along - rim if contacts.floor.kind == _WHEEL else along
+        slip_along = (
+            along - rim if contacts.floor.friction_law_index == _WHEEL else along
+        )
         state.slip_speed[w] = np.sqrt(slip_along * slip_along + across * across)
         state.force[w, _FORCE_ALONG] = f_t
         state.force[w, _FORCE_ACROSS] = f_lat
@@ -543,7 +545,7 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
         return grip, 0.0
     inertia = floor.spin_mass / h
     drag = force[_FORCE_ALONG] - force[_STORED_SPIN]
-    if floor.kind == _WHEEL:
+    if floor.friction_law_index == _WHEEL:
         return rolling_friction(
             along,
             across,
@@ -554,7 +556,7 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
             rim,
             inertia,
         )
-    is_cosine = floor.kind == _COSINE
+    is_cosine = floor.friction_law_index == _COSINE
     if is_cosine or floor.backward != mu_t:
         f_t, f_lat, tt, tn, nt, nn = skin_friction(
             along, across, load, floor, drag, force[_FORCE_ACROSS], is_cosine
@@ -562,7 +564,7 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
         # The Newton matrix must be symmetric. With the geometric mean of the two
         # off-diagonal derivatives, the matrix is positive definite.
         return Traction(f_t, f_lat, tt, np.sign(tn) * np.sqrt(tn * nt), nn), along
-    if floor.kind == _ELLIPSE:
+    if floor.friction_law_index == _ELLIPSE:
         grip = stick_slip_friction(
             along, across, load, mu_t, mu_lat, slip, drag, force[_FORCE_ACROSS]
         )

@@ -149,7 +149,7 @@ class TwinSnake(PneumaticPlant):
         """
         contact = as_contact(contact)
         if spec.skin is not None and isinstance(contact, LoadedContact):
-            contact = replace(contact, law=spec.skin.law)
+            contact = replace(contact, law=spec.skin.friction_law)
         unit = spec.scale.time
         if tick is None:
             tick = TICK_S * unit

@@ -49,7 +49,7 @@ class FloorLaw(NamedTuple):
     """Friction of wheels or skin on the floor.
 
     Attributes:
-        kind: friction law, an index into `numerics.LAWS_ON_LOADS`.
+        friction_law_index: friction law, an index into `numerics.LAWS_ON_LOADS`.
         forward, backward: friction coefficients μ_t for slip towards the head and the
             tail, dimensionless.
         across: friction coefficient μ_lat across the heading, dimensionless.
@@ -58,7 +58,7 @@ class FloorLaw(NamedTuple):
             radius, kg.
     """
 
-    kind: int
+    friction_law_index: int
     forward: float
     across: float
     slip_speed: float
@@ -128,30 +128,30 @@ def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # ty
 
 
 @compiled
-def skin_friction(v_t, v_lat, load, law, p_t, p_lat, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
+def skin_friction(v_t, v_lat, load, friction_law, p_t, p_lat, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the friction of a skin that can stick. See the module docstring.
 
     Args:
         v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.
-        law: friction on the floor, a `FloorLaw`.
+        friction_law: friction on the floor, a `FloorLaw`.
         is_cosine: whether the law is `cosine` instead of `ellipse`.
 
     Returns:
         The forces f_t and f_lat (N), and the derivatives ∂f_t/∂v_t, ∂f_t/∂v_lat,
         ∂f_lat/∂v_t and ∂f_lat/∂v_lat (N·s/m).
     """
-    mu_ahead = law.forward
-    mu_back = law.backward
-    mu_lat = law.across
-    slip = law.slip_speed
-    along = max(mu_ahead, mu_back)  # Warp's max accepts only two numbers
+    mu_forward = friction_law.forward
+    mu_backward = friction_law.backward
+    mu_lat = friction_law.across
+    slip = friction_law.slip_speed
+    along = max(mu_forward, mu_backward)  # Warp's max accepts only two numbers
     greatest = max(along, mu_lat)
     if not greatest * load > 0.0:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     # Friction opposes the slip. A force towards the tail therefore has the friction
     # coefficient for slip towards the head.
-    mu_p = mu_ahead if p_t <= 0.0 else mu_back
-    mu_v = mu_ahead if v_t >= 0.0 else mu_back
+    mu_p = mu_forward if p_t <= 0.0 else mu_backward
+    mu_v = mu_forward if v_t >= 0.0 else mu_backward
     q_t = p_t / max(mu_p * load, _MIN_LIMIT)
     q_lat = p_lat / max(mu_lat * load, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_lat * q_lat))
@@ -168,7 +168,7 @@ def skin_friction(v_t, v_lat, load, law, p_t, p_lat, is_cosine):  # type: ignore
     r = 1.0 / max(1.0, size)
     a_t = y_t * r
     a_lat = y_lat * r
-    limit_t = (mu_ahead if y_t <= 0.0 else mu_back) * load
+    limit_t = (mu_forward if y_t <= 0.0 else mu_backward) * load
     limit_lat = mu_lat * load
     return (
         limit_t * a_t,
@@ -181,7 +181,7 @@ def skin_friction(v_t, v_lat, load, law, p_t, p_lat, is_cosine):  # type: ignore
 
 
 @compiled
-def rolling_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
+def rolling_friction(v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
     r"""Return the `Traction` and rim speed (m/s) of a wheel whose spin has inertia.
 
     The contact has the friction coefficient μ_lat in every direction. The axle brakes
@@ -196,15 +196,15 @@ def rolling_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: 
 
     Args:
         v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.
-        law: friction on the floor, a `FloorLaw` with equal coefficients for forward and
-            backward slip.
+        friction_law: friction on the floor, a `FloorLaw` with equal coefficients for
+            forward and backward slip.
         rim: rim speed w₀ at the beginning of the step, m/s.
         inertia: coefficient k, kg/s, which is the moment of inertia of the wheel
             divided by its squared radius and by the time step.
     """
-    mu_lat = law.across
-    slip = law.slip_speed
-    drag = law.forward * load
+    mu_lat = friction_law.across
+    slip = friction_law.slip_speed
+    drag = friction_law.forward * load
     grip = stick_slip_friction(v_t, v_lat, load, mu_lat, mu_lat, slip, p_t, p_lat)
     demand = inertia * rim - grip.along
     if abs(demand) <= drag:
@@ -248,18 +248,18 @@ def rolling_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: 
 
 
 @compiled
-def axis_friction(v_t, v_lat, load, law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
+def axis_friction(v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the `Traction` of a rolling wheel with independent friction directions.
 
     The inertia of the wheel's spin adds mass along the heading.
 
     Args:
-        v_t, v_lat, load, law, p_t, p_lat, rim, inertia: arguments of
+        v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia: arguments of
             `rolling_friction`, except that p_t excludes the part that spins the wheel.
     """
-    mu_t = law.forward
-    mu_lat = law.across
-    slip = law.slip_speed
+    mu_t = friction_law.forward
+    mu_lat = friction_law.across
+    slip = friction_law.slip_speed
     forward = stick_slip_friction(v_t, 0.0, load, mu_t, mu_t, slip, p_t, 0.0)
     lateral = stick_slip_friction(0.0, v_lat, load, mu_lat, mu_lat, slip, 0.0, p_lat)
     return Traction(

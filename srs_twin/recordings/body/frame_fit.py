@@ -11,8 +11,7 @@ numbers, so that a rotation is a multiplication. Adjacent connectors are joined 
 arc of length ℓ_j and bend q_j, with half of the rigid gap g at each end of the arc,
 
 $$ P_{j+1} = P_j - e^{i\theta_j}\Bigl(\tfrac g2 + \ell_j E(q_j) + \tfrac g2 e^{-iq_j}\Bigr),
-   \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \connector_heading_{j+1} = \theta_j -
-   q_j. $$
+   \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \theta_{j+1} = \theta_j - q_j. $$
 
 **Estimation.** The state (x, y, θ_1, q, ℓ) of each frame minimises
 

@@ -177,7 +177,7 @@ HALF_WIDTH = 5
 """Number n of frames on each side of a sample to which the line is fitted."""
 
 
-def moving_slope(
+def moving_derivative(
     time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH
 ) -> np.ndarray:
     """Return the time derivatives of signals as slopes of fitted lines.
@@ -235,7 +235,7 @@ def body_trajectory(
     mass_fraction = spec.mass.array() / spec.mass.total
     com = np.einsum("i,fij->fj", mass_fraction, shape.position)
     heading = shape.theta.mean(axis=1)
-    rates = moving_slope(markers.time, np.column_stack([com, heading, shape.bend]))
+    rates = moving_derivative(markers.time, np.column_stack([com, heading, shape.bend]))
     columns = {
         "time": markers.time,
         **pose_columns(com @ [1, 1j], heading, shape.position @ [1, 1j], shape.theta),

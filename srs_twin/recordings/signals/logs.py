@@ -24,7 +24,7 @@ from srs_twin.io.files import StrPath
 from srs_twin.recordings.body.trajectories import (
     LogSummary,
     measured_trajectory,
-    moving_slope,
+    moving_derivative,
     numbered_columns,
     pose_columns,
 )
@@ -181,7 +181,7 @@ def _clamped_body(
         "time": time,
         **pose_columns(com, theta.mean(axis=1), connector, theta),
         **numbered_columns("bend", bend),
-        **numbered_columns("bend_rate", moving_slope(time, bend)),
+        **numbered_columns("bend_rate", moving_derivative(time, bend)),
     }
 
 

@@ -75,7 +75,7 @@ class VariableFile(Section):
         # stored run.
         return round(value) if self.whole else float(f"{value:.6g}")
 
-    def share_of(self, value: float) -> float:
+    def fraction_of(self, value: float) -> float:
         """Return a value as a fraction of the range."""
         low = self.low
         high = self.high
@@ -220,7 +220,7 @@ class DesignSpace:
     def fractions(self, values: Sequence[float]) -> np.ndarray:
         """Return a design as fractions of the ranges, from 0 to 1, shape (d,)."""
         ranges = zip(self.variables.values(), values, strict=True)
-        return np.array([variable.share_of(value) for variable, value in ranges])
+        return np.array([variable.fraction_of(value) for variable, value in ranges])
 
     def bounds(self, fractions: np.ndarray) -> dict[str, str]:
         """Return "low" or "high" for each variable of a design that lies on a bound."""

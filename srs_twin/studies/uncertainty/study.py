@@ -193,7 +193,7 @@ def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
     """Return a scenario whose only plant is `compliant`, if it can be simulated."""
     twin = scenario.plants.get("twin") or TwinFile()
     assert isinstance(twin, TwinFile), "the scenario's model ensures this type"
-    settings = {"model": COMPLIANT, "friction": twin.law, "gaps": twin.gaps}
+    settings = {"model": COMPLIANT, "friction": twin.friction_law, "gaps": twin.gaps}
     try:
         compliant = parse_scenario(
             on_plant(scenario.document, "analytical", settings), name=scenario.name

@@ -212,8 +212,8 @@ def test_optimum_at_two_bounds_is_found(tmp_path, most_f, most_p):
     """For nine seeds the distance was at most 1 % of the ranges."""
 
     def slope(f, p, part):
-        aside = abs(f - most_f) / 2.3 + abs(p - most_p) / 2.2
-        return 1.0 - aside / (2 if part == "twin" else 3)
+        distance = abs(f - most_f) / 2.3 + abs(p - most_p) / 2.2
+        return 1.0 - distance / (2 if part == "twin" else 3)
 
     study(tmp_path, compliant=80, twin=20)
     path = tmp_path / "question.yaml"

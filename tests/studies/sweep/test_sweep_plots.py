@@ -42,14 +42,16 @@ def plot(kind, x, metric, by=None):
 LINE = plot("line", F, SPEED)
 
 
-def law(f, p):
+def speed_at(f, p):
     return 0.1 + 0.02 * f + 0.003 * p
 
 
 def table(f, p, *, failed=(), missing=(), fraction=0.8):
     rows = len(f)
     lost = np.isin(np.arange(rows), [*failed, *missing])
-    ours = [None if gone else float(v) for gone, v in zip(lost, law(f, p), strict=True)]
+    ours = [
+        None if gone else float(v) for gone, v in zip(lost, speed_at(f, p), strict=True)
+    ]
     return {
         "key": [f"{i:064x}" for i in range(rows)],
         F: list(map(float, f)),
@@ -159,7 +161,7 @@ def test_lines_show_the_table_by_value_and_plant():
         fraction = (1.0, 0.8)[k // 3]
         x, y = line.get_data()
         assert np.array_equal(x, [0.5, 1.0, 1.5, 2.0])
-        expected = fraction * law(x, pressure)
+        expected = fraction * speed_at(x, pressure)
         expected[(x == 1.0) & (pressure == 30.0)] = np.nan
         assert y == pytest.approx(expected, nan_ok=True)
     assert len({line.get_color() for line in drawn[:3]}) == 3
@@ -224,7 +226,7 @@ def test_text_and_boolean_values_are_categories():
     ]
     x, y = curves(axes)[0].get_data()
     assert np.array_equal(x, [0, 1]) and y == pytest.approx(
-        [law(2.0, 30.0), law(1.0, 30.0)]
+        [speed_at(2.0, 30.0), speed_at(1.0, 30.0)]
     )
     (axes,) = planes(draw(plot("line", "plants.twin.gaps", SPEED), values))
     assert [tick.get_text() for tick in axes.get_xticklabels()] == ["False", "True"]
@@ -265,8 +267,10 @@ def test_a_plot_without_data_states_the_reason(values, message, request_, tmp_pa
 
 def test_a_single_value_is_stated_and_shown():
     figure = draw(LINE, table(np.array([1.0]), np.array([30.0]), fraction=1.0))
-    assert f"every value is {law(1.0, 30.0):.4g}" in words(figure)
-    assert curves(planes(figure)[0])[0].get_ydata() == pytest.approx([law(1.0, 30.0)])
+    assert f"every value is {speed_at(1.0, 30.0):.4g}" in words(figure)
+    assert curves(planes(figure)[0])[0].get_ydata() == pytest.approx(
+        [speed_at(1.0, 30.0)]
+    )
 
 
 numbers = st.one_of(

@@ -22,7 +22,7 @@ from srs_twin.studies.uncertainty.propagation import Propagation
 from srs_twin.studies.uncertainty.study import UncertaintyStudy
 
 SPEED = "com_speed_m_s"
-Law = Callable[[np.ndarray], np.ndarray]
+Model = Callable[[np.ndarray], np.ndarray]
 
 
 def study_of(
@@ -44,20 +44,20 @@ def study_of(
     )
 
 
-def result_of(study: UncertaintyStudy, law: Law) -> Propagation:
+def result_of(study: UncertaintyStudy, model: Model) -> Propagation:
     """Return the result of a study whose speed is a known function, without time step error."""
     own = np.full((3, len(study.names)), 0.5)
     own[1:] = study.priors.parameters[0].value
     return Propagation(
-        study, {"analytical": {SPEED: law(np.concatenate([study.fractions, own]))}}
+        study, {"analytical": {SPEED: model(np.concatenate([study.fractions, own]))}}
     )
 
 
-def spread_of(study: UncertaintyStudy, law: Law) -> MetricUncertainty:
-    return result_of(study, law).plants["analytical"][SPEED]
+def spread_of(study: UncertaintyStudy, model: Model) -> MetricUncertainty:
+    return result_of(study, model).plants["analytical"][SPEED]
 
 
-def weighted(weights: np.ndarray) -> Law:
+def weighted(weights: np.ndarray) -> Model:
     """Return a weighted sum; its total indices are proportional to the squared weights."""
     return lambda fractions: fractions @ weights
 

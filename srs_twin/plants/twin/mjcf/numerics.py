@@ -29,8 +29,8 @@ SLIP_TIME_S = 0.0003
 AXLE_TIME_S = 0.002
 """Default axle time of a preloaded contact at a time unit of 1, s."""
 
-Law = Literal["wheel", "ellipse", "axis", "cosine"]
-LAWS_ON_LOADS: tuple[Law, ...] = get_args(Law)
+LawOnLoads = Literal["wheel", "ellipse", "axis", "cosine"]
+LAWS_ON_LOADS: tuple[LawOnLoads, ...] = get_args(LawOnLoads)
 """Friction laws for loaded contact."""
 
 LOADS = ("instantaneous", "across", "static")
@@ -45,7 +45,7 @@ LOADS = ("instantaneous", "across", "static")
 Wheels = Literal["rolling", "skid"]
 WHEELS: tuple[Wheels, ...] = get_args(Wheels)
 
-LAW_OF: dict[Wheels, Law] = {"rolling": "wheel", "skid": "ellipse"}
+FRICTION_LAW_OF: dict[Wheels, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
 """Friction law of wheels and of skids."""
 
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
@@ -76,7 +76,7 @@ class LoadedContact:
     name: ClassVar[Literal["loaded"]] = "loaded"
     rolling: ClassVar = True
 
-    law: Law = "wheel"
+    law: LawOnLoads = "wheel"
     load: str = "instantaneous"
     slip_speed: float | None = None
 
