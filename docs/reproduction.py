@@ -31,9 +31,11 @@ from srs_twin.reproduction.verdicts import (
 
 PAGE = Path(__file__).with_name("reproduction.md")
 NAME = "reproduction"
-CAUSES = "Causes of missed and explained rows; other causes are not known:"
+CAUSES = "Causes:"
 COMPLETE: tuple[Category, ...] = ("headline",)
-"""Categories of which the page lists all rows, not only those that are not met."""
+"""Categories of which the page lists all rows, not only the rows that are not met."""
+COUNTED: tuple[Category, ...] = ("fit",)
+"""Categories of which the page states only the counts, because they are no evidence."""
 
 
 def judged_claims(
@@ -49,16 +51,19 @@ def markdown(rows: Sequence[JudgedClaim]) -> str:
     """Return the tables of docs/reproduction.md: one section per category, with the causes of its misses."""
     sections = []
     for name, chosen in by_category(rows).items():
-        lines = [f"### {TITLES[name]}", "", MEANINGS[name], "", _summary(chosen)]
         listed = [row for row in chosen if name in COMPLETE or not _is_met(row)]
-        if listed:
-            lines += [
-                "",
-                "| row | statement | published | analytical | twin |",
-                "| --- | --- | --- | --- | --- |",
-                *map(_line, listed),
-            ]
-        reasons = list(dict.fromkeys(_reasons(chosen)))
+        if not listed or name in COUNTED:
+            continue
+        lines = [
+            f"### {TITLES[name]}",
+            "",
+            MEANINGS[name],
+            "",
+            "| row | statement | published | analytical | twin |",
+            "| --- | --- | --- | --- | --- |",
+            *map(_line, listed),
+        ]
+        reasons = _reasons(chosen)
         sections.append("\n".join(lines))
         if reasons:
             sections.append("\n".join([CAUSES, "", *reasons]))
@@ -88,22 +93,6 @@ def table(rows: Sequence[JudgedClaim]) -> str:
 
 def _is_met(row: JudgedClaim) -> bool:
     return all(outcome.verdict == MET for outcome in row.outcomes.values())
-
-
-def _summary(rows: Sequence[JudgedClaim]) -> str:
-    parts = []
-    for column, name in (
-        ("twin", "twin"),
-        ("analytical", "analytical"),
-        ("alone", "without a plant"),
-    ):
-        counts = count_verdicts(rows, column)
-        if counts["all"]:
-            parts.append(
-                f"{name} {counts[MET]} of {counts['all']} met, {counts[EXPLAINED]}"
-                " explained"
-            )
-    return f"{'; '.join(parts)}."
 
 
 def _line(row: JudgedClaim) -> str:
@@ -136,9 +125,13 @@ def _reasons(rows: Sequence[JudgedClaim]) -> list[str]:
             if outcome.verdict != MET and outcome.why:
                 reason = f"{outcome.verdict}: {outcome.why}"
                 columns_of.setdefault((row.claim.id, reason), []).append(column)
+    # Rows with the same cause and the same columns share one line.
+    names_of: dict[tuple[str, str], list[str]] = {}
+    for (name, reason), columns in columns_of.items():
+        names_of.setdefault((", ".join(columns), reason), []).append(f"`{name}`")
     return [
-        f"- `{name}` ({', '.join(columns)}) {reason}"
-        for (name, reason), columns in columns_of.items()
+        f"- {', '.join(names)} ({columns}) {reason}"
+        for (columns, reason), names in names_of.items()
     ]
 
 
