@@ -124,7 +124,7 @@ class PegsTask(CrawlTask):
         del groups["obstacles"]
         pegs: list[Signal] = []
         for k in range(1, _SEEN_PEGS + 1):
-            text = f"position of the post with rank {k} by distance,"
+            text = f"position of the peg with rank {k} by distance,"
             pegs += place_signals(f"peg_{k}", _FAR_M, text)
         return groups | {"pegs": tuple(pegs)}
 
