@@ -62,7 +62,8 @@ MISTAKES = [
     (
         {"mass.wheel_kg": 1.5},
         True,
-        "two wheels of 1.5 kg are too much for the lightest connector, 0.03 kg",
+        "two wheels of 1.5 kg are too heavy for the lightest connector, which has"
+        " 0.03 kg",
     ),
     (
         {"supply.nominal_kpa": 0.483},
