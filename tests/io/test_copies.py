@@ -169,7 +169,7 @@ class ScheduledOffset(Gait):
 @pytest.mark.parametrize(
     ("extra", "message"),
     [
-        (lambda time: 0.1, "a function without a name in its module"),
+        (lambda time: 0.1, "a lambda or a nested function"),
         ((item for item in ()), "a generator"),
         (ThreadPoolExecutor(1).submit, "a task of another thread"),
     ],

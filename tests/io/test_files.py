@@ -222,7 +222,7 @@ def test_all_rejected_features_are_reported_at_once():
             ),
         ),
         ("a: b: c\n", "f.yaml:1:5: not YAML: mapping values are not allowed here"),
-        ("a: 1\nb: \x00\n", r"f.yaml:2:4: not YAML: unusable character U\+0000"),
+        ("a: 1\nb: \x00\n", r"f\.yaml:2:4: not YAML: the character U\+0000"),
         (
             'a: "\\UFFFFFFFF"\n',
             r"f.yaml:1:\d: not YAML: Python int too large|f.yaml:1:\d: not YAML: chr",
@@ -375,7 +375,7 @@ def test_atomic_write_to_an_unusable_path_is_rejected(tmp_path):
     (tmp_path / "folder").mkdir()
     for target in (tmp_path / "file" / "out.txt", tmp_path / "folder"):
         with (
-            pytest.raises(InputError, match=r": cannot be written \("),
+            pytest.raises(InputError, match=r": the file cannot be written \("),
             atomic_write(target) as temporary,
         ):
             temporary.write_text("x")

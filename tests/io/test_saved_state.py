@@ -273,7 +273,8 @@ def test_class_without_state_attributes_is_not_saved():
     own.save()  # it has the state attributes of a gait
     with pytest.raises(
         InputError,
-        match="controller 'other' cannot be saved: its class has no `state_attributes`",
+        match="controller 'other' cannot be saved, because its class does not"
+        " define `state_attributes`",
     ):
         Other().save()
 
@@ -432,7 +433,7 @@ def test_impossible_initial_state_is_rejected():
     snake = AnalyticalSnake(load_robot("gen2"))
     asked = replace(asked, bend=asked.bend[: snake.spec.segments])
     with pytest.raises(
-        InputError, match="chamber pressure .* is not allowed; it must be 0 to"
+        InputError, match="chamber pressure .* is not allowed; it must be between 0 and"
     ):
         snake.set_state(replace(asked, pressure=np.full((snake.spec.segments, 2), 1e6)))
     with pytest.raises(InputError, match="clamped at its head can only start at rest"):
