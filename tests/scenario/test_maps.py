@@ -201,7 +201,8 @@ def test_a_list_of_circles(tmp_path):
     for text, words in (
         (
             "x_m,y_m\n1,2\n",
-            ":1: columns x_m, y_m, radius_m are required; radius_m is missing",
+            ":1: the column 'radius_m' is missing; the columns x_m, y_m, radius_m are"
+            " required",
         ),
         (
             "x_m,y_m,radius_m\n1,2,0\n",

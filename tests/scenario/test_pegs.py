@@ -75,7 +75,7 @@ def test_plants_touch_pegs_with_the_stated_friction():
         ({"plants": {"analytical": {}}}, "set model: compliant and contact: true"),
         (
             {"plants": {"analytical": {"contact": True}}},
-            "touches no obstacles; use 'compliant'",
+            "touch obstacles, because its bends are prescribed; use model 'compliant'",
         ),
         ({"spacing": 0.1}, "did you mean spacing_m?"),
     ],

@@ -494,7 +494,7 @@ def test_proposed_recording_rate_suits_both_plants(record_hz, ticks):
     proposed = {
         found[1]
         for line in lines
-        if (found := re.search(r"record_hz: (\S+) is possible", line))
+        if (found := re.search(r"use `record_hz: (\S+)`", line))
     }
     (rate,) = proposed
     assert scenario(
@@ -505,7 +505,7 @@ def test_proposed_recording_rate_suits_both_plants(record_hz, ticks):
 def test_no_recording_rate_is_proposed_for_incompatible_ticks():
     both = {"analytical": {"tick_s": 0.9999}, "twin": {"tick_s": 0.02}}
     (line,) = refusal(plants=both, duration_s=199.98)
-    assert "no rate suits the plants' ticks; change tick_s" in line
+    assert "no rate fits the ticks of the plants; change `tick_s`" in line
 
 
 @pytest.mark.default_cases(2)
@@ -661,18 +661,19 @@ def test_expectations_of_the_comparison():
             {"below": None},
             "expect[0]: give exactly one of near, below, above and published",
         ),
-        ({"abs": 1}, "expect[0]: near needs a tolerance, either rel or abs"),
+        ({"abs": 1}, "expect[0]: a tolerance is needed with `near`"),
         (
             {"below": None, "near": 1},
-            "expect[0]: near needs a tolerance, either rel or abs",
+            "expect[0]: a tolerance is needed with `near`",
         ),
         (
             {"below": None, "near": 1, "rel": 0.1, "abs": 1},
-            "expect[0]: near needs a tolerance, either rel or abs",
+            "expect[0]: a tolerance is needed with `near`",
         ),
         (
             {"below": None, "near": 0, "rel": 0.1},
-            "expect[0]: near: 0 needs an absolute tolerance; use abs instead of rel",
+            "expect[0]: `near: 0` cannot have a relative tolerance; give `abs`"
+            " instead of `rel`",
         ),
     ],
 )
@@ -694,7 +695,7 @@ def test_expectations_need_their_plants_to_run():
     )
     assert found == [
         "expect[0].plant: twin does not run here; add it to plants",
-        "expect[1].of: a comparison needs both plants; add the other to plants",
+        "expect[1].of: a comparison needs both plants; add the other one to `plants`",
     ]
 
 
