@@ -489,7 +489,7 @@ def test_run_without_attribution_is_rejected():
     with_factor = scenario(plants=scaled, comparison={"gap_factor": True})
     with pytest.raises(
         InputError,
-        match="comparison.gap_factor scales the speed, so the difference cannot be",
+        match="cannot be attributed, because `comparison.gap_factor` scales the speed",
     ):
         explain(with_factor, both(with_factor))
     with pytest.raises(

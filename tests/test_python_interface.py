@@ -388,7 +388,7 @@ def test_a_footprint_is_that_of_its_file(place, capsys):
         ),
         (
             lambda: srs.calibrate_design("gen2", {}),
-            "give one or more, such as friction.mu_t",
+            "give one or more, for example friction.mu_t",
         ),
         (lambda: srs.calibrate_margin("gen2_straight"), "planner"),
         (
