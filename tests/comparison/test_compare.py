@@ -226,8 +226,8 @@ def test_robots_with_equally_many_connectors_can_be_compared():
         (
             Snake(connectors=4).trajectory("twin"),
             (
-                "analytical has 5 connectors and twin 4; only runs of robots with the"
-                " same number of connectors can be compared"
+                "analytical has 5 connectors, but twin has 4; only runs of robots"
+                " with the same number of connectors can be compared"
             ),
         ),
         (
@@ -257,6 +257,6 @@ def test_incomparable_runs_are_refused(candidate, words):
 def test_a_reference_without_body_length_is_refused():
     run = Snake(periodic=False).trajectory()
     with pytest.raises(
-        InputError, match="analytical: metadata body_length_m is missing"
+        InputError, match="analytical: the metadata lack `body_length_m`"
     ):
         compare(with_metadata(run, body_length_m=None), run)
