@@ -430,7 +430,8 @@ def test_offsets_without_targets_are_refused(offset):
         ({"carrier_hz": math.inf}, "ilc carrier_hz inf is not allowed"),
         (
             {"carrier_hz": 7.0},
-            "carrier_hz 7 gives fewer than 4 pulses per fill at 1 Hz; use 8 Hz or more",
+            "ilc `carrier_hz` 7 gives fewer than 4 pulses per fill at a gait"
+            " frequency of 1 Hz; it must be at least 8",
         ),
         (
             {"free_periods": 0},
