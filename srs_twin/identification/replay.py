@@ -118,7 +118,10 @@ def _plants(
     names: Sequence[str] | None, model: str, law: str | None, bench: bool
 ) -> dict[str, Any]:
     if bench and law is not None:
-        raise InputError("--law: remove this option; on a bench there is no floor")
+        raise InputError(
+            "--law is not allowed, because a robot on a bench touches no floor;"
+            " remove this option"
+        )
     floor = {} if bench else {"friction": law or "wheel"}
     settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}
     return {name: settings[name] for name in names or settings}
