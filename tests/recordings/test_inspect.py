@@ -91,11 +91,11 @@ def test_a_wrong_unit_of_length_is_noted(tmp_path):
         + "".join(",".join(f"{v:.6g}" for v in r) + "\n" for r in rows)
     )
     assert any(
-        "lengths in mm? Give --units" in each
+        "if the lengths are in mm, give --units mm" in each
         for each in inspect_file(path, NO_MAP, None)[0].notes
     )
     facts, _ = inspect_file(path, RecordingMap(units="mm"), SPEC)
-    assert not any("Give --units" in each for each in facts.notes)
+    assert not any("give --units mm" in each for each in facts.notes)
     assert facts.robot.reads and facts.robot.layout == "single"
     assert facts.robot.length_mm == pytest.approx(
         [1e3 * SPEC.geometry.segment_length] * 4, rel=0.02
@@ -194,7 +194,10 @@ def test_inspect_command(tmp_path, monkeypatch, capsys):
     assert "one rigid part" in capsys.readouterr().out
     assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
     run(["inspect", "take.csv", "--write-map", "map.yaml"], 2)
-    assert "map.yaml already exists; give --overwrite" in capsys.readouterr().err
+    assert (
+        "map.yaml already exists; replace it with --overwrite"
+        in capsys.readouterr().err
+    )
     run(["inspect", "cut.csv", "take.csv", "--json"], 2)
     said = capsys.readouterr()
     assert [each["file"] for each in json.loads(said.out)] == [

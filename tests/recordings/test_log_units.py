@@ -231,7 +231,8 @@ def test_conflict_of_header_and_map_names_both_units(tmp_path):
     )
     with pytest.raises(
         InputError,
-        match=r":1:2: column 'P1 \(bar\)' is in bar by its name, in kPa by the map",
+        match=r":1:2: the unit of the column 'P1 \(bar\)' is bar according to its"
+        r" name, but kPa according to the map",
     ):
         read_valves(path, MODULE, given)
     path.write_text("x_1 (cm),y_1 (cm),time\n" + "1,2,0\n" * 3)
@@ -261,13 +262,13 @@ def test_chambers_called_pa_and_pb_have_no_unit(tmp_path):
     [
         (
             {"pressure_plus_1": {"column": "P1", "unit": "mpa"}},
-            "unit 'mpa' is not known; allowed: Pa, kPa, bar",
+            "unit 'mpa' is not known; allowed are Pa, kPa, bar",
         ),
         ({"pressure_mpa_plus_1": "P1"}, "unit 'mpa' is not known"),
-        ({"valve_bar_plus_1": "P1"}, "unit 'bar' is not known; allowed: none"),
+        ({"valve_bar_plus_1": "P1"}, "unit 'bar' is not known; allowed are none"),
         (
             {"time": {"column": "t", "unit": "kPa"}},
-            "unit 'kPa' is not known; allowed: s, ms",
+            "unit 'kPa' is not known; allowed are s, ms",
         ),
         ({"ambient_kpa": "P1"}, "the value must be a number"),
         ({"pressure_plus_1": {"column": "P1", "units": "bar"}}, "units"),
@@ -325,7 +326,9 @@ def test_unit_of_the_time_in_a_map(tmp_path):
     path = log(tmp_path, header, time=np.array([0.0, 10, 20, 30]))
     found = read_valves(path, MODULE, mapped(time={"column": "clk", "unit": "ms"}))
     assert found.time == pytest.approx([0, 0.01, 0.02, 0.03])
-    with pytest.raises(InputError, match="is in ms by its name, in us by the map"):
+    with pytest.raises(
+        InputError, match="is ms according to its name, but us according to the map"
+    ):
         read_valves(
             log(tmp_path, header.replace("clk", "clk_ms")),
             MODULE,
@@ -450,7 +453,9 @@ def test_absolute_pressures_are_noted_and_converted(tmp_path):
     found = read_valves(path, MODULE, mapped(**keys, ambient_kpa=101.3))
     assert found.values[:, 0, 0] == pytest.approx(3e4 * RAW, abs=1e-6)
     assert found.values[:, 0, 1] == pytest.approx(0, abs=1e-6)
-    assert "absolute pressures: 101.3 kPa subtracted" in found.corrections
+    assert (
+        "the pressures are absolute, so 101.3 kPa were subtracted" in found.corrections
+    )
 
 
 def test_log_of_a_microcontroller(tmp_path):

@@ -353,7 +353,7 @@ def test_a_truncated_last_line_is_left_out_with_a_note(tmp_path, cut):
     path.write_text(text[: -2 - cut], newline="")
     found = read_motion(path, SPEC)
     assert found.summary.frames_read == len(motion()) - 1
-    assert any("may be cut: left out" in each for each in found.summary.corrections)
+    assert any("may be cut off" in each for each in found.summary.corrections)
     near(found.trajectory.stack("bend"), motion().stack("bend")[:-1], 1e-4)
 
 
@@ -383,7 +383,9 @@ def test_another_robot_is_refused(tmp_path):
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion()))
     with pytest.raises(
-        InputError, match=r"the connectors of gen4 .* mm apart; is it this robot\?"
+        InputError,
+        match=r"the connectors of gen4 .* mm apart; check that the recording belongs"
+        r" to this robot",
     ):
         read_motion(path, load_robot("gen4"))
 

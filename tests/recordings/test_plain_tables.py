@@ -211,24 +211,29 @@ def test_layouts_are_detected_or_given(tmp_path, content, dialect):
     [
         (
             text(header=False),
-            ":1: 16 numbers but no names of columns; give --columns time,x_1,y_1,…",
+            ":1: the columns have no names, because the first line contains 16"
+            " numbers; give --columns time,x_1,y_1,…",
         ),
         (
             text(";", ",", header=False),
-            ":1: 16 numbers but no names of columns; give --columns",
+            ":1: the columns have no names, because the first line contains 16"
+            " numbers; give --columns",
         ),
-        (text(comments="# a\n", header=False), ":2: 16 numbers but no names"),
+        (
+            text(comments="# a\n", header=False),
+            ":2: the columns have no names, because the first line contains 16 numbers",
+        ),
         (text(",", ","), ":2: 32 cells, but the header has 16"),
         (
             text(";", ".").replace("0.030000", "1,030.5"),
-            "may be decimal marks or separate thousands: give --decimal",
+            "may be decimal marks or thousands separators; give --decimal",
         ),
         (
             "time;x_1;y_1\n" + "1,500;2,250;3,125\n" * 20,
-            "may be decimal marks or separate thousands: give --decimal",
+            "may be decimal marks or thousands separators; give --decimal",
         ),
         ("time,x_1,y_1\n1,5;2,5;3,5\n", ":2: 4 cells, but the header has 3"),
-        (text().replace("c2_x", "c1_x"), "c1_x: two columns have this name"),
+        (text().replace("c2_x", "c1_x"), "two columns have the name 'c1_x'"),
         (
             text().replace("0.030000", '"0,030000"'),
             (

@@ -235,7 +235,9 @@ def test_duties_are_converted_to_valve_states(tmp_path):
         ["time", *names],
         np.column_stack([0.2 * np.arange(11), duty]),
     )
-    with pytest.raises(InputError, match="duties need their carrier frequency"):
+    with pytest.raises(
+        InputError, match="the carrier frequency of the duties is missing"
+    ):
         read_valves(path, SPEC)
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 50.0}))
     assert found.kind == "valve"

@@ -87,8 +87,8 @@ def test_a_gait_without_its_start_is_ambiguous(tmp_path, captured):
     with pytest.raises(
         InputError,
         match=(
-            r"clock offset is ambiguous: \d+ offsets fit .* because the gait is"
-            r" periodic"
+            r"clock offset is ambiguous, because the gait is periodic .* \d+ offsets"
+            r" fit"
         ),
     ):
         join(inside, log(tmp_path, text), SPEC)
@@ -225,7 +225,7 @@ def test_duties_above_1_need_the_unit_per_cent(tmp_path):
     path.write_text(path.read_text().replace("_%", ""))
     with pytest.raises(
         InputError,
-        match=r":2:3: duty_minus_1: 10 is not allowed; .* state per cent by the unit %",
+        match=r":2:3: duty_minus_1: 10 is not allowed; .* give the unit %",
     ):
         read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 10.0}))
 
@@ -263,7 +263,7 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
         (
             "valve_plus_1",
             "pressure_plus_1",
-            "this file has pressure, valve; give other",
+            "this file has pressure, valve; assign other",
         ),
         ("1.0,", "1.0,2,", "valves.csv:3: 10 cells, but the header has 9"),
         (
