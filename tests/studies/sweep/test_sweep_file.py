@@ -176,7 +176,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "plants: [analytical]",
             "plants: []",
-            "2:9: plants: is empty, but the scenario has no planner",
+            "2:9: plants: no plant is named and the scenario has no planner",
         ),
         (
             "duration_s: 2",
@@ -191,7 +191,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "duration_s: 2",
             "title: x",
-            "3:9: fixed.title: is a name or expectation without effect",
+            "3:9: fixed.title: this field only names or judges the results",
         ),
         (
             "duration_s: 2}",
@@ -239,7 +239,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "fixed:",
             "sampling: {seed: 3}\nfixed:",
-            "3:11: sampling: seed is only for latin_hypercube",
+            "3:11: sampling: `seed` is allowed only for latin_hypercube",
         ),
         (
             "count: 4}",
