@@ -146,8 +146,7 @@ def test_plan_command_rejects_scenarios_without_a_planner(tmp_path, srs_twin):
     done = srs_twin("plan", "gen2_straight", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and "the scenario has no planner section; add the section planner"
-        in done.stderr
+        and "the scenario has no planner; add the section `planner`" in done.stderr
     )
     assert list(tmp_path.iterdir()) == []
 
@@ -347,7 +346,7 @@ def test_goal_of_a_given_path_is_its_end():
         ({"planner": None}, "controller: kind: follow needs a plan; add planner"),
         (
             {"controller": {"kind": "gait", "frequency_hz": 2}},
-            "planner: no controller follows its plan",
+            "planner: no controller follows the plan",
         ),
         ({"world": {}}, "planner: kind: best_first needs world.goal"),
         (
@@ -360,8 +359,8 @@ def test_goal_of_a_given_path_is_its_end():
                 }
             },
             (
-                "planner: curvature 6 1/m is outside the footprint's range -5.23599 to"
-                " 5.23599 1/m"
+                "planner: the curvature 6 1/m is not allowed; the footprint has"
+                " curvatures between -5.23599 and 5.23599 1/m"
             ),
         ),
         (

@@ -112,11 +112,13 @@ def test_excursions_without_a_contact_are_those_of_a_preloaded_twin():
     )
     with pytest.raises(
         InputError,
-        match="plant twin, contact loaded, .* `srs-twin calibrate margin` measures",
+        match="plant twin, contact loaded, .*; measure them with `srs-twin calibrate margin`",
     ):
         margin_for([tried([0.03] * 20)], 0.9, [conditions(contact="loaded")])
     assert conditions(plant="analytical").contact is None
-    with pytest.raises(ValueError, match="contact loaded belongs to plant twin"):
+    with pytest.raises(
+        ValueError, match="contact loaded is allowed only for `plant: twin`"
+    ):
         conditions(plant="analytical", contact="loaded")
 
 
