@@ -132,11 +132,11 @@ OPTIONS = {
     ),
     "yaw alone": (
         {"yaw_rate": 0.1},
-        r"option yaw_rate requires option snake; give both",
+        r"the option `yaw_rate` needs the option `snake`; give both",
     ),
     "yaw nan alone": (
         {"yaw_rate": float("nan")},
-        r"option yaw_rate requires option snake; give both",
+        r"the option `yaw_rate` needs the option `snake`; give both",
     ),
 }
 SNAKE_STATES = {
@@ -173,7 +173,7 @@ SNAKE_STATES = {
     "overpressure": (
         {"pressure": np.full((4, 2), 1e7)},
         0.0,
-        r"chamber pressure .* it must be 0 to",
+        r"chamber pressure .* it must be between 0 and",
     ),
 }
 SEEDS = {"negative": -1, "real": 1.5, "text": "seven", "truth": True}

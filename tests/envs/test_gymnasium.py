@@ -340,7 +340,7 @@ def test_vector_environment_refuses_invalid_counts_and_shapes():
     ):
         with pytest.raises(
             InputError,
-            match=r"give finite numbers of shape \(2, 2\), an action for each of 2",
+            match=r"give finite numbers of shape \(2, 2\), one action for each of 2",
         ):
             envs.step(actions)
     assert [float(env.episode.state.time) for env in envs.envs] == before
@@ -406,5 +406,8 @@ def test_selected_observations_equal_those_of_all():
         InputError, match="unknown group of observations 'goals'; did you mean goal"
     ):
         SnakeEnv("GoTo", observations=("goals",))
-    with pytest.raises(InputError, match="give at least one group of pose, goal"):
+    with pytest.raises(
+        InputError,
+        match="no group of observations is selected; give at least one of pose, goal",
+    ):
         SnakeEnv("GoTo", observations=())
