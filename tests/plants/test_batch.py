@@ -345,7 +345,7 @@ def test_shared_plants_and_controllers_are_refused():
 @pytest.mark.parametrize("threads", [0, -2])
 def test_fewer_than_one_thread_is_refused(threads):
     with pytest.raises(
-        InputError, match=f"threads: {threads} is not allowed; it must be 1 or more"
+        InputError, match=f"`threads` {threads} is not allowed; it must be 1 or more"
     ):
         run_many([], threads=threads)
 
@@ -571,7 +571,7 @@ def test_batch_rejects_invalid_robots_and_settings():
     )
     for specs, words in (([], "no robot"), ([SPEC, longer], "3, 5")):
         with pytest.raises(
-            InputError, match=f"the same number of connectors, not {words}$"
+            InputError, match=f"the same number of connectors, but they have {words}$"
         ):
             TwinBatch(specs)
     with pytest.raises(

@@ -301,11 +301,11 @@ def test_dead_zone_is_refused_before_anything_is_written(tmp_path, srs_twin):
     done = srs_twin(*words, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert (
-        "stiff has a dead zone (actuator.onset_fraction 1, dead_zone_rad 0.3 rad)"
+        "stiff has a dead zone (`actuator.onset_fraction` 1, `dead_zone_rad` 0.3 rad)"
         in done.stderr
     )
     assert (
-        "--linear exports it for controls that you convert (models/README.md)"
+        "Export it with --linear if you convert its controls (models/README.md)"
         in done.stderr
     )
     assert not (tmp_path / "here").exists()

@@ -130,7 +130,8 @@ def test_keys_of_the_other_kind_are_refused(write, change, message):
         ),
         (
             {"pneumatics": {"kind": "orifice"}},
-            "pneumatics.kind: servo_snake has servos, which respond like lag",
+            "pneumatics.kind: servo_snake has servos, which only the pneumatic model"
+            " `lag` represents; use `lag`",
         ),
     ],
 )
