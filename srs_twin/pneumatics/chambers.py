@@ -150,8 +150,8 @@ def invert_bend_law(bends: Array, law: BendLaw) -> Array:
             high = 2 * high + 0.1
         if not apply_bend_law(low, law)[0] <= bend <= apply_bend_law(high, law)[0]:
             raise InputError(
-                f"no pressure bends a segment by {bend:.4g} rad; its limit is"
-                f" {law.bend_limit:.4g} rad"
+                f"no pressure bends a segment by {bend:.4g} rad; the bend must be"
+                f" below the limit {law.bend_limit:.4g} rad"
             )
         if low < high:
             error = partial(_bend_error, bend=bend, law=law)
@@ -174,8 +174,8 @@ def check_pressure(pressure: Array, largest: float) -> Array:
     outside = ~((pressure >= -1e-6) & (pressure <= largest * (1 + 1e-9)))
     if outside.any():
         raise InputError(
-            f"chamber pressure {pressure[outside][0]:g} Pa is not allowed; it must be 0"
-            f" to {largest:g} Pa"
+            f"chamber pressure {pressure[outside][0]:g} Pa is not allowed; it must be"
+            f" between 0 and {largest:g} Pa"
         )
     return np.maximum(pressure, 0.0)
 
