@@ -195,7 +195,7 @@ def test_times_out_of_order_are_refused_and_gaps_passed_over(tmp_path, times, pl
         wait(lambda: link.counts["over"])
         assert [round(each.arrived) for each in link.received()] == played
     assert time.monotonic() - begun < 5
-    bad = "bad: a record whose time does not follow that of the one before"
+    bad = "bad: a record is earlier than the record before it"
     assert link.counts[bad] == len(times) - len(played)
 
 
