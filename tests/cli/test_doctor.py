@@ -287,7 +287,7 @@ def test_no_room_for_temporary_files(srs_twin_process, tmp_path):
     (tmp_path / "sitecustomize.py").write_text(broken)
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(tmp_path))
     assert (done.returncode, done.stdout) == (2, "")
-    assert "set TMPDIR to a writable folder" in done.stderr
+    assert "set the environment variable TMPDIR to a writable folder" in done.stderr
 
 
 def by_name(text):
@@ -330,7 +330,7 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(shadow), DISPLAY="")
     assert done.returncode == 2
     assert (
-        done.stderr.startswith("runs would fail: imports, ")
+        done.stderr.startswith("runs would fail because of imports, ")
         and "results" in done.stderr
     )
     assert (

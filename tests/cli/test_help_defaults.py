@@ -60,7 +60,7 @@ PHRASES = {
     "from the scenario",
     "from the sweep",
     "the twin's",
-    "NAME.valves.csv in the same folder",
+    "NAME.valves.csv in the folder of the recording",
     "detected",
     "from the robot file",
     "estimated",

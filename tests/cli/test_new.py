@@ -128,7 +128,7 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("robot", "Worm"), "'Worm' is not allowed as a name"),
+        (("robot", "Worm"), "the name 'Worm' is not allowed"),
         (
             ("robot", "worm", "--mass", "-1"),
             "--mass -1 is not allowed; it must be positive",

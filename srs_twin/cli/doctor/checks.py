@@ -351,7 +351,7 @@ def processors_check(usable: int, quota: float | None) -> Check:
     if quota is not None and quota < usable:
         detail += f", but the container limits the time to that of {quota:.3g}"
         if math.ceil(quota) < usable:
-            remedy = f"more workers would only wait: use --workers {math.ceil(quota)}"
+            remedy = f"more workers would only wait; use --workers {math.ceil(quota)}"
             return Check(MACHINE, "processors", "missing", detail, remedy)
     return Check(MACHINE, "processors", "ok", detail)
 
@@ -363,8 +363,8 @@ def memory_check(free: int | None) -> Check:
             MACHINE, "memory", "ok", "this system does not report the free memory"
         )
     remedy = (
-        f"below {_size(MIN_MEMORY_BYTES)} the system may kill runs: close programs, or"
-        " use --workers 1"
+        f"below {_size(MIN_MEMORY_BYTES)}, the system may kill runs; close programs,"
+        " or use --workers 1"
     )
     return _space_check("memory", free, MIN_MEMORY_BYTES, remedy)
 
@@ -406,7 +406,7 @@ def disk_check(folder: Path, free: int | None = None) -> Check:
     if free is None:
         free = shutil.disk_usage(existing).free
     remedy = (
-        f"below {_size(MIN_DISK_BYTES)} a sweep may not fit: free some space, or use"
+        f"below {_size(MIN_DISK_BYTES)}, a sweep may not fit; free some space, or use"
         " another disk with --out"
     )
     return _space_check("disk", free, MIN_DISK_BYTES, remedy)
