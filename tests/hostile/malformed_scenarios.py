@@ -82,7 +82,7 @@ BENCH_MALFORMED = edited(
         (
             "bench: true",
             "bench: true\nstart: {}",
-            ":5:1: start: a module on a bench starts at its clamp",
+            ":5:1: start: a robot on a bench is clamped",
         ),
         (
             "analytical: {}",
@@ -217,7 +217,7 @@ LEARNING_MALFORMED = edited(
         (
             "offset: 0.3",
             "target: smallest",
-            ":5:13: controller: give either target or target_rad",
+            ":5:13: controller: `target` and `target_rad` exclude each other",
         ),
         (
             "target_rad: 0.7",
@@ -252,7 +252,8 @@ LEARNING_MALFORMED = edited(
         (
             "carrier_hz: 60",
             "carrier_hz: 2",
-            "controller: a gait of this frequency needs a carrier_hz of at least 16",
+            "controller: `carrier_hz` is too low for a gait of this frequency; it"
+            " must be at least 16",
         ),
         (
             "k_per_rad: 0.3",
@@ -376,12 +377,13 @@ FOLLOWING_MALFORMED = edited(
         (
             "radius_m: [0.02, 0.05]",
             "radius_m: [0.05, 0.02]",
-            "world.random.radius_m: give the smaller radius first",
+            "world.random.radius_m: the radii are not ascending",
         ),
         (
             "count: 2",
             "kind: fig54, count: 19",
-            "world.random: 19 obstacles cannot be drawn from 18 sites",
+            "world.random: 19 obstacles are too many; there are only 18 places for"
+            " them",
         ),
         (
             (

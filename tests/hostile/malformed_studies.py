@@ -64,7 +64,8 @@ FIT_MALFORMED = edited(
         (
             "not identifiable, why",
             "not identifiable, value: 0.1, why",
-            "parameters[2].value: a parameter that is not identifiable has no value",
+            "parameters[2].value: a parameter that is not identifiable must not have"
+            " a value",
         ),
         (
             "value: 0.0966, ",
@@ -115,7 +116,7 @@ FIT_MALFORMED = edited(
             "role: test",
             "data[1].role: must be one of fit, validation, not text 'test'",
         ),
-        ("role: fit", "role: validation", "data: no data of role fit"),
+        ("role: fit", "role: validation", "data: no data have the role `fit`"),
         ("a" * 64, "a" * 63, "data[0].sha256: "),
         ("a" * 64, "A" * 64, "data[0].sha256: "),
         (", to_s: 5.0", "", "data[1]: from_s and to_s belong together"),
@@ -128,7 +129,7 @@ FIT_MALFORMED = edited(
         (
             "0.2, 1.0]]",
             "0.3, 1.0]]",
-            "correlation[1][0]: must be 0.2, as the matrix is symmetric",
+            "correlation[1][0]: must be 0.2, because a correlation matrix is symmetric",
         ),
         ("[[1.0, 0.2]", "[[0.5, 0.2]", "correlation[0][0]: must be 1 on the diagonal"),
         ("[[1.0, 0.2], [0.2, 1.0]]", "[[1.0]]", "correlation: must have 2 rows of 2"),
