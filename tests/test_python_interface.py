@@ -189,7 +189,7 @@ def test_a_plan_is_that_of_the_command(command, place, capsys):
         place / "again"
     )
     with pytest.raises(
-        InputError, match="gen2_straight: the scenario has no planner section"
+        InputError, match="gen2_straight: the scenario has no planner"
     ):
         srs.plan_scenario("gen2_straight")
 
@@ -280,7 +280,7 @@ def test_a_friction_fit_is_that_of_the_command(command, place, capsys):
     assert fitted.spec().friction.mu_t == pytest.approx(
         values["friction.mu_t"], rel=1e-8
     )
-    with pytest.raises(InputError, match="the file exists"):
+    with pytest.raises(InputError, match="the file already exists"):
         srs.calibrate_robot(
             [place / "fits/python.yaml"], "mine", out="robots/mine.yaml"
         )
@@ -288,7 +288,7 @@ def test_a_friction_fit_is_that_of_the_command(command, place, capsys):
 
 def test_tables_of_constant_pressures_need_no_log():
     with pytest.raises(
-        InputError, match="remove this option; tables of constant pressures have no log"
+        InputError, match="tables of constant pressures need no log; remove --valves"
     ):
         srs.calibrate_actuator([EXAMPLES / "held.csv"], "gen2", valves=["log.csv"])
 

@@ -59,7 +59,7 @@ def replay(
             measurement on a bench.
         --robot -r ROBOT: Name of a shipped robot, or path of a robot file.
         --valves LOG: Log with the recorded valve states or pressures. [default:
-            NAME.valves.csv in the same folder]
+            NAME.valves.csv in the folder of the recording]
         --fit FIT: Fit file whose parameters replace the values of the robot file. Can
             be repeated.
         --expect FILE.yaml: YAML file with expected ranges of results, under the key

@@ -76,8 +76,7 @@ def check_types(
         if name in kinds and not _accepts(kinds[name], value):
             allowed = _described(kinds[name])
             raise InputError(
-                f"{owner}: `{name}` {_shown(value)} is not allowed; it must be"
-                f" {allowed}"
+                f"{owner}: {name} {_shown(value)} is not allowed; it must be {allowed}"
             )
 
 

@@ -157,7 +157,7 @@ def emulate(
         mqtt: Address of the MQTT broker.
         natnet: Address of this machine at which the emulator serves NatNet frames.
             [default: no motion capture]
-        name: Name of the robot in the MQTT topics. [default: name of the robot file]
+        name: Name of the robot in the MQTT topics. [default: ROBOT]
     """
     from srs_twin.live.emulator import Transport, emulate as run
     from srs_twin.live.messages import COMMAND

@@ -42,7 +42,7 @@ class LabOptions:
         mqtt: Address of the MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
         natnet: Address of the NatNet server of the motion capture system. [default:
             none]
-        name: Name of the robot in the MQTT topics. [default: name of the robot file]
+        name: Name of the robot in the MQTT topics. [default: ROBOT]
         body: Name of a rigid body in the motion capture data, and number of the
             connector that carries it (1 is the head). Can be repeated. [default:
             connector_1=1, connector_2=2, …]
@@ -194,7 +194,7 @@ def _checked(
         lab = lab.with_setup(options.setup, context)
     if lab.robot is None:
         raise InputError(
-            "no robot is given; give ROBOT, or a setup file that names the robot with"
+            "no robot is given; give ROBOT, or a set-up file that names the robot with"
             " --setup"
         )
     if options.mcap is not None:
