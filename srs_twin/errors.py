@@ -308,7 +308,7 @@ def check_choice(name: str, value: str, allowed: Iterable[str]) -> None:
     allowed = tuple(allowed)
     if value not in allowed:
         raise InputError(
-            f"{name} '{value}' is unknown; allowed are"
+            f"{name} '{value}' is unknown; allowed:"
             f" {', '.join(allowed)}{did_you_mean(value, allowed)}"
         )
 

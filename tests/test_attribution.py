@@ -482,7 +482,7 @@ def test_run_without_attribution_is_rejected():
     s = scenario(duration_s=1.0)
     runs = both(s)
     with pytest.raises(
-        InputError, match="an attribution compares the two plants; run both"
+        InputError, match="an attribution compares the two plants, but only one"
     ):
         explain(s, {"twin": runs["twin"]})
     scaled = {"analytical": {"gaps": False}, "twin": {}}

@@ -104,7 +104,9 @@ def test_a_sweep_gives_the_rows_of_the_command_and_leaves_nothing(
 def test_an_interrupted_sweep_keeps_its_rows_and_resumes(place):
     with pytest.raises(KeyboardInterrupt) as stopped:
         srs.sweep("small.yaml", out="out", engine=interrupted)
-    assert stopped.value.__notes__ == ["3 of 4 rows are kept; start again to resume"]
+    assert stopped.value.__notes__ == [
+        "3 of 4 rows are kept; start the command again to resume"
+    ]
     assert pq.read_table("out/results.parquet").num_rows == 3
     seen = []
     found = srs.sweep(
@@ -188,9 +190,7 @@ def test_a_plan_is_that_of_the_command(command, place, capsys):
     assert set(srs.plan_scenario("follow_fig57", out="again").files) == files(
         place / "again"
     )
-    with pytest.raises(
-        InputError, match="gen2_straight: the scenario has no planner"
-    ):
+    with pytest.raises(InputError, match="gen2_straight: the scenario has no planner"):
         srs.plan_scenario("gen2_straight")
 
 

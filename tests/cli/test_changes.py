@@ -66,7 +66,7 @@ def test_a_resolved_scenario_can_be_changed_again():
         (
             "controler.frequency_hz=3",
             (
-                "there is no field controler.frequency_hz; did you mean"
+                "the field controler.frequency_hz does not exist; did you mean"
                 " controller.frequency"
             ),
         ),

@@ -158,8 +158,8 @@ def test_kernels_without_cache_folder_report_a_remedy(srs_twin_process, tmp_path
         cwd=tmp_path,
     )
     assert (
-        "works, but is compiled again at every start; export NUMBA_CACHE_DIR="
-        in done.stdout
+        "works, but is compiled again at every start; to avoid this, export"
+        " NUMBA_CACHE_DIR=" in done.stdout
     )
 
 
@@ -201,7 +201,7 @@ def test_missing_or_failing_viewer_is_reported(monkeypatch, tmp_path):
     monkeypatch.setattr(probes, "rerun_executable", lambda: script)
     check = probes.rerun_check(tmp_path, 60.0)
     assert check.status == "missing"
-    assert check.detail == "cannot draw (Failed to get render context)"
+    assert check.detail == "the window cannot be drawn (Failed to get render context)"
     assert check.remedy == probes.NO_VULKAN
     script.write_text("#!/bin/sh\nexec sleep 60")
     assert probes.rerun_check(tmp_path, 0.5).status == "undecided"

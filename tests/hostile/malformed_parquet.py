@@ -163,12 +163,14 @@ MALFORMED: tuple[Malformed, ...] = (
         "footer of noise", GOOD[: -FOOTER - 8] + b"\xa5" * FOOTER + GOOD[-8:], OURS
     ),
     Malformed(
-        "200,000,000 rows", on_disk(many_rows), f"{OURS}200000000 values; the limit is "
+        "200,000,000 rows",
+        on_disk(many_rows),
+        f"{OURS}the file has 200000000 values, but at most ",
     ),
     Malformed(
         "3 GB in a small file",
         on_disk(inflating),
-        " uncompressed bytes; the limit is 2147483648",
+        " uncompressed bytes, but at most 2147483648",
     ),
     Malformed(
         "5,000 columns",
@@ -273,7 +275,7 @@ MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "missing times",
         table({"time": [0.0, None, 1.0]}),
-        f"{OURS}column time has 1 missing values)",
+        f"{OURS}column 'time' has 1 missing values)",
     ),
     Malformed(
         "column of nulls",

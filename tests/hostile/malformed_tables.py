@@ -107,7 +107,7 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "older format version",
         _edited(MOTIVE, "1.21", "0.9"),
-        ":1:2: Format Version '0.9' cannot be read; allowed: 1.0",
+        ":1:2: the format version '0.9' cannot be read; allowed are 1.0",
     ),
     Malformed(
         "no version",
@@ -127,7 +127,8 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "a wrong unit",
         _edited(MOTIVE, "Millimeters", "Meters"),
-        "but the connectors of gen2 are 55 mm apart; are the lengths in mm?",
+        "but the connectors of gen2 are 55 mm apart; check the unit, because the"
+        " lengths seem to be in mm",
     ),
     Malformed(
         "the header cut after one line",
@@ -240,12 +241,12 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "200 MB without a line end",
         _large(_HEADER, b"1", 9),
-        ":8: the header, or a line, is longer than 4 MB",
+        ":8: the header, or one line, is longer than 4 MB",
     ),
     Malformed(
         "a header of 200 MB",
         _large(b"Format Version,1.21,", b"x,", 9),
-        ":1: the header, or a line, is longer than 4 MB",
+        ":1: the header, or one line, is longer than 4 MB",
     ),
 )
 
@@ -274,8 +275,8 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "missing y",
         _edited(PLAIN, "y_3_mm", "q_3_mm"),
-        ":1:6: x_3_mm belongs to no marker: each marker has x and y, once, in m,"
-        " cm, mm",
+        ":1:6: the column 'x_3_mm' belongs to no marker; each marker must have one"
+        " column x and one column y, in m, cm, mm",
     ),
     Malformed(
         "missing connector",
@@ -290,8 +291,8 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "an unknown unit",
         _edited(PLAIN, "x_2_mm", "x_2_mile"),
-        ":1:4: x_2_mile belongs to no marker: each marker has x and y, once, in m, cm,"
-        " mm, in, ft",
+        ":1:4: the column 'x_2_mile' belongs to no marker; each marker must have one"
+        " column x and one column y, in m, cm, mm, in, ft",
     ),
     Malformed(
         "x without a number",
@@ -301,7 +302,7 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "only time",
         b"time\n" + b"".join(b"%d\n" % k for k in range(40)),
-        ":1: the file has no positions",
+        ":1: the file contains no positions",
     ),
     Malformed(
         "a word", _edited(PLAIN, "\n0.05,", "\nhalf,"), ":7:1: 'half' is not a number"

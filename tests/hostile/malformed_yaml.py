@@ -66,7 +66,7 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "Latin-1",
         "title: größe\n".encode("latin-1"),
-        ": not UTF-8 text (byte 10 is 0xf6); save it as UTF-8",
+        ": the file is not UTF-8 text (byte 10 is 0xf6); save it as UTF-8",
     ),
     Malformed(
         "overlong UTF-8",
@@ -117,21 +117,23 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "unclosed brackets",
         b"a: " + b"[" * 60_000,
-        ":1:19: nested more than 16 levels deep",
+        ":1:19: the file is nested more than 16 levels deep",
     ),
     Malformed(
         "unclosed braces",
         b"a: " + b"{a: " * 10_000,
-        ":1:64: nested more than 16 levels deep",
+        ":1:64: the file is nested more than 16 levels deep",
     ),
     Malformed(
-        "nested dashes", b"- " * 30_000, ":1:33: nested more than 16 levels deep"
+        "nested dashes",
+        b"- " * 30_000,
+        ":1:33: the file is nested more than 16 levels deep",
     ),
     Malformed("nested question marks", b"? " * 30_000, ":1:"),
     Malformed(
         "deep indentation",
         b"".join(b" " * k + b"a:\n" for k in range(300)),
-        ":17:17: nested more than 16",
+        ":17:17: the file is nested more than 16",
     ),
     Malformed(
         "10,000 keys",
@@ -200,12 +202,12 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "key given twice",
         b"title: x\ntitle: y\n",
-        ":2:1: title: given twice; the first is in line 1",
+        ":2:1: title: the key is given twice; the first one is in line 1",
     ),
     Malformed(
         "key given twice in braces",
         b"{title: x, 'title': y}",
-        ":1:12: title: given twice",
+        ":1:12: title: the key is given twice",
     ),
     Malformed("a list as key", b"? [a, b]\n: 1\n", ":1:3: a key must be plain text"),
     Malformed("a block as key", b"{? {a: b} : 1}", ":1:4: a key must be plain text"),
@@ -217,10 +219,12 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "carriage returns as line ends",
         b"title: x\rtitle: y\r",
-        ":2:1: title: given twice",
+        ":2:1: title: the key is given twice",
     ),
     Malformed(
-        "mixed line ends", b"title: x\r\n\r\n\rtitle: y\n\r", ":4:1: title: given twice"
+        "mixed line ends",
+        b"title: x\r\n\r\n\rtitle: y\n\r",
+        ":4:1: title: the key is given twice",
     ),
     Malformed("on as key", b"on: x\n", ":1:1: on: unknown key"),
     Malformed("a number as key", b"1: x\n", ":1:1: 1: unknown key"),

@@ -184,7 +184,7 @@ SCENARIO_EDITS = [
     (
         "pressure_kpa: 48.3",
         "pressure_kpa: 1200",
-        "or set allow_overpressure: true; 1200 mbar would be 120 kPa",
+        "or set `allow_overpressure: true`; 1200 mbar would be 120 kPa",
     ),
     (
         "title: Mine",
@@ -285,7 +285,8 @@ POSITIONS = [
     (
         "friction: axis",
         "load: instantaneous",
-        "8:39: plants.analytical.load: friction 'axis' has one contact per connector",
+        "8:39: plants.analytical.load: instantaneous loads need two contacts per"
+        " connector",
     ),
     (
         "twin: {wheels: rolling}",
@@ -339,7 +340,7 @@ POSITIONS = [
     (
         "gen2\n",
         "gen2\nrobot: gen3\n",
-        "3:1: robot: given twice; the first is in line 2",
+        "3:1: robot: the key is given twice; the first one is in line 2",
     ),
     ("gen2\n", "&r gen2\n", "2:8: anchors (&r) are not allowed"),
     (

@@ -123,7 +123,7 @@ TURNS = (
     " between -5.23599 and 5.23599 1/m"
 )
 BYTES = "cannot be used (not UTF-8); rename it"
-CONTROL = "cannot be used (a control character in it); rename it"
+CONTROL = "this name cannot be used (it contains a control character); rename it"
 REJECTED = [
     # The output folder cannot be written.
     (f"run ./good.yaml --out runs/{LONG}", TOO_LONG),

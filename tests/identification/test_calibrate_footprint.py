@@ -120,7 +120,7 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
         ),
         (["gen2", "--offsets="], "--offsets '' is not allowed"),
         (["gen2", "--offsets=nan,0,0.3"], "offset nan is not allowed"),
-        (["gen2", "--offsets=0,0.3"], "some below and some above 0"),
+        (["gen2", "--offsets=0,0.3"], "some below 0 and some above 0"),
         (["gen2", "--pressure", "1e9"], "is above the"),
         (["gen2", "--pressure", "nan"], "pressure nan kPa is not allowed"),
         (["gen2", "--frequency", "-1"], "frequency -1.0 Hz is not allowed"),
@@ -206,7 +206,7 @@ def test_a_diverged_run_is_named_in_the_message(tmp_path, monkeypatch, capsys):
         main(list(SHORT))
     assert end.value.code == 3
     assert (
-        "offset 0: twin diverged at t = 1.5 s: its state contains nan"
+        "offset 0: twin diverged at t = 1.5 s: the state before the step contains nan"
         in capsys.readouterr().err
     )
 

@@ -262,7 +262,8 @@ def test_short_and_incomplete_files_are_refused(tmp_path):
         read_decay(recording(tmp_path, time, ring(time)))
     with pytest.raises(
         InputError,
-        match="no column 'bend_rad'; a recording of a decay has time_s,bend_rad",
+        match="the column 'bend_rad' is missing; a recording of a decay has the"
+        " columns time_s,bend_rad",
     ):
         read_decay(recording(tmp_path, time, ring(time), header="time_s,angle"))
     path = tmp_path / "pressure.csv"

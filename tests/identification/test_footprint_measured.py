@@ -455,7 +455,7 @@ GEN2 = load_robot("gen2")
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"offsets": [0.0, 0.1, 0.2]}, "some below and some above 0"),
+        ({"offsets": [0.0, 0.1, 0.2]}, "some below 0 and some above 0"),
         ({"offsets": [-0.1, 0.1]}, "a planner needs 3 to 101"),
         ({"offsets": []}, r"offsets \(none\) are not allowed"),
         ({"offsets": [-0.1, 0.1, 0.1]}, "give each offset once, in ascending order"),

@@ -258,10 +258,7 @@ def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
     assert is_static_table(path) and not is_static_table(tmp_path / "held_0.csv")
     options = ["calibrate", "actuator", str(path), "-r", "gen4_module"]
     refused = srs_twin(*options, "--static", cwd=tmp_path)
-    assert (
-        refused.returncode == 2
-        and "--static: remove this option; tables of constant" in refused.stderr
-    )
+    assert refused.returncode == 2 and "--static: tables of constant" in refused.stderr
     same = [
         "calibrate",
         "actuator",
@@ -397,7 +394,7 @@ def test_recordings_without_plateaus_are_refused(tmp_path):
     with pytest.raises(
         InputError,
         match=r"creep.csv: the recording contains no plateau. .* for 30 s; .* with"
-        r" settled bends, are needed",
+        r" settled bends are needed",
     ):
         plateau_tables([taken(path, MODULE)], MODULE, 48e3)
 

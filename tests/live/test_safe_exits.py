@@ -246,10 +246,12 @@ def test_a_full_disk_is_reported_once_and_the_session_goes_on(tmp_path, monkeypa
     words = [str(each.message) for each in said if each.category is SessionWarning]
     assert told["problems"] == words and len(words) == 2
     state, journal = words
-    assert "lab/state.npz: cannot be written (No space left on device)" in state
     assert (
-        "lab/journal-1.mcap: ends early, it cannot be written (No space left on device)"
-        in journal
+        "lab/state.npz: the file cannot be written (No space left on device)" in state
+    )
+    assert (
+        "lab/journal-1.mcap: the journal ends early, because it cannot be written (No"
+        " space left on device)" in journal
     )
     assert json.loads((tmp_path / "lab/shadow.json").read_text())["problems"] == words
 
@@ -287,7 +289,7 @@ def test_numbers_of_journals_are_taken_atomically(tmp_path):
         range(1, 41)
     )
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file: cannot be written"):
+    with pytest.raises(InputError, match="file: nothing can be written there"):
         create_numbered_file(tmp_path / "file", "journal-{}.mcap")
 
 

@@ -318,7 +318,7 @@ def test_run_up_is_straight_and_must_be_free():
     }
     with pytest.raises(
         InputError,
-        match=r"straight lead-in of 0\.25 m touches .*; set a shorter lead_in_m",
+        match=r"straight lead-in of 0\.25 m touches .*; set a shorter `lead_in_m`",
     ):
         parse_scenario(data(planner=planner, world=world)).build_controller()
 
@@ -343,12 +343,15 @@ def test_goal_of_a_given_path_is_its_end():
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"planner": None}, "controller: kind: follow needs a plan; add planner"),
+        (
+            {"planner": None},
+            "controller: `kind: follow` needs a plan; add the section `planner`",
+        ),
         (
             {"controller": {"kind": "gait", "frequency_hz": 2}},
             "planner: no controller follows the plan",
         ),
-        ({"world": {}}, "planner: kind: best_first needs world.goal"),
+        ({"world": {}}, "planner: the planner `best_first` needs a goal"),
         (
             {
                 "planner": {
@@ -379,7 +382,8 @@ def test_goal_of_a_given_path_is_its_end():
         ),
         (
             {"world": {"goal": {"x_m": 1, "y_m": 0}, "random": {"count": 3}}},
-            "world.random: strewn needs an area; set area, or bounds of the world",
+            "world.random: obstacles of kind `strewn` need an area; set `area`, or"
+            " `bounds` of the world",
         ),
         (
             {

@@ -196,7 +196,10 @@ def test_unknown_footprint_error_lists_the_names():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"speeds": (0.2, 0.0, 0.2)}, "speeds and edges must be above 0"),
+        (
+            {"speeds": (0.2, 0.0, 0.2)},
+            "speeds and the edges `left` and `right` must be above 0",
+        ),
         ({"ahead": -0.1}, "`ahead` and `behind` at least 0"),
         ({"left": (0.02, math.nan, 0.02)}, "all numbers must be finite"),
         ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must increase"),

@@ -142,10 +142,9 @@ def test_footprint_of_another_contact_causes_a_warning():
     assert warned() == []
     (text,) = warned(**{"plants.twin.contact": "preloaded"})
     assert (
-        text
-        == "planner.footprint: gen2_gait was measured on a twin with contact loaded,"
-        " but this twin has contact preloaded; `srs-twin calibrate footprint gen2"
-        " --contact preloaded` measures one"
+        text == "planner.footprint: gen2_gait was measured on a twin with contact"
+        " loaded, but this twin has contact preloaded; `srs-twin calibrate"
+        " footprint gen2 --contact preloaded` measures a suitable footprint"
     )
     assert (
         warned(

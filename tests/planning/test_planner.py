@@ -387,7 +387,8 @@ def test_invalid_problems_are_rejected_by_name(changes, words):
 def test_invalid_settings_are_rejected():
     with pytest.raises(
         InputError,
-        match="nodes 0, levels 4, weight 1 are not allowed; each must be at least 1",
+        match="nodes 0, levels 4, weight 1 are not allowed; each of them must be at"
+        " least 1",
     ):
         Settings(nodes=0)
     with pytest.raises(InputError, match="levels 9 must be at most 5"):

@@ -302,5 +302,5 @@ def test_all_options_that_exclude_each_other_are_reported_at_once():
         "model 'complete' cannot touch obstacles",
         "use model 'compliant'",
         "friction 'axis' has only one",
-        "instantaneous loads need two: use 'wheel' or 'ellipse'",
+        "use friction 'wheel' or 'ellipse'",
     ]

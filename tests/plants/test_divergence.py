@@ -282,7 +282,7 @@ def test_script_may_have_float_states(build):
 @pytest.mark.parametrize(
     ("valves", "words"),
     [
-        (np.full((3, 2), np.int8(1)), r"valves have shape \(3, 2\)"),
+        (np.full((3, 2), np.int8(1)), r"the valves have the shape \(3, 2\)"),
         (np.zeros((4, 2)), "valve state 0.0 is not possible with layout 3/2"),
         (np.full((4, 2), 2), "valve state 2 is not possible"),
         (np.full((4, 2), "open"), "valve state open is not possible"),

@@ -238,7 +238,8 @@ def test_only_simplified_allows_no_friction_torque(model):
         AnalyticalSnake(robot(), model=model, friction_torque=False)
     assert (
         str(error.value)
-        == f"model '{model}' has a friction torque; use 'simplified' to leave it out"
+        == f"model '{model}' always has a friction torque; use model 'simplified'"
+        " to leave it out"
     )
 
 
@@ -368,15 +369,13 @@ def test_scenario_without_gap_factor_compares_raw_speeds():
 def test_scenario_rejects_a_meaningless_gap_factor():
     (line,) = refusal()
     assert (
-        line == "comparison.gap_factor: the analytical plant already has gaps in its"
-        " geometry; "
-        "set plants.analytical.gaps: false"
+        line == "comparison.gap_factor: the analytical plant already has the rigid"
+        " gaps in its geometry; set `plants.analytical.gaps: false`"
     )
     (line,) = refusal(plants={"analytical": {"gaps": False}})
     assert (
-        line
-        == "comparison.gap_factor: a comparison needs both plants; add the other to"
-        " plants"
+        line == "comparison.gap_factor: a comparison needs both plants; add the other"
+        " one to `plants`"
     )
     (line,) = refusal(comparison={"gap_factor": "yes"})
     assert line.startswith("comparison.gap_factor: ")

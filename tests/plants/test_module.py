@@ -166,7 +166,8 @@ def test_pulses_shorter_than_a_tick_raise_before_the_run():
 @plants
 def test_layout_unsupported_by_the_controller_raises(kind):
     with pytest.raises(
-        InputError, match="drives valves of layout in_out; the .* plant has 3/2"
+        InputError,
+        match="needs valves of layout in_out, but the .* plant has the layout 3/2",
     ):
         rollout(bench(kind, "direct", layout="3/2"), DirectSMC(STEP), 0.01)
     with pytest.raises(

@@ -126,7 +126,7 @@ def test_keys_of_the_other_kind_are_refused(write, change, message):
     [
         (
             {"supply": {"pressure_kpa": 50}},
-            "supply.pressure_kpa: servo_snake has servos and no supply",
+            "supply.pressure_kpa: servo_snake has servos and therefore no supply",
         ),
         (
             {"pneumatics": {"kind": "orifice"}},

@@ -546,8 +546,9 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
         f"{path.stem}:A: the argument `weights` cannot be set in a scenario file"
         in problems(document(f"{path.stem}:A"))
     )
-    assert "the types of its arguments cannot be read (name 'Nothing'" in problems(
-        document(f"{path.stem}:B")
+    assert (
+        "the types of the constructor's arguments cannot be read (name 'Nothing'"
+        in problems(document(f"{path.stem}:B"))
     )
 
 
@@ -561,7 +562,10 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
             "this module does not exist; give a file whose name ends in .py",
         ),
         ("../x", "this module does not exist"),
-        ("my-file.py", "cannot be imported; use only letters, digits and _"),
+        (
+            "my-file.py",
+            "cannot be imported because of its name; use only letters, digits and _",
+        ),
         ("json.py", "another module is already named json"),
         ("numpy.py", "another module is already named numpy"),
         ("sys.py", "another module is already named sys (built in)"),

@@ -431,7 +431,7 @@ def test_vicon_positions_and_rotations_are_read(tmp_path):
     assert {"section Devices skipped", "section Joints skipped"} <= set(
         found.corrections
     )
-    assert "lengths converted from mm to m" in found.corrections
+    assert "lengths were converted from mm to m" in found.corrections
     same(read_markers(written(tmp_path, b"\r\n\r\n" + vicon(unit="m", scale=1))))
     with pytest.raises(
         InputError, match=r":5:3: unit of length 'furlong' is not known"
@@ -491,7 +491,7 @@ def test_deeplabcut_positions_are_scaled(tmp_path, animals):
     assert found.labels == (
         ("s0:head", "s0:tail", "s1:head", "s1:tail") if animals else tuple(NAMES)
     )
-    assert "y reversed, because it points down in images" in found.corrections
+    assert "y is reversed, because it points down in images" in found.corrections
     with pytest.raises(InputError, match=r"give `rate_hz` .* and `scale_m` "):
         read_markers(path)
     with pytest.raises(InputError, match=r"give `scale_m` "):
@@ -591,7 +591,7 @@ def test_truncated_mcap_keeps_its_whole_messages(tmp_path):
     found = read_markers(written(tmp_path, content[: len(content) // 2]))
     assert (
         0 < len(found.time) < FRAMES
-        and "the file is cut: read up to the cut" in found.corrections
+        and "the file is cut off; it was read up to the cut" in found.corrections
     )
 
 
@@ -818,7 +818,8 @@ def test_files_that_unpack_to_gigabytes_are_refused(tmp_path):
         (
             "a.csv",
             b"some,words\n1,2\n",
-            ":1: not a known motion recording: its first line is 'some,words'",
+            ":1: the file is not a known motion recording, because its first line is"
+            " 'some,words'",
         ),
         ("a.csv", b"\x7fELF\0\0\0", "it is a binary file of an unknown kind"),
         ("a.csv", b"", "empty"),

@@ -47,7 +47,7 @@ def test_facts_of_a_marker_recording(tmp_path):
     assert facts.rigid_pairs == [["snake:ahead", "snake:1"]]
     assert {each.marker for each in facts.head} == {"snake:ahead"}
     assert facts.layouts["head"] == 5 and facts.layouts["single"] == 6
-    assert "lengths converted from cm to m" in facts.notes
+    assert "lengths were converted from cm to m" in facts.notes
     near = {frozenset(each.markers): each for each in facts.distances}
     pair = near[frozenset(["snake:ahead", "snake:1"])]
     assert pair.median_mm == pytest.approx(20, abs=0.2) and pair.spread_mm < 0.5

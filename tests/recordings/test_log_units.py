@@ -179,7 +179,7 @@ def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, 
 def test_unknown_and_ambiguous_units_are_refused(tmp_path, header):
     path = log(tmp_path, f"time,{header},P2")
     with pytest.raises(
-        InputError, match="the unit of column .* is not known .*give it in the map"
+        InputError, match="the unit of the column .* is not known .*give it in the map"
     ):
         read_valves(
             path, MODULE, mapped(pressure_kpa_plus_1=header, pressure_kpa_minus_1="P2")
@@ -219,7 +219,8 @@ def test_map_gives_the_unit_that_the_header_lacks(tmp_path, unit, key, factor):
 def test_pressure_without_a_stated_unit_is_refused(tmp_path, kind):
     given = mapped(**{f"{kind}_plus_1": "P1", f"{kind}_kpa_minus_1": "P2"})
     with pytest.raises(
-        InputError, match=r"log.csv:1:2: the unit of column 'P1' is not known .*give it"
+        InputError,
+        match=r"log.csv:1:2: the unit of the column 'P1' is not known .*give it",
     ):
         read_valves(log(tmp_path, "time,P1,P2"), MODULE, given)
 
@@ -444,7 +445,8 @@ def test_absolute_pressures_are_noted_and_converted(tmp_path):
     path.write_text(path.read_text().replace(",0\n", ",101.3\n"))
     keys = {"pressure_minus_1": "P2 (kPa)"}
     hint = (
-        r"the smallest pressure is 101.3 kPa: they look absolute: .*ambient_kpa: 101.3"
+        r"the smallest pressure is 101.3 kPa. The pressures look absolute;"
+        r" .*ambient_kpa: 101.3"
     )
     assert any(
         hint[:30] in note
@@ -517,7 +519,9 @@ def test_signals_of_a_bag_have_the_unit_of_the_map(tmp_path):
         found = read_valves(path, spec, given)
         assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
     given = mapped(pressure_plus_1="/p.data[0]", pressure_minus_1="/p.data[1]")
-    with pytest.raises(InputError, match=r"unit of column '/p.data\[0\]' is not known"):
+    with pytest.raises(
+        InputError, match=r"unit of the column '/p.data\[0\]' is not known"
+    ):
         read_valves(path, spec, given)
 
 

@@ -333,7 +333,7 @@ def test_shuffled_repeated_and_missing_rows_are_corrected(tmp_path):
     said = "; ".join(found.summary.corrections)
     assert (
         "sorted" in said
-        and "2 rows repeat the time" in said
+        and "2 rows were left out, because" in said
         and "3 frames are missing in the file" in said
     )
     assert (
@@ -372,7 +372,8 @@ def test_plain_csv_in_a_wrong_unit_is_refused(tmp_path):
     path.write_text(plain_csv(motion(), "m", 1e3).replace("_m", ""))
     with pytest.raises(
         InputError,
-        match=r"the markers are 5.* mm apart, .* 55 mm apart; are the lengths in mm\?",
+        match=r"the markers are 5.* mm apart, .* 55 mm apart; check the unit,"
+        r" because the lengths seem to be in mm",
     ):
         read_motion(path, SPEC)
 

@@ -242,7 +242,7 @@ def test_sweep_and_run_agree_on_recorded_pressures(perfect):
         ({"recording": None}, "controller: `kind: replay` needs a recording"),
         (
             {"controller": {"kind": "gait", "frequency_hz": 2.0}},
-            "recording: nobody replays it",
+            "recording: the recording is not used",
         ),
         ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording"),
         (
@@ -326,7 +326,8 @@ def test_a_measured_metric_needs_a_recording():
     expect = [{"metric": "measured_shape_rms_m", "plant": "twin", "below": 0.01}]
     with pytest.raises(
         InputFileError,
-        match=r"expect\[0\].metric: measured_shape_rms_m needs the section recording",
+        match=r"expect\[0\].metric: the metric `measured_shape_rms_m` compares with"
+        r" a recording",
     ):
         parse_scenario(
             {

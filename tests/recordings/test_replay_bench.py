@@ -216,7 +216,11 @@ def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("bend_1,air\n1,1\n", "x.csv:1: no column 'time'; a bend log has time,bend_1"),
+        (
+            "bend_1,air\n1,1\n",
+            "x.csv:1: the column 'time' is missing; a bend log has the columns"
+            " time,bend_1",
+        ),
         (
             "time,bend_1,bend_2\n0,0,0\n",
             "x.csv:1:3: bend_2: gen4_module has 1 segments",
@@ -280,7 +284,7 @@ def test_bench_velocities_are_the_slopes_of_the_positions(bench):
     [
         (
             {"bench": False},
-            r"recording.motion: bends alone do not determine .*, or bench: true",
+            r"recording.motion: bends alone do not determine .*, or set `bench: true`",
         ),
         ({"start": {"x_m": 1.0}}, "start: a robot on a bench is clamped"),
         (

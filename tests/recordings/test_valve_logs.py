@@ -194,7 +194,7 @@ def test_valve_states_hold_until_the_next_row(tmp_path):
     schedule = found.schedule()
     assert schedule.starts.tolist() == [0.0, 0.5, 2.0] and schedule.span == 2.0
     said = "; ".join(found.corrections)
-    assert "sorted" in said and "1 rows repeat the time" in said
+    assert "sorted" in said and "1 rows were left out, because" in said
 
 
 def duties(folder, full):
@@ -249,11 +249,12 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
             "valve_minus_4,valve_plus_5",
             "valve_plus_5: gen2 has 4 segments",
         ),
-        ("time", "clock", "valves.csv:1: no column 'time'"),
+        ("time", "clock", "valves.csv:1: the column 'time' is missing"),
         (
             "valve_plus_2",
             "valve_plus_1",
-            "valves.csv:1:4: valve_plus_1: the same as column",
+            "valves.csv:1:4: the column 'valve_plus_1' has the same meaning as the"
+            " column",
         ),
         (
             "valve_plus_1",

@@ -192,7 +192,7 @@ TAIL = {"axle_m": 0.06, "com_m": 0.07, "com_height_m": 0.02, "gyration_m": 0.02}
                 "mass.connectors_kg.value": [0.1, 0.2],
                 "mass.connectors_kg.uncertain": None,
             },
-            "2 masses for 5 connectors; give 5, or one number for all",
+            "2 masses are given for 5 connectors; give 5 masses, or one number for all of them",
         ),
         (
             {"mass.wheel_kg.value": 0.02},
@@ -245,7 +245,11 @@ def test_number_of_connectors_is_free(write, count):
             {"connectors": (0.03, -0.03, 0.03, 0.03, 0.03)},
             "mass of connector 2: -0.03 is not allowed",
         ),
-        ("mass", {"connectors": (0.03, 0.03)}, "2 masses for 5 connectors; give 5"),
+        (
+            "mass",
+            {"connectors": (0.03, 0.03)},
+            "2 masses are given for 5 connectors; give 5 masses",
+        ),
     ],
 )
 def test_invalid_parameters_of_a_spec_are_rejected(part, changes, words):

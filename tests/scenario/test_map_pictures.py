@@ -399,7 +399,8 @@ def test_checkerboard_is_rejected_quickly(tmp_path, monkeypatch, capsys):
     assert end.value.code == 2 and time.process_time() - begin < 5.0
     said = capsys.readouterr().err
     assert (
-        "wall.yaml:1:8: image: 500,000 rectangles" in said
+        "wall.yaml:1:8: image: the occupied cells of the map need 500,000 rectangles"
+        in said
         and "20,000 are allowed; remove specks" in said
     )
 

@@ -145,7 +145,7 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
         (
             "free_thresh: 0.196",
             "free_thresh: 0.65",
-            "room.yaml:6:14: free_thresh: must be below occupied_thresh",
+            "room.yaml:6:14: free_thresh: must be below `occupied_thresh`",
         ),
         (
             "free_thresh: 0.196",

@@ -96,11 +96,11 @@ def test_run_from_a_trajectory_continues_it(plant, tmp_path):
     [
         (
             {"bend_rad": [0.1]},
-            "start: bend_rad has 1 entries; the robot has 4 segments",
+            "start: `bend_rad` has 1 entries, but the robot has 4 segments",
         ),
         (
             {"pressure_kpa": [[900.0, 0.0]] * SEGMENTS},
-            "start: pressure_kpa 900 is above the supply pressure",
+            "start: `pressure_kpa` 900 is above the supply pressure",
         ),
         (
             {"from": "nowhere", "time_s": 1.0},
@@ -110,7 +110,7 @@ def test_run_from_a_trajectory_continues_it(plant, tmp_path):
             {"from": "nowhere"},
             "start.from: the time in the earlier run is missing; set `time_s`",
         ),
-        ({"time_s": 1.0}, "start.time_s: needs a run; set from"),
+        ({"time_s": 1.0}, "start.time_s: this key needs an earlier run; set `from`"),
         (
             {"from": "nowhere", "time_s": 1.0, "x_m": 0.0},
             "start.x_m: the run named by `from` already sets this key",

@@ -176,7 +176,8 @@ def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
         assert b == pytest.approx(sign * b[::-1], abs=1e-18)
     with pytest.raises(
         InputError,
-        match=r"cannot be calibrated over ±1.5708 rad: a line explains 0\.0%",
+        match=r"cannot be calibrated over ±1\.5708 rad, because a line explains only"
+        r" 0\.0%",
     ):
         calibrate(HallSensor.trimmed(flat("up")))
 
@@ -630,8 +631,8 @@ def test_sensors_are_selected_by_name():
         (
             {"offset": 5.0},
             (
-                "offset 5.0 is not allowed; it must be finite and between the rails, 0"
-                " and 5 V"
+                "`offset` 5.0 is not allowed; it must be finite and between the rails"
+                " 0 and 5 V"
             ),
         ),
         (

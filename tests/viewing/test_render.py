@@ -518,7 +518,7 @@ def test_failing_opengl_backend_is_named(runs, srs_twin_process, tmp_path):
     )
     assert done.returncode == 2
     assert (
-        "OpenGL backend in MUJOCO_GL does not work (vulkan: unknown backend"
+        "OpenGL backend in MUJOCO_GL does not work (vulkan: the backend is unknown"
         in done.stderr
     )
 
@@ -532,8 +532,8 @@ def test_without_opengl_the_error_names_packages(monkeypatch):
     assert (
         str(caught.value)
         == "no OpenGL backend renders off screen (egl: no libegl; osmesa: no"
-        " libosmesa); on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri;"
-        " or apt-get install libosmesa6"
+        " libosmesa); on Debian and Ubuntu, install one with apt-get install"
+        " libegl1 libgl1-mesa-dri; or apt-get install libosmesa6"
     )
 
 

@@ -153,14 +153,15 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "from: 41",
             "from: 61",
-            "6:24: vary.supply.pressure_kpa: from must be below to, but 61 is not belo",
+            "6:24: vary.supply.pressure_kpa: `from` must be below `to`, but 61 is not"
+            " belo",
         ),
         (
             ", count: 4",
             "",
             (
-                "5:3: vary: supply.pressure_kpa: the range has no count; give count, or"
-                " set sampling to latin_hypercube or sobol"
+                "5:3: vary: supply.pressure_kpa: the range has no `count`; give"
+                " `count`, or set `sampling` to latin_hypercube or sobol"
             ),
         ),
         (
@@ -196,12 +197,12 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "duration_s: 2}",
             "supply.pressure_kpa: 45}",
-            "3:9: fixed.supply.pressure_kpa: is varied as",
+            "3:9: fixed.supply.pressure_kpa: this field is also varied",
         ),
         (
             "fixed:",
             "periods: 5\nfixed:",
-            "4:9: fixed.duration_s: is set by periods as well",
+            "4:9: fixed.duration_s: `periods` also sets the duration",
         ),
         (
             "fixed:",
@@ -224,7 +225,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "fixed:",
             "sampling: {kind: list}\nfixed:",
-            "6:3: vary: sampling: list needs the same number of",
+            "6:3: vary: `sampling: list` needs the same number of",
         ),
         (
             "fixed:",

@@ -190,7 +190,7 @@ except InputError as error:
         check=False,
     )
     assert run.returncode == 1 and run.stderr.startswith(
-        "refused: rows.sqlite: cannot be written"
+        "refused: rows.sqlite: the file cannot be written"
     ), run.stderr
     stored = [int(line) for line in run.stdout.split()]
     with RowStore(tmp_path) as store:

@@ -208,7 +208,7 @@ def test_few_samples_give_a_warning_with_the_reason_of_each_limit():
     )
     assert "above 5 %, the width is uncertain by more than 14 %" in text
     assert (
-        "above ±10 % causes that differ by less than 14 % cannot be distinguished"
+        "above ±10 %, causes that differ by less than 14 % cannot be distinguished"
         in text
     )
 

@@ -96,7 +96,10 @@ def test_samples_have_the_correlation_of_the_file():
 @pytest.mark.parametrize(
     ("spread", "message"),
     [
-        ({"kind": "normal", "factor": 2.0}, "normal needs sd, but factor is given"),
+        (
+            {"kind": "normal", "factor": 2.0},
+            "the distribution `normal` needs sd, but factor is given",
+        ),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.04},
             "`low` 0.05 must be below `high` 0.04",
