@@ -128,7 +128,7 @@ OPTIONS = {
     ),
     "snake": (
         {"snake": {"com": (0, 0)}},
-        r"option snake .* give a SnakeState, such as plant.state",
+        r"option `snake` .* give a SnakeState, such as plant.state",
     ),
     "yaw alone": (
         {"yaw_rate": 0.1},

@@ -80,7 +80,7 @@ def test_keys_of_wheels_are_refused_for_a_skin(problems):
 def test_keys_of_a_skin_are_refused_for_wheels(problems):
     (line,) = problems(WHEELED + "contact: {kind: wheels, law: cosine}\n")
     assert line.endswith(
-        "contact.law: a robot with contact wheels has no law; remove it"
+        "contact.law: a robot with contact wheels cannot have `law`; remove this key"
     )
 
 
@@ -90,7 +90,8 @@ def test_missing_keys_of_wheels_are_named(problems):
     )
     (line,) = problems(WHEELED.replace(record + "\n", ""))
     assert (
-        "geometry.wheel_radius_m: missing; a robot with contact wheels needs it" in line
+        "geometry.wheel_radius_m: missing; a robot with contact wheels needs this key"
+        in line
     )
 
 

@@ -130,7 +130,8 @@ def test_time_outside_the_trajectory_is_rejected(tmp_path):
     for plant in PLANTS:
         run(scenario({}), plant).to_parquet(tmp_path / f"{plant}.parquet")
     with pytest.raises(
-        InputError, match=r"`time_s` 3 is outside .*analytical.parquet, 0 to 1 s"
+        InputError,
+        match=r"`time_s` 3 is outside .*analytical.parquet, which covers 0 to 1 s",
     ):
         scenario({"from": str(tmp_path), "time_s": 3.0})
 
