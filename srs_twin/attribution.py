@@ -449,7 +449,8 @@ def explain(
     """
     if not {"analytical", "twin"} <= trajectories.keys():
         raise InputError(
-            "an attribution compares the two plants; run both, analytical and twin"
+            "an attribution compares the two plants, but only one of them runs; run"
+            " both, `analytical` and `twin`"
         )
     controller = scenario.build_controller()
     end = max(float(run.time[-1]) for run in trajectories.values())
@@ -493,9 +494,9 @@ def _checked_gap(scenario: Scenario, model: Trajectory, twin: Trajectory) -> np.
         ) from error
     if scenario.file.comparison.gap_factor:
         raise InputError(
-            f"{scenario.name}: comparison.gap_factor scales the speed, so the"
-            " difference cannot be attributed; remove it (the attribution covers rigid"
-            " gaps without it)"
+            f"{scenario.name}: the difference cannot be attributed, because"
+            " `comparison.gap_factor` scales the speed; remove"
+            " `comparison.gap_factor` (the attribution covers rigid gaps without it)"
         )
     return gap
 

@@ -86,7 +86,10 @@ class AbsentPartError(InputError):
     """
 
     def __init__(self, name: str) -> None:
-        super().__init__(f"{name} was not imported; load the scenario itself to run it")
+        super().__init__(
+            f"the plug-in class {name} was not imported; load the scenario itself"
+            " to run it"
+        )
 
 
 class UnknownNameError(InputError):
@@ -189,7 +192,7 @@ class TaskFailedError(SrsError):
         if _is_memory_shortage(error):
             super().__init__(
                 f"the memory is exhausted ({describe_error(error)}); close other"
-                " programs"
+                " programs or use fewer workers"
             )
             return
         fault = (
@@ -277,7 +280,7 @@ def _exit_cause(exit_code: int) -> str:
         return "the machine ran out of memory (use fewer workers), or a user killed it"
     if exit_code < 0:
         return "compiled code crashed, or a user killed it"
-    return "see its output above"
+    return "its output above states the reason"
 
 
 def _longest_round_divisor(period_s: float, step_s: float) -> float:

@@ -401,14 +401,15 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
         None,
     )
     if path is None:
-        return {"stale": f"no interval is stored; {renew} makes one"}
+        return {"stale": f"no interval is stored; the command {renew} stores one"}
     try:
         data = json.loads(path.read_text("utf-8"))
         digest = data["digest"]
         plants = data["plants"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = (
-            f"{display_path(path)} cannot be read ({error}); {renew} writes it again"
+            f"{display_path(path)} cannot be read ({error}); the command {renew}"
+            " writes this file again"
         )
         return {"stale": reason}
     own = data.get("contact") or UNSTATED_CONTACT
@@ -416,12 +417,16 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
     shown = f"the interval in {display_path(path)}"
     if "twin" in plants and contact is not None and own != contact:
         reason = (
-            f"{shown} is for a twin with contact {own}, not {contact}; {renew} renews"
-            " it"
+            f"{shown} belongs to a twin with the contact '{own}', but this twin has"
+            f" the contact '{contact}'; the command {renew} computes the interval"
+            " again"
         )
         return {"stale": reason}
     if digest != judged_digest(scenario.document):
-        reason = f"{shown} is for another robot or scenario; {renew} renews it"
+        reason = (
+            f"{shown} belongs to another robot or scenario; the command {renew}"
+            " computes the interval again"
+        )
         return {"stale": reason}
     return {
         "stale": None,
@@ -558,13 +563,14 @@ def compare(
     if isinstance(reference, Trajectory):
         if candidate is None or set is not None:
             raise InputError(
-                "give two trajectories, or one scenario; `set` is only for a scenario"
+                "two trajectories or one scenario are needed, and the argument `set`"
+                " is allowed only with a scenario; add the second trajectory, or"
+                " remove `set`"
             )
         return difference(reference, candidate, gap_factor=gap_factor)
     if candidate is not None:
         raise InputError(
-            "a scenario is run on both plants, so the second argument has no meaning;"
-            " remove it"
+            "a scenario already runs on both plants; remove the second argument"
         )
     scenario = load_scenario(reference, set=set or {})
     run = PreparedRun.build(scenario, Path(), PLANTS)
@@ -689,7 +695,7 @@ def load_run(run: str | Path) -> FinishedRun:
     if not trajectories:
         raise InputError(
             f"{display_path(folder)}: the folder contains no trajectory; `srs-twin run"
-            " SCENARIO` writes trajectories"
+            " SCENARIO` writes one"
         )
     with reading():
         return FinishedRun(folder, load_scenario(folder / RESOLVED), trajectories)
@@ -707,6 +713,6 @@ def find_run(run: str | Path) -> Path:
             return folder
     files = " and ".join(display_path(path / RESOLVED) for path in candidates)
     raise InputError(
-        f"{run}: there is no finished run (looked for {files}); `srs-twin run SCENARIO`"
-        " makes one"
+        f"{run}: no finished run exists there (looked for {files}); `srs-twin run"
+        " SCENARIO` creates one"
     )

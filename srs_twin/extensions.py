@@ -225,19 +225,22 @@ def _why_unusable(entry: str) -> str:
     if not entry.endswith(".py"):
         if module:
             return ""
-        return "no such module; give a file that ends in .py, or an installed module"
+        return (
+            "this module does not exist; give a file whose name ends in .py, or"
+            " an installed module"
+        )
     if not os.path.isfile(entry):
-        return "no such file"
+        return "this file does not exist"
     if not name.isidentifier() or os.pathsep in entry:
         return (
-            "cannot be imported; use only letters, digits and _ in its name, and no"
-            f" '{os.pathsep}'"
+            "the file cannot be imported because of its name; use only letters,"
+            f" digits and _ in the name of the file, and no '{os.pathsep}' in its path"
         )
     if module:
         places = (getattr(module, key, None) for key in ("__file__", "origin"))
         origin = next(filter(None, places), "built in")
         if os.path.realpath(origin) != os.path.realpath(entry):
-            return f"a module {name} exists already ({origin}); rename the file"
+            return f"another module is already named {name} ({origin}); rename the file"
     return ""
 
 
@@ -313,8 +316,9 @@ def import_plugin(module: str) -> ModuleType:
         and package not in owners()
     ):
         raise InputError(
-            f"module {module} is not allowed, because a file alone never runs code. "
-            f"If you trust it, name it with --plugin FILE.py or in {PLUGINS}"
+            f"module {module} is not imported, because a scenario file must not run"
+            " code. If you trust the module, name it with --plugin FILE.py or in the"
+            f" environment variable {PLUGINS}"
         )
     OUTSIDE.update(plugins().values())
     try:
@@ -358,8 +362,8 @@ def part(
     if not is_derived or isabstract(found):
         expected = " or ".join(base.__name__ for base in bases)
         raise InputError(
-            f"{names[name]} must be a class that derives from {expected}, with all its"
-            " methods"
+            f"{names[name]} is not allowed; it must be a class that derives from"
+            f" {expected} and implements all abstract methods of its base class"
         )
     return found
 

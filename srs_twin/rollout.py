@@ -121,8 +121,8 @@ def rollout(
     check_types("rollout", rollout, locals())
     if sum(start is not None for start in (pose, initial_state, resume)) > 1:
         raise InputError(
-            "rollout: give only one of pose, initial_state and resume; each sets the initial"
-            " state"
+            "rollout: the arguments `pose`, `initial_state` and `resume` each set the"
+            " initial state; give only one of them"
         )
     ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
@@ -169,9 +169,10 @@ def _initial_state(
 def _check_drives(controller: Controller, plant: Plant) -> None:
     if plant.layout not in controller.layouts:
         raise InputError(
-            f"controller '{controller.kind}' drives valves of layout"
-            f" {', '.join(controller.layouts)}; the {plant.name} plant has"
-            f" {plant.layout} (layout in_out can hold, 3/2 cannot)"
+            f"controller '{controller.kind}' needs valves of layout"
+            f" {', '.join(controller.layouts)}, but the {plant.name} plant has the"
+            f" layout {plant.layout} (valves of layout in_out can hold the air, 3/2"
+            " valves cannot)"
         )
     if not controller.spatial:
         plant.spec.require_planar(f"controller '{controller.kind}'")
@@ -283,7 +284,7 @@ def sample_counts(
     """
     if not 0 < record_hz < math.inf:
         raise InputError(
-            f"record_hz {record_hz:g} is not allowed; it must be finite and above 0"
+            f"`record_hz` {record_hz:g} is not allowed; it must be finite and above 0"
         )
     grid = SamplingGrid(tick, step)
     if not grid.fits(record_hz):
@@ -291,9 +292,9 @@ def sample_counts(
         if step is not None:
             base += f" with an interval that is a multiple of {format_exact(step)} s"
         raise InputError(
-            f"record_hz {format_exact(record_hz)} does not fit the tick"
-            f" {format_exact(tick)} s; use {nearest_rate(record_hz, [grid])} Hz, or any"
-            f" whole multiple or fraction of {base}"
+            f"`record_hz` {format_exact(record_hz)} does not fit the tick of"
+            f" {format_exact(tick)} s; use {nearest_rate(record_hz, [grid])} Hz, or"
+            f" any whole multiple or fraction of {base}"
         )
     return max(1, round(tick * record_hz)), max(1, round(1 / (tick * record_hz)))
 
@@ -657,7 +658,7 @@ def run_scripts(
     if len(controllers) != len(batch.twins):
         raise InputError(
             f"{len(controllers)} controllers are given for {len(batch.twins)} runs;"
-            " give one per run"
+            " give one controller per run"
         )
     with claim(batch):
         scripts = []
@@ -667,7 +668,7 @@ def run_scripts(
             if script is None:
                 raise InputError(
                     f"controller '{controller.kind}' uses sensor readings, but"
-                    " run_scripts needs a controller whose commands are known in"
+                    " `run_scripts` needs a controller whose commands are known in"
                     " advance, such as Gait"
                 )
             scripts.append(script)
@@ -703,8 +704,9 @@ def _check_not_shared(jobs: Sequence[Job]) -> None:
             first = first_user.setdefault(id(shared), k)
             if first != k:
                 raise InputError(
-                    f"jobs {first} and {k} share one {kind}, a {type(shared).__name__};"
-                    " give each job its own, or a function that builds one"
+                    f"jobs {first} and {k} share one {kind}, a"
+                    f" {type(shared).__name__}; give each job its own {kind}, or a"
+                    " function that builds one"
                 )
 
 

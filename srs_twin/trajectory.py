@@ -208,7 +208,7 @@ class Trajectory(HtmlResult):
             import pandas as pd
         except ImportError as error:
             raise InputError(
-                "to_pandas needs pandas; install it with: pip install pandas"
+                "`to_pandas` needs pandas; install it with: pip install pandas"
             ) from error
         frame = pd.DataFrame(dict(self.columns)).set_index("time")
         frame.attrs["units"] = {name: self.unit(name) for name in self.columns}
@@ -286,34 +286,39 @@ class Trajectory(HtmlResult):
         except (TypeError, ValueError, RecursionError) as error:
             raise InputError(f"{path}: not {_FILE_KIND} ({error})") from error
         if "time" not in columns:
-            raise InputError(f"{path}: a trajectory needs a column 'time'")
+            raise InputError(
+                f"{path}: a trajectory needs a column 'time', but the file has none"
+            )
         time = columns["time"]
         if not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
             raise InputError(
-                f"{path}: column time: must be finite and increase from sample to"
-                " sample"
+                f"{path}: the values in column 'time' must be finite and increase from"
+                " sample to sample"
             )
         return cls(columns, units, events, metadata)
 
 
 def _check_schema(schema: Any) -> None:
     if not {b"srs_twin.events", b"srs_twin.metadata"} <= (schema.metadata or {}).keys():
-        raise TypeError("a Parquet file with other content")
+        raise TypeError("the Parquet file has no metadata of srs-twin")
     for column in schema:
         if str(column.type) != "double":
-            raise TypeError(f"column {column.name} holds {column.type}, not float64")
+            raise TypeError(
+                f"column '{column.name}' contains values of type {column.type},"
+                " but must contain float64"
+            )
 
 
 def _to_array(name: str, column: Any) -> Array:
     if column.null_count:
-        raise TypeError(f"column {name} has {column.null_count} missing values")
+        raise TypeError(f"column '{name}' has {column.null_count} missing values")
     return np.asarray(column.to_numpy())
 
 
 def _parse_event(data: Any) -> Event:
     event = Event(**data)
     if not (isinstance(event.kind, str) and isinstance(event.text, str)):
-        raise TypeError("an event's kind and text must be text")
+        raise TypeError("the kind and the text of an event must be text")
     if isinstance(event.time, bool) or not math.isfinite(event.time):
-        raise ValueError("an event's time must be finite")
+        raise ValueError("the time of an event must be finite")
     return event

@@ -482,14 +482,14 @@ def test_run_without_attribution_is_rejected():
     s = scenario(duration_s=1.0)
     runs = both(s)
     with pytest.raises(
-        InputError, match="an attribution compares the two plants; run both"
+        InputError, match="an attribution compares the two plants, but only one"
     ):
         explain(s, {"twin": runs["twin"]})
     scaled = {"analytical": {"gaps": False}, "twin": {}}
     with_factor = scenario(plants=scaled, comparison={"gap_factor": True})
     with pytest.raises(
         InputError,
-        match="comparison.gap_factor scales the speed, so the difference cannot be",
+        match="cannot be attributed, because `comparison.gap_factor` scales the speed",
     ):
         explain(with_factor, both(with_factor))
     with pytest.raises(

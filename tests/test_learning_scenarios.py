@@ -113,7 +113,7 @@ def test_a_target_out_of_reach_is_warned_of():
     weak = parse_scenario(dict(given.document) | {"supply": {"pressure_kpa": 30}})
     (warning,) = weak.warnings
     assert warning.startswith(
-        "controller.target_rad: 1.5 rad is above 0.455 rad, the largest bend"
+        "controller.target_rad: 1.5 rad is above 0.455 rad, the maximum bend"
     )
 
 
@@ -184,5 +184,9 @@ def test_the_picture_shows_what_was_measured(stopped):
 
 
 def test_a_carrier_as_slow_as_the_gait_is_refused():
-    with pytest.raises(InputError, match="needs a carrier_hz of at least 8"):
+    with pytest.raises(
+        InputError,
+        match="`carrier_hz` is too low for a gait of this frequency; it must be at"
+        " least 8",
+    ):
         scenario(carrier_hz=7)

@@ -104,7 +104,9 @@ def test_a_sweep_gives_the_rows_of_the_command_and_leaves_nothing(
 def test_an_interrupted_sweep_keeps_its_rows_and_resumes(place):
     with pytest.raises(KeyboardInterrupt) as stopped:
         srs.sweep("small.yaml", out="out", engine=interrupted)
-    assert stopped.value.__notes__ == ["3 of 4 rows are kept; start again to resume"]
+    assert stopped.value.__notes__ == [
+        "3 of 4 rows are kept; start the command again to resume"
+    ]
     assert pq.read_table("out/results.parquet").num_rows == 3
     seen = []
     found = srs.sweep(
@@ -188,9 +190,7 @@ def test_a_plan_is_that_of_the_command(command, place, capsys):
     assert set(srs.plan_scenario("follow_fig57", out="again").files) == files(
         place / "again"
     )
-    with pytest.raises(
-        InputError, match="gen2_straight: the scenario has no planner section"
-    ):
+    with pytest.raises(InputError, match="gen2_straight: the scenario has no planner"):
         srs.plan_scenario("gen2_straight")
 
 
@@ -280,7 +280,7 @@ def test_a_friction_fit_is_that_of_the_command(command, place, capsys):
     assert fitted.spec().friction.mu_t == pytest.approx(
         values["friction.mu_t"], rel=1e-8
     )
-    with pytest.raises(InputError, match="the file exists"):
+    with pytest.raises(InputError, match="the file already exists"):
         srs.calibrate_robot(
             [place / "fits/python.yaml"], "mine", out="robots/mine.yaml"
         )
@@ -288,7 +288,7 @@ def test_a_friction_fit_is_that_of_the_command(command, place, capsys):
 
 def test_tables_of_constant_pressures_need_no_log():
     with pytest.raises(
-        InputError, match="remove this option; tables of constant pressures have no log"
+        InputError, match="tables of constant pressures need no log; remove --valves"
     ):
         srs.calibrate_actuator([EXAMPLES / "held.csv"], "gen2", valves=["log.csv"])
 
@@ -388,7 +388,7 @@ def test_a_footprint_is_that_of_its_file(place, capsys):
         ),
         (
             lambda: srs.calibrate_design("gen2", {}),
-            "give one or more, such as friction.mu_t",
+            "give one or more, for example friction.mu_t",
         ),
         (lambda: srs.calibrate_margin("gen2_straight"), "planner"),
         (

@@ -184,7 +184,7 @@ def test_only_one_start_is_accepted():
         return plant.reset(seed=seed)
 
     with pytest.raises(
-        InputError, match="give only one of pose, initial_state and resume"
+        InputError, match="`pose`, `initial_state` and `resume` .*; give only one"
     ):
         rollout(Clock(), Scripted(), 0.2, pose=(1.0, 0.0, 0.0), initial_state=begin)
     assert not placed

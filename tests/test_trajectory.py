@@ -193,9 +193,9 @@ METADATA = {"srs_twin.events": "[]", "srs_twin.metadata": "{}"}
         (
             {"time": np.zeros(9), "text": ["x" * 999] * 9},
             METADATA,
-            "column text holds string, not float64",
+            "column 'text' contains values of type string, but must contain float64",
         ),
-        ({"time": np.zeros(9)}, {}, "a Parquet file with other content"),
+        ({"time": np.zeros(9)}, {}, "the Parquet file has no metadata of srs-twin"),
     ],
 )
 def test_other_parquet_file_is_rejected_before_its_data_are_read(
@@ -218,5 +218,7 @@ def test_file_with_two_different_schemas_is_rejected(key, tmp_path):
     whole = stream.getvalue()
     assert whole.count(key) == 1
     (tmp_path / "a.parquet").write_bytes(whole.replace(key, key.upper()))
-    with pytest.raises(InputError, match="a Parquet file with other content"):
+    with pytest.raises(
+        InputError, match="the Parquet file has no metadata of srs-twin"
+    ):
         Trajectory.from_parquet(tmp_path / "a.parquet")

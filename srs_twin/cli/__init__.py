@@ -117,7 +117,10 @@ def main(argv: list[str] | None = None) -> None:
             and error.filename
             and code in _FILE_SYSTEM_ERRORS
         ):
-            say(f"{os.fsdecode(error.filename)}: cannot be used ({error.strerror})")
+            say(
+                f"{os.fsdecode(error.filename)}: the file cannot be used"
+                f" ({error.strerror})"
+            )
             sys.exit(InputError.exit_code)
         say(
             f"srs-twin: {TaskFailedError(error)}; `srs-twin --debug …` shows the"
@@ -165,7 +168,9 @@ class _StandardStream(io.FileIO):
             if isinstance(error, BrokenPipeError):
                 return super().write(data)
             name = "stdout" if self.fileno() == 1 else "stderr"
-            raise InputError(f"{name}: cannot be written ({error.strerror})") from error
+            raise InputError(
+                f"{name}: the output cannot be written ({error.strerror})"
+            ) from error
 
 
 def _without_broken_pipes(stream: TextIO) -> TextIO:

@@ -63,7 +63,7 @@ def list_(
 
     Options:
         kind: What to list: scenarios, robots, sweeps, controllers, metrics or studies.
-            [default: all but metrics]
+            [default: all except metrics]
     """
     if kind is not None and kind not in _KINDS:
         raise UnknownNameError("kind", kind, _KINDS)
@@ -256,7 +256,8 @@ def schema(
     """Print the JSON Schema of an input file or output document.
 
     Options:
-        kind: Kind of the described document: scenario, sweep, study, setup or inspect.
+        kind: Kind of document whose schema is printed: scenario, sweep, study, setup or
+            inspect.
     """
     schemas = {"scenario": "srs_twin.scenario:scenario_json_schema"} | installed(
         SCHEMAS

@@ -64,7 +64,7 @@ def diff(
     for name, value in overrides.items():
         if not 0 <= value < float("inf"):
             raise InputError(
-                f"--{name} {value:g} is not allowed; it must be finite and not negative"
+                f"--{name} {value:g} is not allowed; it must be finite and at least 0"
             )
     difference = compare_results(a, b, allowed.model_copy(update=overrides))
     for package, (old, new) in difference.versions.items():

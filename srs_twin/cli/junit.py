@@ -34,7 +34,9 @@ def report_path(name: str) -> Path:
     """
     path = Path(name)
     if path.suffix.lower() != ".xml":
-        raise InputError(f"--junit {name}: the file name of a report must end in .xml")
+        raise InputError(
+            f"--junit {name} is not allowed; the name of a report must end in .xml"
+        )
     return path
 
 

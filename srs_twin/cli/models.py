@@ -57,9 +57,9 @@ def export(
 
     if as_contact(contact).name != "preloaded":
         raise InputError(
-            "--contact loaded is not allowed: srs_twin computes its friction, so an"
-            " MJCF file would contain none and the snake would slide freely; use"
-            " --contact preloaded"
+            "--contact loaded is not allowed. The program itself computes the"
+            " friction of this contact, so an MJCF file would contain no friction and"
+            " the snake would slide freely; use --contact preloaded"
         )
     robots = {
         robot.name: robot
@@ -82,7 +82,7 @@ _ANY_ARGUMENTS = {"allow_extra_args": True, "ignore_unknown_options": True}
 
 @app.command(hidden=True, context_settings=_ANY_ARGUMENTS)
 def check() -> None:
-    """Report that this command no longer exists."""
+    """Report that this command was removed."""
     raise InputError(
         "`models check` was retired; `python -m mujoco.viewer --mjcf=FILE` opens an"
         " MJCF or URDF file and shows its faults, and `srs-twin models export` writes"

@@ -32,7 +32,10 @@ NameArgument = Annotated[
 ]
 OutOption = Annotated[
     str | None,
-    option("--out FILE", "Path of the new file. [default: NAME.yaml, NAME.py]"),
+    option(
+        "--out FILE",
+        "Path of the new file. [default: NAME.yaml, or NAME.py for a controller]",
+    ),
 ]
 
 # Values of generation 2. The values of new robots are scaled from these values.
@@ -69,12 +72,13 @@ class NewRobotOptions:
     """Size and kind of a robot.
 
     Options:
-        --length M: Body length in metres. [default: generation 2]
-        --mass KG: Mass of the whole robot in kg. [default: scaled from generation 2]
-        --segments N: Number of bending segments. [default: generation 2]
-        --pressure KPA: Supply pressure (gauge) in kPa. [default: generation 2]
+        --length M: Body length in metres. [default: 0.22]
+        --mass KG: Mass of the whole robot in kg. [default: mass of the robot gen2,
+            scaled to this size]
+        --segments N: Number of bending segments. [default: 4]
+        --pressure KPA: Supply pressure (gauge) in kPa. [default: 48.3]
         --bend RAD: Bend of one segment at the supply pressure, or maximum angle of a
-            servo joint, in rad. [default: 1.57; joints 0.6]
+            servo joint, in rad. [default: 1.57, or 0.6 with --servo]
         --skin: Write a robot without wheels, which slides on its belly.
         --servo: Write a robot with rigid links and servo joints instead of air
             chambers.
@@ -114,7 +118,7 @@ class NewRobotOptions:
         for name, number in size._asdict().items():
             if not 0 < number < math.inf:
                 raise InputError(
-                    f"--{name} {number:g} is not allowed; it must be positive"
+                    f"--{name} {number:g} is not allowed; it must be above 0 and finite"
                 )
         return size
 
@@ -157,8 +161,8 @@ class RobotSize(NamedTuple):
             value: float = getattr(self, name)
             if not low <= value / usual[name] <= high:
                 text = (
-                    f"--{name} {value:g} is in {unit}; scaled from generation 2, it"
-                    " would be"
+                    f"--{name} {value:g} is in {unit}, which is unusual for this"
+                    " robot; scaled from the generation 2 robot, it would be"
                 )
                 hint = likely_unit(value, unit, usual[name])
                 found.append(f"{text} {usual[name]:.3g} {unit}; {hint}")
@@ -186,9 +190,10 @@ _DEFAULT_ROBOT = NewRobotOptions()
 def robot(
     name: NameArgument, options: NewRobotOptions = _DEFAULT_ROBOT, out: OutOption = None
 ) -> None:
-    """Write a robot file with values scaled from generation 2.
+    """Write a robot file for a robot of a given size.
 
-    On a terminal, the command asks for each value that no option sets.
+    The values of the shipped robot gen2 are scaled to this size. On a terminal, the
+    command asks for each value that no option sets.
     """
     size = options.ask()
     from srs_twin.robot.file import load_robot
@@ -369,7 +374,7 @@ def _write(
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(
-            f"{name!r} is not allowed as a name; use lower-case letters, digits and _,"
+            f"the name {name!r} is not allowed; use lower-case letters, digits and _,"
             " and begin with a letter"
         )
     path = Path(out or f"{name}{_SUFFIXES[Path(template).suffix]}")

@@ -101,7 +101,7 @@ _CHECK = "Exit with code 1 if a result lies outside its expected range."
 CheckOption = Annotated[bool, option("--check", _CHECK)]
 _STRICT = (
     "Like --check, but also exit with code 1 if an expectation cannot be judged or is"
-    " marked as a known deviation (`known`)."
+    " marked with `expected_failure`."
 )
 StrictOption = Annotated[bool, option("--strict", _STRICT)]
 QuietOption = Annotated[

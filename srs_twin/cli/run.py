@@ -348,7 +348,8 @@ def _suggest_explanation(
     for plugin in plugins().values():
         words += ["--plugin", plugin]
     say(
-        f"to attribute the difference: `srs-twin compare {shlex.join(words)} --explain`"
+        f"to find the causes of the difference: `srs-twin compare {shlex.join(words)}"
+        " --explain`"
     )
 
 
@@ -390,8 +391,8 @@ def run(
             with such files.
         --out DIR: Output folder. If there are several scenarios, each gets a subfolder.
             [default: runs/SCENARIO]
-        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
-            [default: from the scenario]
+        --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
+            [default: the models that the scenario names]
     """
     run_all(
         make_cases(scenarios),

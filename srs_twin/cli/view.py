@@ -45,7 +45,9 @@ def view(
     """
     recordings = [find_recording(run) for run in runs]
     if port is not None and not web:
-        raise InputError("--port is only used with --web; add --web or remove --port")
+        raise InputError(
+            "--port is allowed only together with --web; add --web or remove --port"
+        )
     with tempfile.TemporaryDirectory(prefix="srs-twin-view-") as folder:
         recording = recordings[0]
         if len(recordings) > 1:
@@ -73,7 +75,7 @@ def _serve(recording: Path, port: int) -> None:
             typer.echo(address)
             sys.stdout.flush()
             print(
-                "open this address in a browser; Ctrl-C ends it",
+                "open this address in a browser, and press Ctrl-C to end",
                 file=sys.stderr,
                 flush=True,
             )
@@ -97,14 +99,14 @@ def find_recording(run: str) -> Path:
         if os.path.isfile(path):
             if path.suffix != ".rrd":
                 raise InputError(
-                    f"{path}: not a recording; give a run folder or a file that ends in"
-                    " .rrd"
+                    f"{path}: this is not a recording; give a run folder or a file"
+                    " that ends in .rrd"
                 )
             return path
     searched = ", ".join(str(path) for path in candidates[1:])
     raise InputError(
-        f"{run}: no recording found (looked for {searched}); `srs-twin run SCENARIO`"
-        " writes one"
+        f"{run}: no recording exists there (looked for {searched}); `srs-twin run"
+        " SCENARIO` writes one"
     )
 
 
@@ -184,7 +186,7 @@ def _changed_robot(
         if override.loc[0] != "robot":
             raise InputError(
                 f"{override.label}: only fields of the robot can be set, because no"
-                " scenario is given; begin the field with robot."
+                " scenario is given; write the field as `robot.FIELD`"
             )
         document.apply(override)
     robot_file = robot_in(document, "robot")
@@ -219,10 +221,10 @@ class PictureOptions:
             several runs.
         --image t=2.5: Render one image of the run at this time in seconds.
         --strobe: Render one image from above that shows the robot at several times.
-        --ghost: Also draw the robot of the analytical model, translucently.
+        --ghost: Also draw the robot of the analytical model as a translucent body.
         --out FILE.png: Image file, or folder for the images of several runs. [default:
             the run's folder]
-        --size WxH: Width and height of the picture in pixels. For --strobe, only the
+        --size WxH: Width and height of the picture in pixels. With --strobe, only the
             width is used.
         --fps N: Frame rate of the video in Hz.
         --speed X: Playback speed of the video. With 0.25, the video runs at a quarter
@@ -248,7 +250,8 @@ class PictureOptions:
         """Raise an `InputError` if the options contradict each other."""
         if sum((self.video is not None, self.image is not None, self.strobe)) != 1:
             raise InputError(
-                "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe"
+                "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is"
+                " needed; give one of them"
             )
         if self.video is not None and self.out is not None:
             raise InputError(
@@ -257,7 +260,7 @@ class PictureOptions:
             )
         if self.ghost and self.strobe:
             raise InputError(
-                "--ghost is only possible with --video or --image; remove --ghost"
+                "--ghost is possible only with --video or --image; remove --ghost"
             )
         if self.image is not None and (self.from_, self.to) != (None, None):
             raise InputError(
@@ -307,7 +310,7 @@ class PictureOptions:
                 f"{target}: {runs} runs cannot share one file; give a folder"
             )
         if target.suffix not in ("", suffix):
-            raise InputError(f"{target}: the file must end in {suffix}")
+            raise InputError(f"{target}: the name of the file must end in {suffix}")
         return target
 
     def part(self, run: FinishedRun) -> Trajectory:
@@ -325,7 +328,7 @@ class PictureOptions:
         if self.ghost and _GHOST not in run.trajectories:
             raise InputError(
                 f"{display_path(run.folder)}: the run contains no analytical model;"
-                " omit --ghost"
+                " remove --ghost"
             )
         whole = run.trajectories["twin"]
         first = float(whole.time[0])
@@ -335,8 +338,8 @@ class PictureOptions:
         part = whole.between(low, high)
         if len(part) < _MIN_SAMPLES:
             raise InputError(
-                f"--from {low:g} --to {high:g} contains no part of the run, which lasts"
-                f" from {first:g} to {last:g} s"
+                f"the interval --from {low:g} --to {high:g} is outside the run, which"
+                f" lasts from {first:g} to {last:g} s"
             )
         return part
 
@@ -386,7 +389,7 @@ def _parse_time(text: str) -> float:
         return float(text.strip().removeprefix("t="))
     except ValueError as error:
         raise InputError(
-            f"--image {text}: not a time; give seconds, such as t=2.5"
+            f"--image {text} is not a time; give seconds, for example t=2.5"
         ) from error
 
 
@@ -399,7 +402,8 @@ def _parse_size(text: str) -> Size:
         _MIN_SIDE_PX <= side <= _MAX_SIDE_PX and side % 2 == 0 for side in sides
     ):
         raise InputError(
-            f"--size {text}: give width and height in pixels, such as 1280x720, "
-            f"both even and from {_MIN_SIDE_PX} to {_MAX_SIDE_PX}"
+            f"--size {text} is not allowed; give width and height in pixels, for"
+            f" example 1280x720, both even and between {_MIN_SIDE_PX} and"
+            f" {_MAX_SIDE_PX}"
         )
     return Size(*sides)

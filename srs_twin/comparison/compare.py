@@ -148,14 +148,15 @@ def _check_connectors(reference: Trajectory, candidate: Trajectory) -> None:
         if not x == y == bend + 1:
             raise InputError(
                 f"{label(run)} has {x} columns x_1…, {y} columns y_1… and {bend}"
-                " columns bend_1…; a snake with N connectors has N, N and N − 1"
+                " columns bend_1…, which is not possible; a snake with N connectors"
+                " has N columns x, N columns y and N − 1 columns bend"
             )
         counts.append(x)
     if counts[0] != counts[1]:
         raise InputError(
-            f"{label(reference)} has {counts[0]} connectors and {label(candidate)}"
-            f" {counts[1]}; only runs of robots with the same number of connectors can"
-            " be compared"
+            f"{label(reference)} has {counts[0]} connectors, but {label(candidate)}"
+            f" has {counts[1]}; only runs of robots with the same number of connectors"
+            " can be compared"
         )
 
 
@@ -170,8 +171,8 @@ def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
             for t in (reference, candidate)
         ]
         raise InputError(
-            f"{spans[0]}, {spans[1]}; the runs have no times in common and cannot be"
-            " compared"
+            "the runs cannot be compared, because they have no times in common"
+            f" ({spans[0]}, {spans[1]})"
         )
     return common
 
@@ -179,8 +180,9 @@ def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
 def _gap_factor(reference: Trajectory, candidate: Trajectory) -> float:
     if reference.metadata.get("rigid_gap_m"):
         raise InputError(
-            f"{label(reference)} has rigid gaps in its geometry, so the factor (l +"
-            " L_o)/l would count them twice; run it without gaps"
+            f"the gap factor (l + L_o)/l is not allowed for {label(reference)},"
+            " because this run already has rigid gaps in its geometry; run it without"
+            " gaps"
         )
     length, gap = segment_lengths(candidate)
     return (length + gap) / length
@@ -384,7 +386,8 @@ def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     names = list(MEASURES)[:-1]
     if any(metrics[name] is None for metrics in (before, after) for name in names):
         raise ValueError(
-            "the difference of a run without whole gait periods cannot be attributed"
+            "the difference cannot be attributed, because the run has no whole gait"
+            " period"
         )
     shape = compare(reference, candidate).metrics["shape_rms_m"]
     return np.array([*(after[name] - before[name] for name in names), shape])

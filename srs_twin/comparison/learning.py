@@ -106,7 +106,7 @@ def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Arra
     ):
         raise InputError(
             f"{label(trajectory)}: the fill times of the chambers are unknown; add"
-            " gait_frequency_hz and control.fill_begins_s to the metadata"
+            " `gait_frequency_hz` and `control.fill_begins_s` to the metadata"
         )
     return 1 / frequency, fill_starts
 

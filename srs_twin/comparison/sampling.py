@@ -85,8 +85,8 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
     missing = [name for name in ("time", *names) if not trajectory.has(name)]
     if missing:
         raise InputError(
-            f"{run}: no column '{missing[0]}'; the metrics cannot be computed"
-            " without it"
+            f"{run}: the metrics cannot be computed, because the column '{missing[0]}'"
+            " is missing"
         )
     if len(trajectory) == 0:
         raise InputError(f"{run}: the trajectory has no samples")
@@ -118,8 +118,8 @@ def positive_number(trajectory: Trajectory, name: str) -> float | None:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not 0 < value < np.inf:
         raise InputError(
-            f"{label(trajectory)}: metadata {name} is {value!r}; it must be a positive"
-            " number or null"
+            f"{label(trajectory)}: the metadata `{name}` is {value!r}, which is not"
+            " allowed; it must be a positive number or null"
         )
     return float(value)
 
@@ -135,7 +135,8 @@ def segment_lengths(trajectory: Trajectory) -> tuple[float, float]:
     )
     if length is None or gap is None:
         raise InputError(
-            f"{label(trajectory)}: metadata segment_length_m or rigid_gap_m is missing"
+            f"{label(trajectory)}: the metadata lack `segment_length_m` or"
+            " `rigid_gap_m`; add both"
         )
     return float(length), float(gap)
 
@@ -149,8 +150,8 @@ def body_length(trajectory: Trajectory) -> float:
     length = positive_number(trajectory, "body_length_m")
     if length is None:
         raise InputError(
-            f"{label(trajectory)}: metadata body_length_m is missing; distances are"
-            " divided by it"
+            f"{label(trajectory)}: the metadata lack `body_length_m`, by which"
+            " distances are divided; add it"
         )
     return length
 

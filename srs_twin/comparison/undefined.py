@@ -56,7 +56,7 @@ _ABSENT = {
     **dict.fromkeys(SPATIAL_UNITS, "the robot bends in one plane"),
     **dict.fromkeys(OBJECT_UNITS, "the world has no movable objects"),
     **dict.fromkeys(CONTACT_UNITS, "the world has no obstacles"),
-    "final_bend_rad": "the run is not on a bench without a reference",
+    "final_bend_rad": "only a run on a bench or with a reference has this metric",
 }
 """Reasons why some robots and worlds have no value of a metric, keyed by metric."""
 
@@ -155,10 +155,10 @@ def _tracking(
         )
     if metric in _SINE:
         return Undefined(
-            "the run does not hold enough whole periods of a sine reference"
+            "the run does not contain enough whole periods of a sine reference"
         )
     if metric in _OPENINGS:
-        return Undefined("the run does not record these openings")
+        return Undefined("the run does not record the openings of these valves")
     if metric == "measured_ripple_pp_rad" and values.get("ripple_pp_rad") is not None:
         return Undefined("the run has no sensor")
     return Undefined("the reference is not a single step")
@@ -179,7 +179,7 @@ def _learning(
         )
     if not metric.startswith(("path_", "extent_", "heading_")):
         return Undefined(
-            f"it is not defined by the learning periods of the run ({periods})"
+            f"the learning periods of the run ({periods}) do not define this metric"
         )
     if turns and not is_curved:
         return None

@@ -91,7 +91,7 @@ def claim(item: object) -> Iterator[None]:
 def _acquire(item: object, thread: int) -> None:
     if _HOLDERS.setdefault(id(item), thread) != thread:
         raise InputError(
-            f"this {type(item).__name__} is in use by another thread; build another one"
-            " for this thread. run_many runs several jobs on threads, each with its"
-            " own plant and controller"
+            f"this {type(item).__name__} is in use by another thread; build another"
+            " one for this thread. `run_many` runs several jobs on threads, each with"
+            " its own plant and controller"
         )

@@ -250,7 +250,7 @@ def _with_cache(dispatcher: Any, function: Function) -> Function:
     try:
         dispatcher._cache = _Cache(function)
     except RuntimeError:  # Numba found no writable folder
-        _warn("no cache folder is writable")
+        _warn("no writable cache folder exists")
     kernel: Function = dispatcher
     return kernel
 
@@ -289,7 +289,7 @@ class _Cache(FunctionCache):
             # from another process or to a function that no longer exists.
             self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError):
-            _warn(f"{self._cache_path}: a damaged file; remove the folder")
+            _warn(f"a file in {self._cache_path} is damaged; remove this folder")
 
 
 def _why_unsafe(folder: Path) -> str | None:
@@ -337,7 +337,8 @@ def _warn(reason: str, requirement: str = "that you can write to") -> None:
     _warned.append(reason)
     warnings.warn(
         "compiled kernels cannot be cached, so every start compiles them again"
-        f" ({reason}); set NUMBA_CACHE_DIR to a folder {requirement}",
+        f" ({reason}); set the environment variable NUMBA_CACHE_DIR to a folder"
+        f" {requirement}",
         CacheWarning,
         stacklevel=1,
     )

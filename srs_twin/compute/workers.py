@@ -54,7 +54,9 @@ class Workers:
         """
         self.threads = processor_count() if threads is None else threads
         if self.threads < 1:
-            raise InputError(f"threads: {threads} is not allowed; it must be 1 or more")
+            raise InputError(
+                f"`threads` {threads} is not allowed; it must be 1 or more"
+            )
         # Idle threads end when the pool is garbage-collected.
         self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
 
@@ -232,15 +234,15 @@ def run_tasks(
     count = processor_count() if workers is None else workers
     for name, value in (("workers", count), ("attempts", attempts)):
         if value < 1:
-            raise InputError(f"{name}: {value} is not allowed; it must be 1 or more")
+            raise InputError(f"`{name}` {value} is not allowed; it must be 1 or more")
     try:
         with _empty_main_module():
             program, *packed = map(pickle.dumps, [task, *arguments])
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise InputError(
-            f"cannot be sent to worker processes: {error}. Workers import functions and"
-            " classes by name, but not from the main program: define them in a module"
-            " and import it"
+            f"the task cannot be sent to worker processes: {error}. Workers import"
+            " functions and classes by name, but not from the main program; define"
+            " them in a module and import it"
         ) from error
     return _TaskRun(program, packed, count, attempts).results()
 

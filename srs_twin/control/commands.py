@@ -147,7 +147,7 @@ class ScheduledOffset(Controller):
         times = [0.0, *(time for time, _ in changes)]
         if not all(b > a for a, b in zip(times, times[1:], strict=False)):
             raise InputError(
-                f"offset changes at the times {times[1:]} s are not allowed; the times"
+                f"the times of the offset changes {times[1:]} s are not allowed; they"
                 " must be above 0 and increase"
             )
         self.kind = controller.kind

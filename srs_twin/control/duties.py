@@ -62,7 +62,7 @@ def validated_offset(offset: float) -> float:
     """
     if not abs(offset) <= MAX_OFFSET:
         raise InputError(
-            f"ilc offset {offset!r} is not allowed; it must lie between -{MAX_OFFSET:g}"
+            f"ilc offset {offset!r} is not allowed; it must be between -{MAX_OFFSET:g}"
             f" and {MAX_OFFSET:g}, for which Section 5.1 gives targets"
         )
     return float(offset)
@@ -122,9 +122,9 @@ class ChamberPeriods(Stateful):
         if self.period / tick < MIN_READINGS_PER_PERIOD * (1 - _PERIOD_ROUNDING):
             raise InputError(
                 f"a gait of {frequency:g} Hz has fewer than {MIN_READINGS_PER_PERIOD}"
-                f" readings per period at a tick of {tick:g} s; use at most"
-                f" {self.period / MIN_READINGS_PER_PERIOD:.4g} s, or at most"
-                f" {1 / (MIN_READINGS_PER_PERIOD * tick):.4g} Hz"
+                f" readings per period at a tick of {tick:g} s; use a tick of at most"
+                f" {self.period / MIN_READINGS_PER_PERIOD:.4g} s, or a frequency of at"
+                f" most {1 / (MIN_READINGS_PER_PERIOD * tick):.4g} Hz"
             )
         fraction = np.stack([phase_lag, phase_lag + math.pi], axis=-1) / (2 * math.pi)
         fraction = (fraction + _PERIOD_ROUNDING) % 1 - _PERIOD_ROUNDING

@@ -84,7 +84,8 @@ class PitchWave:
     def __post_init__(self) -> None:
         if not 0 <= self.fraction <= 1:
             raise InputError(
-                f"pitch fraction {self.fraction!r} is not allowed; it must be 0 to 1"
+                f"pitch fraction {self.fraction!r} is not allowed; it must be between"
+                " 0 and 1"
             )
         if not math.isfinite(self.lag_rad):
             raise InputError(
@@ -105,8 +106,8 @@ class PitchWave:
         """
         if not spec.is_spatial:
             raise InputError(
-                f"a gait with pitch needs a spatial robot; {spec.name} bends in one"
-                " plane"
+                f"a gait with pitch needs a spatial robot, but {spec.name} bends in"
+                " one plane; use a spatial robot, or a gait without pitch"
             )
         if self.lifted_segments > spec.segments:
             raise InputError(
@@ -193,8 +194,9 @@ class Gait(Controller):
         self.rest_level = math.sin(math.pi / 2 * rest_fraction)
         if pitch is not None and rest_fraction:
             raise InputError(
-                "rest_fraction is not allowed for a gait with a pitch wave, because the"
-                " pitch fraction sets how long the gait rests; remove rest_fraction"
+                "`rest_fraction` is not allowed for a gait with a pitch wave, because"
+                " the pitch fraction sets how long the gait rests; remove"
+                " `rest_fraction`"
             )
         self.pitch = pitch
 
@@ -207,7 +209,7 @@ class Gait(Controller):
     def offset(self, value: float) -> None:
         if not abs(value) < 1:
             raise InputError(
-                f"gait offset {value!r} is not allowed; it must lie between -1 and 1"
+                f"gait offset {value!r} is not allowed; it must be between -1 and 1"
             )
         self._offset = float(value)
 

@@ -76,8 +76,8 @@ def check_release(mode: str, drag_m: float | None) -> None:
     """
     if drag_m is not None and mode == "open_loop":
         raise InputError(
-            "drag_m is only used in mode sensed; set release_after_s instead in mode"
-            " open_loop"
+            "`drag_m` is used only in mode sensed; for mode open_loop, set"
+            " `release_after_s` instead"
         )
 
 

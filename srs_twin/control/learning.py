@@ -139,8 +139,9 @@ class ILC(Controller):
         lowest_hz = 2 * MIN_PULSES * frequency
         if carrier_hz < lowest_hz:
             raise InputError(
-                f"ilc carrier_hz {carrier_hz:g} gives fewer than {MIN_PULSES} pulses"
-                f" per fill at {frequency:g} Hz; use {lowest_hz:g} Hz or more"
+                f"ilc `carrier_hz` {carrier_hz:g} gives fewer than {MIN_PULSES} pulses"
+                f" per fill at a gait frequency of {frequency:g} Hz; it must be at"
+                f" least {lowest_hz:g}"
             )
         self.frequency = frequency
         self._k = k

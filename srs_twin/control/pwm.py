@@ -108,13 +108,13 @@ class PulseWidthModulator(Stateful):
         new_duty = np.asarray(duty, dtype=float)
         if new_duty.shape != self.duty.shape:
             raise InputError(
-                f"duties of shape {new_duty.shape} are not allowed; the shape must be"
-                f" {self.duty.shape}"
+                f"duties of shape {new_duty.shape} are not allowed; their shape must"
+                f" be {self.duty.shape}"
             )
         outside = ~((new_duty >= 0) & (new_duty <= 1))
         if outside.any():
             raise InputError(
-                f"duty {new_duty[outside][0]:g} is not allowed; it must lie between 0"
+                f"duty {new_duty[outside][0]:g} is not allowed; it must be between 0"
                 " and 1"
             )
         # The elapsed time at the centres of the slots is expressed in carrier periods.

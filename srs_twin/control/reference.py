@@ -122,8 +122,8 @@ class Staircase(Reference):
         super().__post_init__()
         if not (len(self.bends) and np.isfinite(self.bends).all()):
             raise InputError(
-                f"staircase bends {self.bends!r} are not allowed; give one or more, all"
-                " finite"
+                f"the bends {self.bends!r} of a staircase are not allowed; give one or"
+                " more finite numbers"
             )
         check_positive("staircase hold", self.hold, "s")
 

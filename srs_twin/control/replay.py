@@ -42,7 +42,7 @@ class Replay(Controller):
         if segments != spec.segments:
             raise InputError(
                 f"the recorded valves belong to {segments} segments, but {spec.name}"
-                f" has {spec.segments}"
+                f" has {spec.segments} segments; use a log of this robot"
             )
         slots = count_slots(tick, spec.scale)
         self._slot_centres = tick * (np.arange(slots) + 0.5) / slots

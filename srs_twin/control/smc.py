@@ -182,8 +182,8 @@ class SlidingMode(Controller):
             shape = np.shape(getattr(self, name))
             if shape not in ((), (spec.segments,)):
                 raise InputError(
-                    f"{self.kind}: {name} has shape {shape}; give one number, or one"
-                    f" per segment ({spec.segments})"
+                    f"{self.kind}: `{name}` has the shape {shape}; give one number, or"
+                    f" one per segment ({spec.segments} numbers)"
                 )
         self._tick = tick
         self._readings = SensorReadings(spec.segments)

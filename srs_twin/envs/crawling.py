@@ -201,20 +201,21 @@ class CrawlEpisode(ObservedEpisode):
         given = as_finite_array(place, (2,))
         if given is None:
             raise InputError(
-                f"option goal {abbreviate(place)} is not allowed; give x and y in m"
+                f"the option `goal` {abbreviate(place)} is not allowed; give x and y"
+                " in m"
             )
         x, y = given.tolist()
-        name = f"option goal ({x:g}, {y:g}) is not allowed"
+        name = f"the option `goal` ({x:g}, {y:g}) is not allowed"
         goal = Goal(x, y, None, GOAL_RADIUS_M)
         if hit := obstacle_at(self.world, x, y):
             relation = "outside" if hit.startswith("the bounds") else "inside"
-            raise InputError(f"{name}; it is {relation} {hit}")
+            raise InputError(f"{name}, because it is {relation} {hit}")
         self.goal = goal
         self.world = replace(self.world, goal=goal)
         self._initialise_from_state()
         if self._distance <= goal.radius:
             raise InputError(
-                f"{name}; the snake is already within {goal.radius:g} m of it"
+                f"{name}, because the snake is already within {goal.radius:g} m of it"
             )
         self._set_first(self._observation())
 
@@ -363,8 +364,8 @@ class CrawlTask(CameraTask):
         super().__init__(robot, limit_s, **settings)
         if camera.rate_hz * STEP_S < 1 - 1e-9:
             raise InputError(
-                f"a camera of {camera.rate_hz:g} Hz is too slow for steps of {STEP_S:g}"
-                f" s; it must be {1 / STEP_S:g} Hz or more"
+                f"a camera of {camera.rate_hz:g} Hz is too slow for steps of"
+                f" {STEP_S:g} s; it must have {1 / STEP_S:g} Hz or more"
             )
         self.name = name
         self.arena = arena

@@ -206,23 +206,23 @@ def _checked_options(options: object) -> dict[str, Any]:
         return {}
     if not isinstance(options, Mapping):
         raise InputError(
-            f"options {abbreviate(options)} are not allowed; give a dict with"
-            f" {', '.join(_RESET_OPTIONS)}"
+            f"the reset options {abbreviate(options)} are not allowed; give a dict"
+            f" with keys among {', '.join(_RESET_OPTIONS)}"
         )
     check_names("option of reset", options, _RESET_OPTIONS)
     for name, (expected_type, expected) in _OPTION_TYPES.items():
         if name in options and not isinstance(options[name], expected_type):
             raise InputError(
-                f"option {name} {abbreviate(options[name])} is not allowed; give"
+                f"the option `{name}` {abbreviate(options[name])} is not allowed; give"
                 f" {expected}"
             )
     if "state" in options and not {"state", "goal"}.issuperset(options):
         raise InputError(
-            "options snake and yaw_rate are not allowed with option state; leave"
-            " them out"
+            "the options `snake` and `yaw_rate` are not allowed together with the"
+            " option `state`; remove them"
         )
     if "yaw_rate" in options and "snake" not in options:
-        raise InputError("option yaw_rate requires option snake; give both")
+        raise InputError("the option `yaw_rate` needs the option `snake`; give both")
     return dict(options)
 
 
@@ -273,7 +273,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         """
         if num_envs < 1:
             raise InputError(
-                f"num_envs {num_envs} is not allowed; it must be 1 or more"
+                f"`num_envs` {num_envs} is not allowed; it must be 1 or more"
             )
         super().__init__([partial(SnakeEnv, task, **settings)] * num_envs)
         check_choice("engine", engine, ENGINES)
@@ -309,8 +309,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
             ]
         if len(seeds) != self.num_envs:
             raise InputError(
-                f"seed: {len(seeds)} seeds are given for {self.num_envs} environments;"
-                " give one for each"
+                f"{len(seeds)} seeds are given for {self.num_envs} environments; give"
+                " one seed for each environment"
             )
         for env_seed in seeds:
             check_seed(env_seed)
@@ -343,8 +343,9 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         checked = as_finite_array(actions, shape)
         if checked is None:
             raise InputError(
-                f"actions {abbreviate(actions)} are not allowed; give finite numbers of"
-                f" shape {shape}, an action for each of {self.num_envs} environments"
+                f"the actions {abbreviate(actions)} are not allowed; give finite"
+                f" numbers of shape {shape}, one action for each of {self.num_envs}"
+                " environments"
             )
         actions = checked
         if self._batch is not None:
@@ -368,8 +369,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         try:
             if not self.envs[0].task.has_identical_episodes:
                 raise InputError(
-                    "the episodes have different robots or obstacles, but they must be"
-                    " equal"
+                    "the episodes have different robots or obstacles, but this engine"
+                    " needs equal ones"
                 )
             if self._batch is None or any(
                 a is not b for a, b in zip(self._batch.twins, twins, strict=True)
@@ -377,7 +378,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
                 self._batch = self._batch_class(twins, device=self._device)
         except InputError as error:
             warnings.warn(
-                f"environments run on the CPU: {error}", EngineWarning, stacklevel=3
+                f"the environments run on the CPU: {error}", EngineWarning, stacklevel=3
             )
             self._batch_class = self._batch = None
             return

@@ -77,8 +77,8 @@ class ModuleTask(Task):
         spec = self.robot
         if spec.segments != 1:
             raise InputError(
-                f"robot '{spec.name}' has {spec.segments} segments; this task needs a"
-                " robot with one segment"
+                f"robot '{spec.name}' has {spec.segments} segments, but this task"
+                " needs a robot with one segment; choose another robot"
             )
         self.reach = REACH_FRACTION * largest_bend(spec, spec.supply.nominal)
         plus = f"duty of the + chamber at {CARRIER_HZ:g} Hz; it bends to the left"

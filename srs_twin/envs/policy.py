@@ -82,10 +82,11 @@ class NetworkPolicy:
         names = [signal.name for signal in task.observations]
         missing = [name for name in self.observations if name not in names]
         if task.name != self.task or missing:
-            problem = f"has no {', '.join(missing)}" if missing else "differs"
+            problem = f"does not provide {', '.join(missing)}" if missing else "differs"
             raise InputError(
-                f"the policy is for task {self.task} with the observations"
-                f" {', '.join(self.observations)}; the task {task.name} {problem}"
+                f"the policy is not suitable. It was trained for the task {self.task}"
+                f" with the observations {', '.join(self.observations)}, but the task"
+                f" {task.name} {problem}"
             )
         indices = [names.index(name) for name in self.observations]
         return lambda observation: self(np.asarray(observation)[indices])
@@ -124,8 +125,8 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
         array = arrays.get(name)
         if array is None or array.ndim != axes or array.dtype.kind not in kinds:
             raise InputError(
-                f"{path}: not a policy file (no {what} '{name}'); tools/train_ppo.py"
-                " writes one"
+                f"{path}: the file is not a policy, because it contains no {what}"
+                f" '{name}'; tools/train_ppo.py writes policies"
             )
         return array
 
@@ -149,8 +150,8 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
         or shapes != [(after, before) for before, after in pairwise(sizes)]
     ):
         raise InputError(
-            f"{path}: the shapes of the policy's layers do not match, or some of the"
-            " numbers are not finite"
+            f"{path}: the file is not a policy, because the shapes of its layers do"
+            " not match, or some of the numbers are not finite"
         )
     return NetworkPolicy(str(task), tuple(map(str, observations)), layers)
 

@@ -234,8 +234,8 @@ class Task(ABC):
         """
         if "action_range" in twin_settings:
             raise InputError(
-                "action_range has been removed; actions are from −1 to 1, and"
-                " task.from_physical and task.to_physical convert them"
+                "`action_range` has been removed; actions are from −1 to 1, and"
+                " `task.from_physical` and `task.to_physical` convert them"
             )
         defaults = {term.name: term.weight for term in self.reward_terms}
         check_names("reward term", rewards or (), defaults)
@@ -257,8 +257,9 @@ class Task(ABC):
             self.robot.require_planar("an environment other than Crawl3D")
         elif not self.robot.is_spatial:
             raise InputError(
-                f"robot '{self.robot.name}' bends in one plane; this task needs a robot"
-                " with chambers in several directions (chamber.directions_deg)"
+                f"robot '{self.robot.name}' bends in one plane, but this task needs a"
+                " robot with chambers in several directions"
+                " (`chamber.directions_deg`)"
             )
 
     def _set_observations(self, groups: Mapping[str, Signals]) -> None:
@@ -268,7 +269,8 @@ class Task(ABC):
         check_names("group of observations", selected, groups)
         if not selected:
             raise InputError(
-                f"observations: give at least one group of {', '.join(groups)}"
+                "no group of observations is selected; give at least one of"
+                f" {', '.join(groups)}"
             )
         self.groups = groups
         self._selected_groups = tuple(name for name in groups if name in selected)
@@ -298,8 +300,8 @@ class Task(ABC):
         if given is None:
             names = [signal.name for signal in self.actions]
             raise InputError(
-                f"action {abbreviate(action)} is not allowed; "
-                f"give {len(names)} finite numbers: {', '.join(names)}"
+                f"the action {abbreviate(action)} is not allowed; give {len(names)}"
+                f" finite numbers ({', '.join(names)})"
             )
         fractions = (np.clip(given, -1.0, 1.0) + 1) / 2
         return [
@@ -432,8 +434,8 @@ class Episode(Stateful, ABC):
                 allowed.
         """
         raise InputError(
-            f"option goal is not allowed, because the task {self._task.name} has no"
-            " goal position; remove it"
+            f"the option `goal` is not allowed, because the task {self._task.name} has"
+            " no goal position; remove it"
         )
 
     def _initialise_from_state(self) -> None:

@@ -72,7 +72,8 @@ class Variation:
             name = os.fspath(robot)
         if fit_file is not None and fit_file.robot != name:
             raise InputError(
-                f"fit {fit_file.name} is for robot '{fit_file.robot}', not for '{name}'"
+                f"fit {fit_file.name} is for robot '{fit_file.robot}', not for"
+                f" '{name}'; use a fit of this robot"
             )
         variation = cls(file, fit_file, dict(ranges or {}))
         spec = file.spec()

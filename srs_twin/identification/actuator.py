@@ -161,8 +161,8 @@ def fit_actuator(
     for response, _ in data:
         if (bends := response.bend.shape[1]) != spec.segments:
             raise InputError(
-                f"{response.name}: {bends} bends; {spec.name} has {spec.segments}"
-                " segments"
+                f"{response.name}: the recording has bends of {bends} segments, but"
+                f" {spec.name} has {spec.segments} segments"
             )
 
     def residuals(values: Mapping[str, float]) -> list[Residual]:

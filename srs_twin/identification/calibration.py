@@ -214,7 +214,7 @@ def calibrate_actuator(
     task = _Task(calibrate_actuator, locals())
     if task.all_are(is_static_table, "table of constant pressures", "recording"):
         why = "tables of constant pressures"
-        _refuse_option(valves, "--valves", f"{why} have no log")
+        _refuse_option(valves, "--valves", f"{why} need no log")
         _refuse_option(static, "--static", f"{why} already contain plateaus")
         return task.calibrate(_STATIC_TABLES, names=parameters)
     if static:
@@ -390,7 +390,7 @@ class _Task:
         if self.given["out"] is not None:
             path = Path(self.given["out"])
             check_fit_suffix("out", path)
-            name = check_file_name(path.stem, "out names the fit")
+            name = check_file_name(path.stem, "`out` is also the name of the fit")
             result.write(path, name, self._call())
         return result
 
@@ -406,8 +406,8 @@ class _Task:
 def _read_pulls(task: _Task) -> list[Pulls]:
     if len(task.fitted) > 1:
         raise InputError(
-            f"{task.fitted[1]}: a fit uses only one table of pulls; give other tables"
-            " with --validate"
+            f"{task.fitted[1]}: only one table of pulls is allowed in a fit; give"
+            " other tables with --validate"
         )
     return [read_pull_table(path) for path in task.files]
 
@@ -419,7 +419,7 @@ def _read_coasting_tests(task: _Task) -> list[CoastingTest]:
             recording = task.given["reader"].motion(path, task.spec)
         except UnknownFormatError as error:
             raise InputError(
-                f"{error}; a table of pulls has the columns {PULL_COLUMNS}"
+                f"{error}. A table of pulls has the columns {PULL_COLUMNS}"
             ) from None
         task.notify(recording.summary.text())
         tests.append(CoastingTest.from_trajectory(recording.trajectory, path))
@@ -455,8 +455,8 @@ def _read_gait_runs(task: _Task) -> list[GaitRun]:
     for path, recording in recordings:
         if not recording.starts_at_rest():
             task.given["notify"](
-                f"warning: {path}: chambers are filling at the start; the plants start"
-                " with empty ones"
+                f"warning: {path}: some chambers are filling at the start, but the"
+                " simulated chambers are empty then"
             )
     return [gait_run(recording, path, task.supply_pa) for path, recording in recordings]
 
@@ -469,8 +469,8 @@ def _read_decays(task: _Task) -> list[Decay]:
         task.notify(decay.text())
     if task.given["valves"] == "closed":
         task.notify(
-            "valves closed: frequency and loss_factor contain the spring of the air and"
-            " its loss"
+            "the valves are closed, so the estimated frequency and `loss_factor`"
+            " include the spring and the loss of the air"
         )
     return decays
 
@@ -534,11 +534,17 @@ def _plant_settings(
 ) -> dict[str, str]:
     if plant == "analytical":
         return {"model": model or "compliant", "friction": friction_law or "wheel"}
-    _refuse_option(model, "--model", "it is only for --plant analytical")
-    _refuse_option(friction_law, "--friction-law", "it is only for --plant analytical")
+    _refuse_option(
+        model, "--model", "this option is allowed only with --plant analytical"
+    )
+    _refuse_option(
+        friction_law,
+        "--friction-law",
+        "this option is allowed only with --plant analytical",
+    )
     return {}
 
 
 def _refuse_option(value: object, option: str, why: str) -> None:
     if value:
-        raise InputError(f"{option}: remove this option; {why}")
+        raise InputError(f"{option}: {why}; remove {option}")

@@ -113,8 +113,8 @@ def friction(
     are given as recordings.
 
     Options:
-        --friction-law NAME: Friction law for coasting tests: wheel, axis or ellipse (for
-            skids).
+        --friction-law NAME: Friction law for coasting tests: wheel, axis, or ellipse
+            for a robot on skids.
         --wheel-inertia/--no-wheel-inertia: Include the rotational inertia of the wheels
             in coasting tests.
     """
@@ -176,7 +176,8 @@ def _parse_targets(text: str) -> dict[str, float]:
             targets[name] = math.nan
         if not 0 < targets[name] < math.inf:
             raise InputError(
-                f"--target-accuracy {entry}: must be NAME=PERCENT, as in friction.mu_t=5%"
+                f"--target-accuracy {entry}: each entry must have the form"
+                " NAME=PERCENT, for example friction.mu_t=5%"
             )
     return targets
 
@@ -233,7 +234,7 @@ def locomotion(
         --compare-signals WHAT: Signals that are fitted: averages (speed and yaw rate), shapes
             (path, heading and bends over time) or both.
         --starts N: Number of searches, each from a different starting point. [default:
-            3; 1 with the twin's shapes]
+            3, or 1 if the twin is fitted to shapes]
     """
 
 

@@ -128,8 +128,8 @@ class HangingBody:
         """
         if spec.skin is not None or spec.chamber.directions is not None:
             raise InputError(
-                f"{spec.name}: a decay is only fitted for planar segments between"
-                " connectors; this robot has a skin or bends in space"
+                f"{spec.name}: a decay can be fitted only for planar segments between"
+                " connectors, but this robot has a skin or bends in space"
             )
         connector = spec.mass.connectors[0]
         if mass is None:
@@ -181,8 +181,8 @@ def fit_damping(
     measured = [decay.pressure is not None for decay in decays]
     if any(measured) and (valves == "open" or not all(measured)):
         raise InputError(
-            "measured pressures can be used only with closed valves and only if all"
-            " files contain them; set valves to closed, or remove the pressures"
+            "measured pressures can be used only with closed valves, and only if all"
+            " files contain them; set `valves` to closed, or remove the pressures"
         )
     fit = _DampingFit(
         decays, spec, body or HangingBody.of(spec), valves == "closed", leak

@@ -147,27 +147,35 @@ def read_decay(
     by_name = {column.name: column for column in table.columns if not column.number}
     if "bend" not in by_name:
         raise file.error(
-            f"no column 'bend_rad'; a recording of a decay has {DECAY_COLUMNS}", 1
+            "the column 'bend_rad' is missing; a recording of a decay has the columns"
+            f" {DECAY_COLUMNS}",
+            1,
         )
     measured = [name for name in pressures if name in by_name]
     if len(measured) == 1:
         raise file.error(
-            f"{measured[0]} alone; give the pressures of both chambers or none", 1
+            f"the column '{measured[0]}' is given alone; give the pressures of both"
+            " chambers or none",
+            1,
         )
-    clock = table.clock(f"no time; a recording of a decay has {DECAY_COLUMNS}")
+    clock = table.clock(
+        "the time column is missing; a recording of a decay has the columns"
+        f" {DECAY_COLUMNS}"
+    )
     rows = table.read_timed(clock, [by_name[name] for name in ("bend", *measured)])
     known = np.isfinite(rows.values).all(axis=1)
     time = rows.time[known]
     values = rows.values[known]
     if len(time) < _MIN_SAMPLES or not (np.diff(time) > 0).all():
         raise file.error(
-            f"{len(time)} samples; at least {_MIN_SAMPLES} with increasing times are"
-            " needed"
+            f"the recording has {len(time)} samples, but at least {_MIN_SAMPLES}"
+            " samples with increasing times are needed"
         )
     rate = 1 / float(np.median(np.diff(time)))
     if rate < _MIN_RATE_HZ * (1 - 1e-3):
         raise file.error(
-            f"{rate:.3g} samples per second; {_MIN_RATE_HZ:g} Hz or more is needed"
+            f"the recording has {rate:.3g} samples per second, but at least"
+            f" {_MIN_RATE_HZ:g} are needed; record faster"
         )
     pressure = values[:, 1:] if measured else None
     return free_swing(
@@ -202,14 +210,15 @@ def free_swing(
     if 2 * half_period < _MIN_SAMPLES_PER_SWING * spacing:
         raise InputError(
             f"{name}: the recording has {2 * half_period / spacing:.2g} samples per"
-            f" swing, but {_MIN_SAMPLES_PER_SWING:g} or more are needed; record faster"
+            f" swing, but at least {_MIN_SAMPLES_PER_SWING:g} are needed; record"
+            " faster"
         )
     end = time[first] + _KEPT_SPANS * (time[turns[-1]] - time[first])
     used = slice(first, int(np.searchsorted(time, end, side="right")))
     if len(time[used]) < _MIN_SAMPLES:
         raise InputError(
-            f"{name}: the recording has {len(time[used])} samples of free swing;"
-            f" {_MIN_SAMPLES} or more are needed"
+            f"{name}: the recording has {len(time[used])} samples of free swing, but"
+            f" at least {_MIN_SAMPLES} are needed; record longer or faster"
         )
     used_pressure = None if pressure is None else pressure[used]
     swings = np.abs(np.diff(bend[turns]))
@@ -233,15 +242,15 @@ def _visible_turns(name: str, bend: np.ndarray, first: int, noise: float) -> lis
     threshold = max(_MIN_TURN * noise, _MIN_TURN_FRACTION * size)
     if size <= _MIN_SIZE * noise:
         raise InputError(
-            f"{name}: the amplitude is within the noise ({noise:.2g} rad); release the"
-            " segment from a larger bend"
+            f"{name}: the amplitude is not above the noise ({noise:.2g} rad); release"
+            " the segment from a larger bend"
         )
     turns = [first + turn for turn in _turning_points(bend[first:], threshold)]
     if len(turns) < _MIN_HALF_SWINGS:
         raise InputError(
-            f"{name}: the recording has {len(turns)} visible half swings, but"
-            f" {_MIN_HALF_SWINGS} or more are needed; hang a heavier body, or record"
-            " longer (an overdamped decay determines only the product k T)"
+            f"{name}: the recording has {len(turns)} visible half swings, but at least"
+            f" {_MIN_HALF_SWINGS} are needed; hang a heavier body, or record longer"
+            " (an overdamped decay determines only the product k T)"
         )
     return turns
 
@@ -281,8 +290,8 @@ def calm_samples(decay: Decay) -> int:
     bent = float(np.abs(held - decay.before[0]).max(initial=0.0))
     if calm < _MIN_CALM_SAMPLES or bent < float(np.ptp(decay.bend)) / 4:
         raise InputError(
-            f"{decay.name}: the recording of closed valves begins with a bent or moving"
-            " segment; close the valves at rest, start recording, and only then bend"
-            " and release it (or record the pressures)"
+            f"{decay.name}: the recording with closed valves begins with a bent or"
+            " moving segment. Close the valves at rest, start recording, and only"
+            " then bend and release the segment, or record the pressures"
         )
     return calm

@@ -311,7 +311,8 @@ def choose_experiments(
     """
     if not targets:
         raise InputError(
-            "--target-accuracy contains no parameters; give one or more, such as friction.mu_t=5%"
+            "--target-accuracy contains no parameters; give one or more, for example"
+            " friction.mu_t=5%"
         )
     zero_scale = 0.1 * spec.friction.mu_t * spec.mass.total * GRAVITY
     names = list(dict.fromkeys([*targets, *known]))

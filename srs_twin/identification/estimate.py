@@ -109,8 +109,11 @@ class Parameter:
         is_empty = self.verdict == "not identifiable"
         if any((number is None) != is_empty for number in numbers):
             required = "value, standard_error, low and high"
-            expected = "no numbers" if is_empty else required
-            raise InputError(f"{self.name}: {self.verdict}, so it must have {expected}")
+            expected = "none of these numbers" if is_empty else required
+            raise InputError(
+                f"{self.name}: a parameter with the verdict '{self.verdict}' must"
+                f" have {expected}"
+            )
 
 
 def half_width(error: float, freedom: float) -> float:

@@ -244,8 +244,8 @@ def measure_excursions(
     controller = scenario.controller
     if planner is None or not isinstance(controller, FollowFile):
         raise InputError(
-            f"{scenario.name}: the scenario follows no planned path; a margin needs a"
-            " planner section and controller.kind: follow"
+            f"{scenario.name}: the scenario follows no planned path, but a margin"
+            " needs one; add the section `planner`, and set `controller.kind: follow`"
         )
     robot = RobotFile.model_validate(scenario.document["robot"])
     settings = {plant: scenario.document["plants"].get(plant, {})}

@@ -87,7 +87,7 @@ def assign_roles(
     """
     result: list[tuple[Measured, Role]] = [(data, "fit") for data in fitted]
     if not result:
-        raise InputError(f"a fit needs {label}; give at least one")
+        raise InputError(f"no {label} are given, but a fit needs them")
     result += [(data, "validation") for data in validation]
     check_disjoint(data.data_set(role) for data, role in result)
     return result
@@ -311,7 +311,8 @@ class FitFile(StrictModel, HtmlResult):
             if missing and data.predicted is not None:
                 yield (
                     ("data", k, "predicted"),
-                    f"predicted without a value of {', '.join(missing)}",
+                    f"a prediction is given, although {', '.join(missing)} has no"
+                    " value; remove the prediction",
                 )
         for k, parameter in enumerate(self.parameters):
             yield from (
@@ -322,7 +323,10 @@ class FitFile(StrictModel, HtmlResult):
             parameter.name for parameter in self.parameters
         ).items():
             if count > 1:
-                yield ("parameters",), f"{name} is listed {count} times; list it once"
+                yield (
+                    ("parameters",),
+                    f"the parameter {name} is listed {count} times; list it once",
+                )
         yield from _check_correlation(
             self.correlation, len(with_value(self.parameters))
         )
@@ -364,7 +368,9 @@ def check_fit_suffix(option: str, path: Path) -> None:
     `option` is the name of the option in the error message.
     """
     if path.suffix not in (".yaml", ".yml"):
-        raise InputError(f"{option}: {path} is not allowed; a fit file ends in .yaml")
+        raise InputError(
+            f"{option}: {path} is not allowed; the name of a fit file must end in .yaml"
+        )
 
 
 def write_fit(file: FitFile, path: StrPath) -> Path:
@@ -381,15 +387,27 @@ def load_fit(path: StrPath) -> FitFile:
 def _check_data(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:
     for k, entry in enumerate(data):
         if (entry.from_s is None) != (entry.to_s is None):
-            yield ("data", k), "from_s and to_s belong together; give both or neither"
+            yield (
+                ("data", k),
+                "`from_s` and `to_s` belong together; give both or neither",
+            )
         elif (
             entry.from_s is not None
             and entry.to_s is not None
             and entry.from_s > entry.to_s
         ):
-            yield ("data", k, "to_s"), f"must be {entry.from_s:g} or more"
+            yield (
+                ("data", k, "to_s"),
+                f"must be at least {entry.from_s:g}, the value of `from_s`",
+            )
     if not any(entry.role == "fit" for entry in data):
-        yield ("data",), "no data of role fit; a fit needs at least one"
+        yield (
+            ("data",),
+            (
+                "no data have the role `fit`; a fit needs at least one data set with"
+                " this role"
+            ),
+        )
     try:
         check_disjoint(entry.data_set() for entry in data)
     except InputError as error:
@@ -399,14 +417,27 @@ def _check_data(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:
 def _check_parameter(entry: ParameterEntry) -> Iterator[tuple[Loc, str]]:
     present = [name for name in _NUMBERS if getattr(entry, name) is not None]
     if entry.verdict == "not identifiable" and present:
-        yield (present[0],), "a parameter that is not identifiable has no value"
+        yield (
+            (present[0],),
+            (
+                "a parameter that is not identifiable must not have a value; remove"
+                " this key"
+            ),
+        )
     elif entry.verdict != "not identifiable" and len(present) < len(_NUMBERS):
         missing = next(name for name in _NUMBERS if name not in present)
-        yield ("verdict",), f"{entry.verdict}, but {missing} is missing"
+        yield (
+            ("verdict",),
+            (
+                f"the parameter has the verdict '{entry.verdict}', but `{missing}` is"
+                " missing"
+            ),
+        )
     elif present and not entry.low <= entry.value <= entry.high:  # type: ignore[operator]
         yield (
             ("value",),
-            f"must be between low and high, {entry.low:g} and {entry.high:g}",
+            f"must be between `low` and `high`, which are {entry.low:g} and"
+            f" {entry.high:g}",
         )
     try:
         unit = parameter_unit(entry.name)
@@ -423,17 +454,25 @@ def _check_correlation(
     if len(matrix) != count or any(len(row) != count for row in matrix):
         yield (
             ("correlation",),
-            f"must have {count} rows of {count}, one for each parameter with a value",
+            f"must have {count} rows of {count} numbers, one row for each parameter"
+            " with a value",
         )
         return
     for i, row in enumerate(matrix):
         for j, entry in enumerate(row):
             if i == j and entry != 1.0:
-                yield ("correlation", i, j), "must be 1 on the diagonal"
+                yield (
+                    ("correlation", i, j),
+                    (
+                        "must be 1, because it is on the diagonal of a correlation"
+                        " matrix"
+                    ),
+                )
             elif j < i and entry != matrix[j][i]:
                 yield (
                     ("correlation", i, j),
-                    f"must be {matrix[j][i]:g}, as the matrix is symmetric",
+                    f"must be {matrix[j][i]:g}, because a correlation matrix is"
+                    " symmetric",
                 )
 
 

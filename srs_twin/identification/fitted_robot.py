@@ -72,7 +72,7 @@ def robot_override(
     used = _used_parameters(fit, weak)
     if not used:
         raise InputError(
-            f"{fit.name}: no parameter is identified, so the fit does not change the"
+            f"{fit.name}: the fit identifies no parameter, so it does not change the"
             " robot"
         )
     base = file.spec()
@@ -97,8 +97,9 @@ def robot_override(
         tolerance = SPREAD_KEYS[key.removesuffix("_rad")]
         if getattr(file.modules, tolerance) is not None:
             raise InputError(
-                f"{fit.robot}: {tolerance} draws modules.{key} at random, so a fit"
-                f" cannot set it; remove {tolerance} from the robot file"
+                f"{fit.robot}: the fit cannot set `modules.{key}`, because"
+                f" `{tolerance}` draws these values at random; remove `{tolerance}`"
+                " from the robot file"
             )
     return block
 
@@ -298,8 +299,8 @@ def calibrate_robot(
         check_output_folder(path.parent, (path.name,))
         if os.path.lexists(path) and not overwrite:
             raise InputError(
-                f"{display_path(path)}: the file exists; --overwrite replaces it, --out"
-                " chooses another"
+                f"{display_path(path)}: the file already exists; replace it with"
+                " --overwrite, or give another file with --out"
             )
     robot = fitted_robot(fits, name, weak=weak)
     if out is not None:

@@ -66,8 +66,8 @@ class DataOptions:
         """Return the options as arguments of the functions in `calibration`."""
         if self.pressure is not None and not 0.1 <= self.pressure <= 2000.0:
             raise InputError(
-                f"--pressure: {self.pressure:g} kPa is not allowed; it must be from 0.1"
-                " to 2000"
+                f"--pressure: {self.pressure:g} kPa is not allowed; it must be between"
+                " 0.1 and 2000"
             )
         given = asdict(self)
         pressure = given.pop("pressure")
@@ -235,11 +235,12 @@ class FitOutput:
             name = check_file_name(options.name, "--name")
         elif out:
             name = check_file_name(
-                Path(out).stem, "--out names the fit, without --name"
+                Path(out).stem, "--out names the fit if --name is not given"
             )
         else:
             name = check_file_name(
-                f"{Path(robot).stem}_{method}", "--robot names the fit, without --name"
+                f"{Path(robot).stem}_{method}",
+                "--robot names the fit if --name is not given",
             )
         path = Path(out or f"{FITS}/{name}.yaml")
         check_fit_suffix("--out", path)
@@ -283,16 +284,16 @@ class FitOutput:
 def _check_same_command(path: Path, command: str) -> None:
     from srs_twin.identification.fit_file import load_fit
 
-    remedy = "--overwrite replaces it; --name or --out choose another file"
+    remedy = "replace it with --overwrite, or choose another file with --name or --out"
     try:
         existing: FitFile = load_fit(path)
     except InputError as error:
         raise InputError(
-            f"{display_path(path)}: the file exists and is not a fit; {remedy}"
+            f"{display_path(path)}: the file already exists and is not a fit; {remedy}"
         ) from error
     if existing.command != command:
         raise InputError(
-            f"{display_path(path)}: the file exists with another fit"
+            f"{display_path(path)}: the file already contains another fit"
             f" ({existing.command}); {remedy}"
         )
 
@@ -328,7 +329,7 @@ def parse_names(text: str | None) -> list[str] | None:
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise InputError(
-            f"--parameters '{text}' contains no parameters; give one or more, such as"
-            " friction.mu_t,friction.mu_n"
+            f"--parameters '{text}' contains no parameters; give one or more, for"
+            " example friction.mu_t,friction.mu_n"
         )
     return names

@@ -93,8 +93,8 @@ class GaitSetup:
             as_contact(self.contact)
             if self.plant != "twin":
                 raise InputError(
-                    f"contact {self.contact!r} is only for the twin; remove it for"
-                    " other plants"
+                    f"contact {self.contact!r} is allowed only for the twin; remove it"
+                    " for other plants"
                 )
         check_positive("pressure", self.supply_pa / 1000, "kPa")
         check_positive("frequency", self.frequency, "Hz")
@@ -103,18 +103,19 @@ class GaitSetup:
         spec.require_planar("a footprint")
         if spec.segments < 2:
             raise InputError(
-                f"{spec.name} has one segment; it cannot crawl, so it has no footprint"
+                f"{spec.name} has one segment and cannot crawl, so it has no"
+                " footprint; use a robot with more segments"
             )
         if self.supply_pa > supply.pulsed_limit:
             raise InputError(
-                f"pressure {self.supply_pa / 1000:g} kPa is above the"
-                f" {supply.pulsed_limit / 1000:g} kPa that {spec.name} may have in"
-                f" pulses ({supply.limit_source})"
+                f"the pressure {self.supply_pa / 1000:g} kPa is not allowed, because"
+                f" {spec.name} supports at most {supply.pulsed_limit / 1000:g} kPa in"
+                f" pulses ({supply.limit_source}); use a lower pressure"
             )
         highest = RECORD_HZ / _MIN_SAMPLES
         if self.frequency > highest:
             raise InputError(
-                f"frequency {self.frequency:g} Hz is not allowed; it must be"
+                f"the frequency {self.frequency:g} Hz is not allowed; it must be"
                 f" {highest:.3g} Hz or less"
             )
         self.make_controller(0.0)  # raises an error if a setting is invalid
@@ -288,20 +289,21 @@ class FootprintStudy:
         fewest, most = _OFFSETS
         if not (both_sides and fewest <= len(self.offsets) <= most):
             raise InputError(
-                f"{message}; a planner needs {fewest} to {most} offsets, some below"
-                " and some above 0"
+                f"{message}; a planner needs between {fewest} and {most} offsets, some"
+                " below 0 and some above 0"
             )
         for before, after in self.changes:
             if before == after or not {before, after} <= set(self.offsets):
                 raise InputError(
-                    f"a change from offset {before:g} to {after:g} is not allowed; it"
-                    " must be between two measured offsets"
+                    f"a change from offset {before:g} to {after:g} is not allowed;"
+                    " both must be measured offsets, and they must differ"
                 )
         for name, (low, high) in _LIMITS.items():
             value = getattr(self, name)
             if not low <= value <= high:
                 raise InputError(
-                    f"{name} {value} is not allowed; it must be from {low} to {high}"
+                    f"{name} {value} is not allowed; it must be between {low} and"
+                    f" {high}"
                 )
 
     @property
@@ -415,7 +417,9 @@ def steady_path(setup: GaitSetup, run: Trajectory, periods: int) -> SteadyPath:
     """Return the steady path over the last gait periods of a simulation."""
     window = GaitWindow.ending_at(run, setup.period, float(run.time[-1]), periods)
     if window is None:
-        raise InputError(f"the run is shorter than {periods} gait periods")
+        raise InputError(
+            f"the run is shorter than {periods} gait periods; simulate a longer run"
+        )
     return SteadyPath.measure(run, setup.spec.geometry, window)
 
 

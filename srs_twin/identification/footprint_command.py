@@ -40,15 +40,17 @@ class MeasurementOptions:
     Options:
         --controller NAME: Controller of the robot: gait (open loop) or ilc (iterative
             learning control).
-        --frequency HZ: Frequency of the gait in Hz. [default: 2, ilc 1.5]
-        --target RAD: Bend amplitude in rad that the ilc controller aims for.
+        --frequency HZ: Frequency of the gait in Hz. [default: 2, or 1.5 for ilc]
+        --target RAD: Target amplitude of the bends in rad. Only the ilc controller uses
+            it.
         --plant NAME: Model to simulate: twin or analytical.
-        --contact NAME: Contact model of the twin: loaded or preloaded. [default: the
-            twin's]
+        --contact NAME: Contact model of the twin: loaded or preloaded. [default:
+            loaded]
         --chambers NAME: Pneumatic model of the chambers: lag (first order) or orifice
             (compressible flow).
         --offsets LIST: Steering offsets of the gait that are measured, for example
-            --offsets=-0.3,0,0.3. [default: -0.4 to 0.4; ilc: -0.3 to 0.3]
+            --offsets=-0.3,0,0.3. [default: from -0.4 to 0.4, or from -0.3 to 0.3 for
+            ilc]
         --transients/--no-transients: Also measure the area that the robot sweeps while
             the offset changes.
         --periods N: Number of gait periods that are measured in each run.
@@ -82,8 +84,8 @@ class MeasurementOptions:
                 given["offsets"] = [float(text) for text in self.offsets.split(",")]
             except ValueError:
                 raise InputError(
-                    f"--offsets: '{self.offsets}' is not a list of numbers such as"
-                    " -0.3,0,0.3"
+                    f"--offsets '{self.offsets}' is not allowed; give a list of"
+                    " numbers, for example --offsets=-0.3,0,0.3"
                 ) from None
         return given
 
@@ -100,13 +102,14 @@ def footprint(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the area that a robot sweeps at each offset.
+    """Measure the area that a robot sweeps at each steering offset.
 
     The result is the footprint that the path planner uses for this robot.
 
     Options:
         --out DIR: Output folder for the footprint file.
-        --name NAME: Name of the footprint and of its file. [default: ROBOT_CONTROLLER]
+        --name NAME: Name of the footprint and of its file. [default: names of robot and
+            controller, for example gen2_gait]
     """
     from srs_twin.robot.file import load_robot
 
@@ -155,8 +158,8 @@ def margin(
 
     Options:
         --runs N: Number of runs with each model.
-        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
-            [default: from the scenario]
+        --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
+            [default: the models that the scenario names]
         --out DIR: Folder of the footprint file.
     """
     from srs_twin.identification.excursions import NO_MARGIN, calibrate_margin

@@ -240,8 +240,9 @@ def _check_writable(path: Path, identity: list[str], overwrite: bool) -> None:
         first = read_text(path).splitlines()[: len(identity)]
         if [line.removeprefix("# ") for line in first] != identity:
             raise InputError(
-                f"{display_path(path)}: the file exists with another footprint;"
-                " --overwrite replaces it; --name or --out choose another file"
+                f"{display_path(path)}: the file already contains another footprint;"
+                " replace it with --overwrite, or choose another file with --name or"
+                " --out"
             )
     check_output_folder(path.parent, (path.name,))
 

@@ -130,19 +130,19 @@ class Pulls:
             ):
                 raise InputError(
                     f"{self.name}: {name} {value!r} with error {error!r} is not"
-                    " allowed; it must be above 0 and its error smaller"
+                    " allowed; the value must be above 0 and larger than its error"
                 )
         for direction in _DIRECTIONS:
             pulls = np.asarray(getattr(self, direction), dtype=float)
             if pulls.ndim != 1 or not (np.isfinite(pulls) & (pulls >= 0)).all():
                 raise InputError(
-                    f"{self.name}: pulls {direction} must be a list of lengths in m, 0"
-                    " or more"
+                    f"{self.name}: the pulls {direction} are not allowed; they must be"
+                    " a list of lengths of at least 0, in m"
                 )
             if len(pulls) == 1:
                 raise InputError(
-                    f"{self.name}: one pull {direction} does not show the scatter; give"
-                    " 2 or more, or none"
+                    f"{self.name}: a single pull {direction} does not show the"
+                    " scatter; give 2 or more pulls, or none"
                 )
 
     @property
@@ -265,16 +265,22 @@ def read_pull_table(path: StrPath) -> Pulls:
     for column in table.columns:
         if column.number:
             raise table.error(
-                column, f"{column.text}: these columns have no numbers; {PULL_COLUMNS}"
+                column,
+                f"the column '{column.text}' must not be numbered; a table of"
+                f" pulls has the columns {PULL_COLUMNS}",
             )
     if not columns.keys() & set(_DIRECTIONS):
         raise table.file.error(
-            f"neither 'along' nor 'across'; a table of pulls has {PULL_COLUMNS}", 1
+            "the columns 'along' and 'across' are both missing; a table of pulls has"
+            f" the columns {PULL_COLUMNS}",
+            1,
         )
     for name in _CONSTANTS[:2]:
         if name not in columns:
             raise table.file.error(
-                f"no column '{name}'; a table of pulls has {PULL_COLUMNS}", 1
+                f"the column '{name}' is missing; a table of pulls has the columns"
+                f" {PULL_COLUMNS}",
+                1,
             )
     rows, _ = table.read(table.columns)
     values = {
@@ -309,8 +315,8 @@ def _deformations(
         row = int(wrong[0])
         message = f"{column.text}: {values[row] / column.factor:g} is not allowed"
         allowed = (
-            f"a deformation of 0 to {_MAX_DEFORMATION_M / column.factor:g}"
-            f" {column.unit or 'm'}"
+            "a deformation must be between 0 and"
+            f" {_MAX_DEFORMATION_M / column.factor:g} {column.unit or 'm'}"
         )
         raise table.error(column, f"{message}; {allowed}", row)
     return [float(value) for value in values if np.isfinite(value)]
@@ -319,14 +325,14 @@ def _deformations(
 def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
     rows = np.flatnonzero(np.isfinite(values))
     if not rows.size:
-        raise table.error(column, f"{column.text}: the column has no number", 0)
+        raise table.error(column, f"{column.text}: the column contains no number", 0)
     first = float(values[rows[0]])
     different = rows[values[rows] != first]
     if different.size:
         row = int(different[0])
         message = (
-            f"{values[row]:g} here and {first:g} above; a file is for one spring and"
-            " one mass"
+            f"the value is {values[row]:g} here but {first:g} above; use one file for"
+            " each spring and each mass"
         )
         raise table.error(column, f"{column.text}: {message}", row)
     return first
@@ -422,14 +428,15 @@ class CoastingTest:
             )
         if speed[first] < _MIN_SPEED_M_S:
             raise InputError(
-                f"{name}: the maximum speed is {speed[first]:.2g} m/s; at least"
-                f" {_MIN_SPEED_M_S:g} m/s is needed"
+                f"{name}: the maximum speed is only {speed[first]:.2g} m/s, but at"
+                f" least {_MIN_SPEED_M_S:g} m/s is needed; push the robot faster"
             )
         heading = trajectory["heading"][first:]
         if np.ptp(heading) > _MAX_TURN_RAD:
             raise InputError(
-                f"{name}: it turns by {np.ptp(heading):.2g} rad while it coasts;"
-                f" {_MAX_TURN_RAD:g} rad is allowed: push it straight along or across"
+                f"{name}: the robot turns by {np.ptp(heading):.2g} rad while it"
+                f" coasts, but at most {_MAX_TURN_RAD:g} rad is allowed; push it"
+                " straight along or across"
             )
         trend = np.polynomial.Polynomial.fit(time, heading, _HEADING_DEGREE)(time)
         middle = (trend[1:] + trend[:-1]) / 2
@@ -476,7 +483,7 @@ def fit_coasting(
     allowed = [name for name in FRICTION_LAWS if name != "viscous"]
     if friction_law not in allowed:
         raise InputError(
-            f"friction law '{friction_law}' is not allowed here; allowed:"
+            f"friction law '{friction_law}' is not allowed here; allowed are"
             f" {', '.join(allowed)}"
         )
     assign_roles("coasting tests", runs, validation)

@@ -164,7 +164,7 @@ class Search:
         self._runs_left = np.inf
         self._best = SearchResult(np.zeros(0), np.inf, False)
         if not unknowns:
-            raise InputError("a fit needs at least one free parameter; name one")
+            raise InputError("a fit needs at least one free parameter; give its name")
         self.low = np.array([unknown.coordinate(unknown.low) for unknown in unknowns])
         self.high = np.array([unknown.coordinate(unknown.high) for unknown in unknowns])
         self.start = np.array(
@@ -174,11 +174,12 @@ class Search:
         if len(weighted) <= len(unknowns):
             raise InputError(
                 f"{len(weighted)} samples cannot determine {len(unknowns)} parameters;"
-                " more data are needed"
+                " give more data or fewer parameters"
             )
         if not np.isfinite(weighted).all():
             raise InputError(
-                "residuals are not finite at the start of the search; check the data"
+                "some residuals are not finite at the start of the search; check the"
+                " data"
             )
 
     def values(self, z: Array) -> dict[str, float]:

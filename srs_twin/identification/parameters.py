@@ -50,8 +50,9 @@ class FreeParameter:
     def __post_init__(self) -> None:
         if not self.low <= self.start <= self.high or not self.low < self.high:
             raise InputError(
-                f"{self.name}: the start {self.start:g} is not allowed; it must be from"
-                f" {self.low:g} to {self.high:g} {self.unit}"
+                f"{self.name}: the initial value {self.start:g} of the fit"
+                f" is not allowed; it must be between {self.low:g} and {self.high:g}"
+                f" {self.unit}"
             )
 
     def coordinate(self, value: float) -> float:
@@ -100,7 +101,9 @@ def free_parameters(
     parameters: list[FreeParameter] = []
     for name in names:
         if any(name == parameter.name for parameter in parameters):
-            raise InputError(f"{name}: given twice; give each name once")
+            raise InputError(
+                f"{name}: this parameter is given twice; give each name once"
+            )
         accessor, k = _checked_accessor(spec, name)
         low = max(accessor.low, accessor.lowest_allowed(spec))
         start = (starts or {}).get(name)
@@ -175,8 +178,8 @@ def _checked_accessor(spec: RobotSpec, name: str) -> tuple[_Accessor, int]:
     )
     if k >= count:
         raise InputError(
-            f"{name}: {spec.name} has {count} {accessor.numbered}s; give a number from"
-            f" 1 to {count}"
+            f"{name}: this parameter does not exist, because {spec.name} has {count}"
+            f" {accessor.numbered}s; give a number between 1 and {count}"
         )
     return accessor, k
 

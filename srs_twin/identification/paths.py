@@ -172,9 +172,9 @@ class SteadyPath:
         turn = float(turns.mean())
         if not chord >= MIN_TRAVEL_BODY_LENGTHS * body_length(trajectory):
             raise InputError(
-                f"the snake moves forward by {1000 * chord:.3g} mm per gait period,"
-                " which is too little for a footprint; try another pressure or"
-                " frequency"
+                f"the snake moves forward by only {1000 * chord:.3g} mm per gait"
+                " period, which is too little for a footprint; try another pressure"
+                " or frequency"
             )
         speed = chord / window.period / float(np.sinc(turn / (2 * np.pi)))
         curvature = path_curvature(chord, turn)
@@ -326,8 +326,10 @@ def _settling_time(
     first = int(unsettled[-1]) + 1 if len(unsettled) else 0
     if unrest > MAX_UNREST or first >= len(begins):
         raise InputError(
-            f"the path has not settled {(trajectory.time[-1] - time) / period:.3g} gait"
-            " periods after the change of offset"
+            "the path does not become steady within"
+            f" {(trajectory.time[-1] - time) / period:.3g} gait periods after the"
+            " change of offset; simulate a longer run, or use smaller changes of the"
+            " offset"
         )
     return float(begins[first])
 

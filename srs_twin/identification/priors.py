@@ -96,7 +96,7 @@ class Priors:
         if not parameters:
             raise InputError(
                 f"robot {robot.name}: the robot file has no uncertain numbers; add"
-                " `uncertain:` to some of them (docs/uncertainty.md)"
+                " `uncertain` to some of them (docs/uncertainty.md)"
             )
         index = {prior.path: i for i, prior in enumerate(parameters)}
         correlation = np.eye(len(parameters))
@@ -106,8 +106,8 @@ class Priors:
                 correlation[i, j] = correlation[j, i] = pair.r
         if np.linalg.eigvalsh(correlation)[0] <= 1e-9:
             raise InputError(
-                f"robot {robot.name}: the correlations contradict each other (their"
-                " matrix is not positive definite); reduce some of them"
+                f"robot {robot.name}: the correlations contradict each other, because"
+                " their matrix is not positive definite; reduce some of them"
             )
         return cls(tuple(parameters), correlation)
 

@@ -119,7 +119,8 @@ def _plants(
 ) -> dict[str, Any]:
     if bench and friction_law is not None:
         raise InputError(
-            "--friction-law: remove this option; on a bench there is no floor"
+            "--friction-law is not allowed, because a robot on a bench touches no floor;"
+            " remove this option"
         )
     floor = {} if bench else {"friction": friction_law or "wheel"}
     settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}

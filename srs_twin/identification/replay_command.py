@@ -59,14 +59,14 @@ def replay(
             measurement on a bench.
         --robot -r ROBOT: Name of a shipped robot, or path of a robot file.
         --valves LOG: Log with the recorded valve states or pressures. [default:
-            NAME.valves.csv in the same folder]
+            NAME.valves.csv in the folder of the recording]
         --fit FIT: Fit file whose parameters replace the values of the robot file. Can
             be repeated.
         --expect FILE.yaml: YAML file with expected ranges of results, under the key
             `expect` as in a scenario.
         --bench: Simulate the robot, or a single module, clamped at its head on a bench
             instead of free on the floor.
-        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
+        --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
         --model NAME: Kind of analytical model: complete, simplified, compliant or
             quasistatic.
         --out DIR: Output folder. [default: runs/MOTION]
@@ -77,7 +77,9 @@ def replay(
     report = ReportOptions(check=check, strict=strict, quiet=quiet, as_json=as_json)
     if report.fails and expect is None:
         flag = "--check" if check else "--strict"
-        raise InputError(f"{flag}: there are no expectations; give --expect FILE.yaml")
+        raise InputError(
+            f"{flag} needs expectations; give them with --expect FILE.yaml"
+        )
     recording = {"valves": valves, "offset_s": offset, "gait_frequency_hz": frequency}
     given = {key: value for key, value in recording.items() if value is not None}
     supply_pa = None if pressure is None else 1e3 * pressure

@@ -150,14 +150,15 @@ class StaticTable:
                 points.append(point)
         if not points:
             message = (
-                f"{name}: no plateau: pressures are constant for {longest:.2g} s;"
-                f" {wait:.2g} s (5 times the largest time constant) and {MIN_FRAMES}"
-                " more frames, with settled bends, are needed"
+                f"{name}: the recording contains no plateau. The pressures are"
+                f" constant for at most {longest:.2g} s, but {wait:.2g} s (5 times the"
+                f" largest time constant) and {MIN_FRAMES} more frames with settled"
+                " bends are needed"
             )
             if log.kind == "valve" and np.isnan(pressure).any():
                 message += (
-                    "; the pressure of a chamber that holds (0) is unknown: log"
-                    " pressures"
+                    "; the pressure of a chamber whose valves hold (state 0) is"
+                    " unknown, so also log the pressures"
                 )
             raise InputError(message)
         table = np.array(points)
@@ -288,8 +289,8 @@ def plateau_tables(
         levels = levels[np.diff(levels, prepend=-np.inf) > _PLATEAU_BAND_PA]
         if len(levels) == 2:
             raise InputError(
-                f"pressure_{SIDES[k]}_{j + 1}: only 2 different pressures; 3 or more"
-                " are needed, to distinguish a line from a curve"
+                f"the column 'pressure_{SIDES[k]}_{j + 1}' has only 2 different"
+                " pressures; 3 or more are needed, to distinguish a line from a curve"
             )
     return tables
 
@@ -335,11 +336,16 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
     for column in table.columns:
         if not 1 <= column.number <= spec.segments:
             raise table.error(
-                column, f"{column.text}: {spec.name} has segments 1 to {spec.segments}"
+                column,
+                f"{column.text}: this segment does not exist; {spec.name} has"
+                f" segments 1 to {spec.segments}",
             )
     if not any(column.name == "bend" for column in table.columns):
         example = "pressure_plus_1,pressure_minus_1,bend_1,…"
-        raise table.file.error(f"no column 'bend_1'; a static table has {example}", 1)
+        raise table.file.error(
+            f"the column 'bend_1' is missing; a static table has the columns {example}",
+            1,
+        )
     cells, _ = table.read(table.columns)
     values = np.zeros((len(cells), spec.segments, 4))
     values[..., 2:] = np.nan
@@ -350,13 +356,13 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
     error = values[..., 3]
     if not (np.abs(pressure) <= _MAX_PRESSURE_PA).all():
         raise table.file.error(
-            f"pressures must be from {-_MAX_PRESSURE_PA:g} to {_MAX_PRESSURE_PA:g} Pa"
-            " in every row"
+            f"the pressures must be between {-_MAX_PRESSURE_PA:g} and"
+            f" {_MAX_PRESSURE_PA:g} Pa in every row"
         )
     if not np.isfinite(bend).any() or (np.abs(bend) > _MAX_BEND_RAD).any():
         raise table.file.error(
-            f"bends must be at most {_MAX_BEND_RAD:.3g} rad; check the unit"
-            " (bend_1_deg)"
+            f"bends must be given and at most {_MAX_BEND_RAD:.3g} rad; if they are in"
+            " degrees, name the columns bend_1_deg, …"
         )
     return StaticTable(table.file.name, table.file.sha256, pressure, bend, error)
 

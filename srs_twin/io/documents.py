@@ -140,7 +140,8 @@ class Document:
             loc = override.loc[: k + 1]
             if isinstance(data, list) and not has_child(data, key):
                 message = (
-                    f"{format_path(loc)}: there are {len(data)} entries, counted from 0"
+                    f"{format_path(loc)}: this entry does not exist; the list has"
+                    f" {len(data)} entries, counted from 0"
                 )
                 self.problems.append((position, message))
                 return
@@ -326,7 +327,7 @@ def parse_yaml(text: str, name: str) -> Document:
         column = error.position - before.rfind("\n")
         reader.fail(
             (line, column),
-            f"not YAML: unusable character U+{ord(text[error.position]):04X}",
+            f"not YAML: the character U+{ord(text[error.position]):04X} is not allowed",
         )
     except (yaml.YAMLError, ValueError, OverflowError) as error:
         # An invalid escape sequence such as "\\UFFFFFFFF" raises ValueError or
@@ -454,7 +455,11 @@ class _Reader:
         if isinstance(event, yaml.AliasEvent):
             return None
         if len(loc) >= MAX_DEPTH:
-            self.fail(self.last, f"nested more than {MAX_DEPTH} levels deep")
+            self.fail(
+                self.last,
+                f"the file is nested more than {MAX_DEPTH} levels deep; use fewer"
+                " levels",
+            )
         if isinstance(event, yaml.MappingStartEvent):
             return self._mapping(loc)
         values: list[object] = []
@@ -467,15 +472,16 @@ class _Reader:
         while not isinstance(event := self._next(), yaml.CollectionEndEvent):
             self._check(event)
             if not isinstance(event, yaml.ScalarEvent):
-                self.fail(self.last, "a key must be plain text")
+                self.fail(self.last, "a key must be plain text, not a list or a block")
             key = self._text(event, keep="")
             key_loc = (*loc, key)
             if key == "<<" and event.implicit[0]:
-                self._refuse("merge keys (<<) are not allowed; write the keys out")
+                self._refuse("YAML merge keys (<<) are not allowed; write the keys out")
             elif key in mapping:
                 line = self.document.keys[key_loc][0]
                 self._refuse(
-                    f"{format_path(key_loc)}: given twice; the first is in line {line}"
+                    f"{format_path(key_loc)}: the key is given twice; the first one is"
+                    f" in line {line}"
                 )
             self.document.keys[key_loc] = self.last
             mapping[key] = self._value(self._next(), key_loc)
@@ -487,15 +493,17 @@ class _Reader:
             self.fail(self.last, f"the file has more than {MAX_NODES} keys and values")
         if isinstance(event, yaml.AliasEvent):
             self._refuse(
-                f"aliases (*{event.anchor}) are not allowed; write the value out"
+                f"YAML aliases (*{event.anchor}) are not allowed; write the value out"
             )
             return
         if event.anchor is not None:
             self._refuse(
-                f"anchors (&{event.anchor}) are not allowed; write each value out"
+                f"YAML anchors (&{event.anchor}) are not allowed; write each value out"
             )
         if event.tag is not None:
-            self._refuse(f"tags ({event.tag}) are not allowed; write the plain value")
+            self._refuse(
+                f"YAML tags ({event.tag}) are not allowed; write the plain value"
+            )
 
     def _text(self, event: yaml.Event, *, keep: str) -> str:
         text = escape_unprintable(event.value, keep=keep)

@@ -80,7 +80,7 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
         where = f"{name}: " if name in products else ""
         reason = os.strerror(error.errno) if error.errno else str(error)
         if isinstance(error, BlockingIOError):
-            reason = "another process holds the folder's lock"
+            reason = "another process has locked the folder"
         raise InputError(
             f"{display_path(folder)}: the run's files cannot be written there"
             f" ({where}{reason}); the files of an earlier run are unchanged"
@@ -93,7 +93,7 @@ def remove_completion_mark(mark: Path) -> None:
         mark.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(
-            f"{display_path(mark)}: cannot be replaced ({error.strerror})"
+            f"{display_path(mark)}: the file cannot be replaced ({error.strerror})"
         ) from error
 
 

@@ -168,11 +168,12 @@ def check_printable(argument: StrPath) -> None:
     """Check that a path or argument can be written to result files in UTF-8 YAML."""
     text = os.fspath(argument)
     if match := _UNPRINTABLE.search(text):
-        reason = "a control character in it"
+        reason = "it contains a control character"
         if match[0] >= "\ud800":
-            reason = "not UTF-8"
+            reason = "it is not valid UTF-8"
         raise InputError(
-            f"{escape_unprintable(text)}: cannot be used ({reason}); rename it"
+            f"{escape_unprintable(text)}: this name cannot be used ({reason}); rename"
+            " it"
         )
 
 
@@ -191,12 +192,12 @@ def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
             raw = stream.read(limit + 1)
     except OSError as error:
         raise InputError(
-            f"{display_path(path)}: cannot be read ({error.strerror})"
+            f"{display_path(path)}: the file cannot be read ({error.strerror})"
         ) from error
     if len(raw) > limit:
         raise InputError(
-            f"{display_path(path)}: larger than {limit // 1024} kB, the largest allowed"
-            " size"
+            f"{display_path(path)}: the file is larger than {limit // 1024} kB, the"
+            " maximum allowed size"
         )
     return decode_text(raw, display_path(path))
 
@@ -208,7 +209,7 @@ def decode_text(raw: bytes, name: str) -> str:
     except UnicodeDecodeError as error:
         byte = f"byte {error.start + 1} is 0x{raw[error.start]:02x}"
         raise InputError(
-            f"{name}: not UTF-8 text ({byte}); save it as UTF-8"
+            f"{name}: the file is not UTF-8 text ({byte}); save it as UTF-8"
         ) from error
 
 
@@ -222,7 +223,8 @@ def missing_folders(folder: Path) -> list[Path]:
     if len(missing) > MAX_NEW_FOLDERS:
         raise OSError(
             errno.ENAMETOOLONG,
-            f"{len(missing)} new folders deep; at most {MAX_NEW_FOLDERS} are made",
+            f"the path has {len(missing)} new folders inside each other, but at most"
+            f" {MAX_NEW_FOLDERS} are allowed",
         )
     return missing
 
@@ -274,7 +276,8 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
             temporary.replace(target)
     except OSError as error:
         raise InputError(
-            f"{display_path(target)}: cannot be written ({error.strerror or error})"
+            f"{display_path(target)}: the file cannot be written"
+            f" ({error.strerror or error})"
         ) from error
 
 
@@ -327,11 +330,12 @@ def create_numbered_file(folder: Path, name: str) -> Path:
         except FileExistsError:
             if not folder.is_dir():
                 raise InputError(
-                    f"{display_path(folder)}: cannot be written (not a folder)"
+                    f"{display_path(folder)}: nothing can be written there, because"
+                    " this is not a folder"
                 ) from None
         except OSError as error:
             raise InputError(
-                f"{display_path(path)}: cannot be written ({error.strerror})"
+                f"{display_path(path)}: the file cannot be written ({error.strerror})"
             ) from error
         else:
             return path
@@ -368,7 +372,9 @@ def require_file(
                 f"{display_path(path)}: this is a folder; give one file{hint}"
             )
         if path.exists():
-            raise InputError(f"{display_path(path)}: this is not a regular file")
+            raise InputError(
+                f"{display_path(path)}: this is not a regular file; give a regular file"
+            )
         if path.is_symlink():
             raise InputError(
                 f"{display_path(path)}: this is a broken link, which points to no file"
@@ -376,7 +382,7 @@ def require_file(
     except OSError as error:
         # The name is too long, or the folder is not accessible.
         raise InputError(
-            f"{display_path(path)}: cannot be read ({error.strerror})"
+            f"{display_path(path)}: the file cannot be read ({error.strerror})"
         ) from error
     places = dict.fromkeys([beside or path, path])
     siblings = [
@@ -421,5 +427,6 @@ def check_not_folders(folder: Path, products: Sequence[str]) -> None:
     for product in products:
         if (folder / product).is_dir():
             raise InputError(
-                f"{display_path(folder / product)}: cannot be replaced (a folder)"
+                f"{display_path(folder / product)}: a folder has the name of an output"
+                " file; remove or rename this folder"
             )

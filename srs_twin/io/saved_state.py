@@ -82,7 +82,7 @@ def _why_not_copyable(value: object) -> str | None:
     if isinstance(value, MethodType):
         return _why_not_copyable(value.__self__)
     if isinstance(value, FunctionType) and "<" in value.__qualname__:
-        return "a function without a name in its module"
+        return "a lambda or a nested function"
     if isinstance(value, GeneratorType):
         return "a generator"
     if isinstance(value, Future | Executor):
@@ -109,7 +109,7 @@ class Stateful(DeepCopied):
         missing = [name for name in self._state_names() if name not in state]
         if missing:
             raise InputError(
-                f"{type(self).__name__}: the state is incomplete; it has no"
+                f"{type(self).__name__}: the state is incomplete, because it has no"
                 f" {', '.join(missing)}"
             )
         for name in self._state_names():
@@ -132,10 +132,13 @@ class Stateful(DeepCopied):
         ]
         if not any("state_attributes" in vars(cls) for cls in subclasses):
             raise InputError(
-                f"{label} cannot be saved: its class has no `state_attributes`"
+                f"{label} cannot be saved, because its class does not define"
+                " `state_attributes`"
             )
         if not all(hasattr(self, name) for name in self._state_names()):
-            raise InputError(f"{label} has no state before its first reset")
+            raise InputError(
+                f"{label} has no state before its first reset; reset it first"
+            )
 
     @classmethod
     def _state_names(cls) -> tuple[str, ...]:
@@ -237,13 +240,14 @@ class SavedState:
             text = str(arrays[_DOCUMENT])
             if len(text) > _MAX_DOCUMENT:
                 raise ValueError(
-                    f"{len(text)} characters of settings; the limit is {_MAX_DOCUMENT}"
+                    f"the settings have {len(text)} characters, but at most"
+                    f" {_MAX_DOCUMENT} are allowed"
                 )
             document = json.loads(text)
             _check_version(display_path(path), document["version"])
             content = _decode(document["content"], arrays)
             if not (isinstance(document["of"], dict) and isinstance(content, dict)):
-                raise ValueError("settings and content must be mappings")
+                raise ValueError("the settings and the content must be mappings")
             return SavedState(document["of"], content, document["version"])
         except (InputError, MemoryError):
             raise
@@ -252,7 +256,7 @@ class SavedState:
         ) as error:  # constructors raise many kinds of errors for wrong values
             reason = f"{type(error).__name__}: {error}"
             raise InputError(
-                f"{display_path(path)}: not a saved state ({reason})"
+                f"{display_path(path)}: the file is not a saved state ({reason})"
             ) from error
 
 
@@ -297,7 +301,9 @@ def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
         return {"@": kind, "items": [_encode(item, arrays) for item in value]}
     if value is None or isinstance(value, bool | int | float | str):
         return value
-    raise TypeError(f"a {type(value).__name__} cannot be written to a saved state")
+    raise TypeError(
+        f"a value of type {type(value).__name__} cannot be written to a saved state"
+    )
 
 
 def _decode(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
@@ -337,5 +343,5 @@ def _find_class(name: str) -> type:
         issubclass(cls, Enum) or hasattr(cls, "_fields")
     )
     if not (is_record or is_dataclass(cls)):
-        raise ValueError(f"{name} is not a data class of this program")
+        raise ValueError(f"'{name}' is not a data class of this program")
     return cast(type, cls)

@@ -54,7 +54,10 @@ def read_json(path: Path) -> Any:
             f"{display_path(path)}: cannot be read ({error.strerror})"
         ) from error
     if len(raw) > MAX_JSON_BYTES:
-        raise InputError(f"{display_path(path)}: larger than {MAX_JSON_BYTES >> 20} MB")
+        raise InputError(
+            f"{display_path(path)}: the file is larger than {MAX_JSON_BYTES >> 20}"
+            " MB, the maximum allowed size"
+        )
     return parse_json(decode_text(raw, display_path(path)), display_path(path))
 
 
@@ -70,23 +73,27 @@ def parse_json(text: str, name: str) -> Any:
         )
     except json.JSONDecodeError as error:
         place = f"{name}:{error.lineno}:{error.colno}"
-        raise InputError(f"{place}: not JSON: {error.msg}") from error
+        raise InputError(f"{place}: the file is not valid JSON: {error.msg}") from error
     except ValueError as error:
         raise InputError(f"{name}: {error}") from error
     except RecursionError:
-        raise InputError(f"{name}: nested more than {MAX_DEPTH} levels deep") from None
+        raise InputError(
+            f"{name}: the JSON is nested more than {MAX_DEPTH} levels deep"
+        ) from None
     if _depth(data) > MAX_DEPTH:
-        raise InputError(f"{name}: nested more than {MAX_DEPTH} levels deep")
+        raise InputError(
+            f"{name}: the JSON is nested more than {MAX_DEPTH} levels deep"
+        )
     return data
 
 
 def _refuse(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is not JSON")
+    raise ValueError(f"{constant} is not allowed in JSON")
 
 
 def _number(text: str) -> float:
     if not math.isfinite(value := float(text)):
-        raise ValueError(f"{text[:40]} is out of range")
+        raise ValueError(f"the number {text[:40]} is out of range")
     return value
 
 
@@ -103,7 +110,7 @@ def _object(pairs: list[tuple[str, object]]) -> dict[str, object]:
     if len(mapping) < len(pairs):
         names = [name for name, _ in pairs]
         duplicate = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"key {duplicate[:80]!r} is given twice")
+        raise ValueError(f"the key {duplicate[:80]!r} is given twice")
     return mapping
 
 
@@ -204,7 +211,9 @@ def _check_size(path: Path) -> None:
         ("footer", footer, MAX_FOOTER_BYTES),
     ):
         if value > limit:
-            raise ValueError(f"a {name} of {value} bytes; the limit is {limit}")
+            raise ValueError(
+                f"the {name} has {value} bytes, but at most {limit} are allowed"
+            )
 
 
 def _check_bounds(file: ParquetFile) -> None:
@@ -219,12 +228,14 @@ def _check_bounds(file: ParquetFile) -> None:
         ("uncompressed bytes", declared_bytes, MAX_BYTES),
     ):
         if not 0 <= value <= limit:
-            raise ValueError(f"{value} {name}; the limit is {limit}")
+            raise ValueError(
+                f"the file has {value} {name}, but at most {limit} are allowed"
+            )
     duplicates = [
         name for name, count in Counter(file.schema_arrow.names).items() if count > 1
     ]
     if duplicates:
-        raise ValueError(f"column {duplicates[0]}: given twice")
+        raise ValueError(f"column '{duplicates[0]}' is given twice")
 
 
 def _read(file: ParquetFile) -> pyarrow.Table:
@@ -254,16 +265,23 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
             # The directory of an archive is read at once, and it can be as large as the
             # file.
             if size > MAX_ARCHIVE_BYTES:
-                raise ValueError(f"{size} bytes; the limit is {MAX_ARCHIVE_BYTES}")
+                raise ValueError(
+                    f"the file has {size} bytes, but at most {MAX_ARCHIVE_BYTES}"
+                    " are allowed"
+                )
             with zipfile.ZipFile(file) as archive:
                 members = archive.infolist()
                 unpacked = sum(member.file_size for member in members)
                 if unpacked > MAX_ARCHIVE_BYTES:
                     raise ValueError(
-                        f"{unpacked} bytes unpacked; the limit is {MAX_ARCHIVE_BYTES}"
+                        f"the unpacked content has {unpacked} bytes, but at most"
+                        f" {MAX_ARCHIVE_BYTES} are allowed"
                     )
                 if any(member.compress_type not in _PACKING for member in members):
-                    raise ValueError("NumPy does not write this compression method")
+                    raise ValueError(
+                        "the archive is compressed with a method that NumPy does"
+                        " not use; write the file again with NumPy"
+                    )
                 return {
                     member.filename.removesuffix(".npy"): _parse_array(
                         archive.read(member)
@@ -272,7 +290,7 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
                 }
     except OSError as error:
         raise InputError(
-            f"{display_path(path)}: cannot be read: {error.strerror or error}"
+            f"{display_path(path)}: the file cannot be read: {error.strerror or error}"
         ) from error
     # For an encrypted member, zipfile raises RuntimeError.
     except (
@@ -306,6 +324,8 @@ def _parse_array(raw: bytes) -> np.ndarray:
     stored = len(raw) - stream.tell()
     is_possible = all(0 <= length <= len(raw) for length in shape)
     if not is_possible or math.prod(shape) * kind.itemsize != stored:
-        raise ValueError(f"an array of shape {shape} and type {kind} in {stored} bytes")
+        raise ValueError(
+            f"an array of shape {shape} and type {kind} does not fit its {stored} bytes"
+        )
     stream.seek(0)
     return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))

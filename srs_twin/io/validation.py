@@ -54,12 +54,21 @@ RETIRED_KINDS = {
         "it was retired, because none of its reactions helps"
         " (docs/friction.md#yielding-gaits)"
     ),
-    "greedy": "it was retired (`benchmarks/common/greedy.py` keeps it); use best_first",
-    "ompl": "it was retired (`benchmarks/common/rrt_connect.py` keeps it); use best_first",
+    "greedy": (
+        "it was retired; use best_first (`benchmarks/common/greedy.py` still"
+        " contains it)"
+    ),
+    "ompl": (
+        "it was retired; use best_first (`benchmarks/common/rrt_connect.py` still"
+        " contains it)"
+    ),
     "beside": (
         "it was retired; `srs-twin reproduce` compares results with published values"
     ),
-    "contour": "it was retired; use line, with one of the two fields as by",
+    "contour": (
+        "it was retired; use the kind `line`, with one of the two fields under"
+        " the key `by`"
+    ),
 }
 """Replacement of each removed kind or key, or the reason for its removal."""
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
@@ -256,7 +265,10 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
         keys = _allowed_keys(schema, loc[:-1], data)
         close = _hint(loc[-1], keys)
         if str(loc[-1]).isdigit():
-            return "unknown key; write a decimal point, not a comma"
+            return (
+                "unknown key; a decimal number is written with a point, not with"
+                " a comma"
+            )
         if close:
             return f"unknown key{close}"
         listed = ", ".join(keys[:MAX_LISTED_NAMES])

@@ -50,8 +50,9 @@ def broker_link(
 
     if set(robot) & set("/+#") or len(robot) > _LONGEST_NAME:
         raise InputError(
-            f"--name {robot[:80]!r} cannot be part of a topic; use no /, + or #, and"
-            f" at most {_LONGEST_NAME} characters"
+            f"--name {robot[:80]!r} cannot be part of an MQTT topic; use a name"
+            f" without the characters /, + and #, with at most {_LONGEST_NAME}"
+            " characters"
         )
     host, port = links.address(address, links.PORT)
     broker = links.BrokerAccess(host, port, user, os.environ.get(PASSWORD), ca)
@@ -77,7 +78,7 @@ class EmulationOptions:
         spread: Relative standard deviation of the gains of the modules.
         noise: Standard deviation of the measured bends in rad.
         chambers: Pneumatic model of the chambers: orifice (compressible flow) or lag
-            (first order). [default: orifice; spatial robots: lag]
+            (first order). [default: orifice, or lag for spatial robots]
         start: Initial position in metres and initial heading in rad, for example
             --start=0.2,-0.1,0.5.
     """
@@ -126,7 +127,7 @@ class MessageOptions:
             TLS.
     """
 
-    loss: Annotated[float, option("--loss SHARE", min=0.0, max=0.99)] = 0.0
+    loss: Annotated[float, option("--loss FRACTION", min=0.0, max=0.99)] = 0.0
     jitter: Annotated[float, option("--jitter-s S", min=0.0, max=5.0)] = 0.0
     publish_supply: Annotated[bool, option("--publish-supply")] = False
     duration: Annotated[float | None, option("--duration S", min=0.02)] = None
@@ -149,13 +150,13 @@ def emulate(
     The emulated robot is a twin with unequal modules, compressible flow in the
     chambers, sensor noise and faults. The emulated robot executes valve commands and
     publishes bends, pressures, valve states and poses in real time. docs/live.md
-    describes the messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the
-    password of --user.
+    describes the messages. The password of the MQTT user is read from the environment
+    variable SRS_TWIN_MQTT_PASSWORD.
 
     Options:
         mqtt: Address of the MQTT broker.
-        natnet: Address of this machine at which NatNet frames are served. [default: no
-            motion capture]
+        natnet: Address of this machine at which the emulator serves NatNet frames.
+            [default: no motion capture]
         name: Name of the robot in the MQTT topics. [default: ROBOT]
     """
     from srs_twin.live.emulator import Transport, emulate as run
@@ -219,7 +220,7 @@ def _pose(text: str) -> tuple[float, float, float]:
         x = y = heading = math.nan
     if not math.isfinite(x + y + heading):
         raise InputError(
-            f"--start '{text}' is not a pose; give x and y in m and the heading in rad,"
-            " such as --start=0.2,-0.1,0.5"
+            f"--start '{text}' is not a pose; give x and y in m and the heading in"
+            " rad, for example --start=0.2,-0.1,0.5"
         )
     return x, y, heading

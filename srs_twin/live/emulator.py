@@ -109,7 +109,7 @@ class Fault:
         """
         match = _FAULT.fullmatch(text)
         if match is None:
-            raise InputError(f"{text!r} is not a valid fault; write {_FORM}")
+            raise InputError(f"{text!r} is not a valid fault; write it as {_FORM}")
         kind, number, side, how, since = match.groups()
         if kind not in KINDS:
             raise UnknownNameError("fault", kind, KINDS)
@@ -127,7 +127,8 @@ class Fault:
         most = segments + (part == "connector")
         if number and not 1 <= int(number) <= most:
             raise InputError(
-                f"{text!r}: there is no {part} {number}; the robot has {most}"
+                f"{text!r}: {part} {number} does not exist; the robot has {most} of"
+                " them"
             )
         return cls(
             kind,
@@ -261,7 +262,7 @@ class EmulatedRobot:
             )
         if leaks and not isinstance(self._air, OrificePneumatics):
             raise InputError(
-                "a leak cannot be simulated without compressible flow; use pneumatics"
+                "a leak can be simulated only with compressible flow; use pneumatics"
                 " 'orifice'"
             )
         self._air.stuck = tuple(

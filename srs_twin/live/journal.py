@@ -35,7 +35,7 @@ from srs_twin.recordings.formats.bags import MCAP_MAGIC, stream_messages
 
 LONGEST_GAP_S = 60.0
 """Maximum pause that is reproduced during playback, s. Longer pauses are skipped."""
-_NOT_IN_ORDER = "a record whose time does not follow that of the one before"
+_NOT_IN_ORDER = "a record is earlier than the record before it"
 _FULL_S = 0.01
 """Interval at which playback checks whether a full queue has free space, s."""
 _MOST_HEAD = 100_000
@@ -63,14 +63,15 @@ class Journal:
             from mcap.writer import CompressionType, Writer
         except ImportError as error:
             raise InputError(
-                "journals need mcap: pip install 'srs-twin[live]'"
+                "journals need the package mcap; install it with: pip install"
+                " 'srs-twin[live]'"
             ) from error
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("wb")
         except OSError as error:
             raise InputError(
-                f"{display_path(path)}: cannot be written: {error.strerror}"
+                f"{display_path(path)}: the file cannot be written ({error.strerror})"
             ) from error
         # Chunking is disabled, so that only the messages after the last `flush` are
         # lost if the process is killed.
@@ -108,8 +109,8 @@ class Journal:
             if isinstance(error, OSError):
                 reason = str(error.strerror)
             self.trouble = (
-                f"{display_path(self._path)}: ends early, it cannot be written"
-                f" ({reason})"
+                f"{display_path(self._path)}: the journal ends early, because it"
+                f" cannot be written ({reason})"
             )
 
     def _write(self, message: Message) -> None:
@@ -209,7 +210,7 @@ def opened_journal(path: Path) -> IO[bytes]:
             return file
     except OSError as error:
         raise InputError(
-            f"{display_path(path)}: cannot be read ({error.strerror})"
+            f"{display_path(path)}: the file cannot be read ({error.strerror})"
         ) from error
     file.close()
     raise InputError(f"{display_path(path)}: this is not an MCAP file")
@@ -234,7 +235,7 @@ def _message(
             return Message(kind, source, sent, arrived, poses, names)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
         raise BadMessageError(
-            f"not a message of srs-twin: {type(error).__name__}"
+            f"the message does not have the form of srs-twin: {type(error).__name__}"
         ) from None
     if source != robot:
         return None
@@ -325,14 +326,14 @@ class McapLink(Link):
             f"{count} × {what.removeprefix('bad: ')}"
             for what, count in self.counts.items()
         ]
-        found = "no message at all"
+        found = "no messages at all"
         if others or bad:
-            found = f"no message of '{robot}'"
+            found = f"no messages of '{robot}'"
         if others:
             names = format_names(sorted(others))
-            found += f"; it has messages of {names} (--name)"
+            found += f", but messages of {names} (choose one with --name)"
         if bad:
-            found += f"; not readable: {', '.join(bad[:3])}"
+            found += f"; unreadable messages: {', '.join(bad[:3])}"
         raise InputError(f"{display_path(path)}: the journal has {found}")
 
     def _play(self) -> None:

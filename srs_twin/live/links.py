@@ -139,9 +139,9 @@ def address(given: str, port: int) -> tuple[str, int]:
         colon and not (re.fullmatch("[0-9]{1,5}", number) and 0 < int(number) < 65536)
     ):
         raise InputError(
-            f"{given[:80]!r} is not an address; give HOST or HOST:PORT, such as"
-            f" {LOOPBACK}:{port}, with a name or an IPv4 address as HOST and a PORT"
-            " from 1 to 65535"
+            f"{given[:80]!r} is not an address; give HOST or HOST:PORT, for example"
+            f" {LOOPBACK}:{port}, where HOST is a name or an IPv4 address and PORT is"
+            " between 1 and 65535"
         )
     return host, int(number or port)
 

@@ -228,17 +228,19 @@ def _text(document: Mapping[str, Any], kind: str) -> str:
     text = document.get("text", "")
     if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
         raise BadMessageError(
-            f"text: must be a string with at most {_LONGEST_TEXT} characters"
+            f"`text` must be a string with at most {_LONGEST_TEXT} characters"
         )
     if kind == CONTROL and text not in WORDS:
-        raise BadMessageError(f"text: a control must be one of {', '.join(WORDS)}")
+        raise BadMessageError(
+            f"`text` of a control message must be one of {', '.join(WORDS)}"
+        )
     return text
 
 
 def _number(given: object, key: str, low: float, high: float) -> float:
     is_number = isinstance(given, int | float) and not isinstance(given, bool)
     if not (is_number and low <= given <= high):  # type: ignore[operator]
-        raise BadMessageError(f"{key}: must be a number from {low:g} to {high:g}")
+        raise BadMessageError(f"`{key}` must be a number between {low:g} and {high:g}")
     return float(given)  # type: ignore[arg-type]
 
 
@@ -248,7 +250,7 @@ def _numbers(
     given = document.get(key)
     if not isinstance(given, list) or len(given) != count:
         raise BadMessageError(
-            f"{key}: must be a list of {count} numbers, one per segment"
+            f"`{key}` must be a list of {count} numbers, one per segment"
         )
     return [
         math.nan

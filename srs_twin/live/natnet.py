@@ -125,9 +125,7 @@ class _Reader:
     def count(self) -> int:
         (count,) = self.read("i")
         if not 0 <= count <= _MOST:
-            raise BadMessageError(
-                f"the number of list entries is negative or above {_MOST}"
-            )
+            raise BadMessageError(f"the length of a list is negative or above {_MOST}")
         return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
@@ -188,7 +186,8 @@ def read_server(content: bytes) -> Server:
         first = ".".join(map(str, VERSIONS[0]))
         last = ".".join(map(str, VERSIONS[-1]))
         raise BadMessageError(
-            f"the NatNet version is not supported; it must be {first} to {last}"
+            f"the NatNet version is not supported; it must be between {first} and"
+            f" {last}"
         )
     # Servers before 3.0 do not state their multicast group.
     if version < (3, 0) or len(content) - packet.at < 15:
@@ -284,7 +283,7 @@ def read_frame(content: bytes, version: Version) -> Frame:
     (time,) = packet.read("d" if version >= (2, 7) else "f")
     if not abs(time) <= LATEST_S:
         raise BadMessageError(
-            f"the time of the frame is not a number up to {LATEST_S:g} s"
+            f"the time of the frame is not a number of at most {LATEST_S:g} s"
         )
     return Frame(number, time, bodies)
 

@@ -165,8 +165,8 @@ class NatNetLink(_UdpLink):
         except OSError as error:
             own.close()
             raise InputError(
-                f"motion capture frames cannot be received at {local}: {error}; give an"
-                " address of this machine with --local"
+                f"motion capture frames cannot be received at {local} ({error}); give"
+                " an address of this machine with --local"
             ) from error
         super().__init__([own])
         self.version: natnet.Version | None = None
@@ -211,12 +211,12 @@ class NatNetLink(_UdpLink):
         if kind == natnet.Packet.FRAME:
             expected = (self._server[0], sender[1])
         if sender != expected:
-            raise BadMessageError("a packet from an unexpected address")
+            raise BadMessageError("the packet came from an unexpected address")
         if kind == natnet.Packet.SERVER_INFO:
             self._meet(natnet.read_server(content))
         elif self.version is None:
             raise BadMessageError(
-                "a packet that arrived before the version of the server was known"
+                "the packet arrived before the version of the server was known"
             )
         elif kind == natnet.Packet.MODELDEF:
             self.names = natnet.read_models(content, self.version)
@@ -227,7 +227,7 @@ class NatNetLink(_UdpLink):
             self._count(frame)
             self._take(self._message(frame, arrived))
         else:
-            raise BadMessageError("a packet of a kind that is not used")
+            raise BadMessageError("packets of this kind are not used")
 
     def _meet(self, server: natnet.Server) -> None:
         if self.version is None:
@@ -238,7 +238,7 @@ class NatNetLink(_UdpLink):
                 self._join(server.group)
             except (OSError, OverflowError) as error:
                 raise BadMessageError(
-                    "a multicast group that cannot be joined"
+                    "the multicast group of the server cannot be joined"
                 ) from error
 
     def _message(self, frame: natnet.Frame, arrived: float) -> Message:
@@ -337,4 +337,4 @@ class NatNetServer(_UdpLink):
         if kind in answers:
             self._sockets[0].sendto(answers[kind], sender)
         elif kind != natnet.Packet.KEEPALIVE:
-            raise BadMessageError(f"a packet of kind {kind}")
+            raise BadMessageError(f"packets of kind {kind} are not used")

@@ -414,9 +414,8 @@ class Session:
         self._behind = self._behind + skipped if skipped else 0.0
         if skipped:
             self._report(
-                "falling behind: the machine is too slow for all messages, so some are"
-                " skipped, and the position is unknown until the next frame of motion"
-                " capture"
+                "this machine is too slow for all messages, so some are skipped, and"
+                " the position is unknown until the next motion capture frame"
             )
         # Only the recent ticks are copied, because the number of ticks increases during
         # a session.
@@ -425,9 +424,9 @@ class Session:
         if slow and self._commands is not None and not self._slow:
             self._slow = True
             self._report(
-                f"falling behind: ticks take {1e3 * np.median(durations):.0f} ms"
-                f" instead of {1e3 * TICK_S:.0f}; estimates are up to {self.lag:.2f}"
-                " s old"
+                "this machine is too slow: ticks take"
+                f" {1e3 * np.median(durations):.0f} ms instead of {1e3 * TICK_S:.0f},"
+                f" so estimates are up to {self.lag:.2f} s old"
             )
         if (
             self._steering is not None
@@ -439,16 +438,17 @@ class Session:
     def _report_senders(self) -> None:
         if self.shadow.interruptions:
             self._report(
-                f"interruption {self.shadow.interruptions}: the robot restarted, or was"
-                f" silent for more than {LOST_AFTER_S:g} s; no fault is detected in the"
-                f" {START_S:g} s after it"
+                f"interruption {self.shadow.interruptions}: the robot restarted, or"
+                f" sent nothing for more than {LOST_AFTER_S:g} s; no faults are"
+                f" detected in the next {START_S:g} s"
             )
         for sender, clock in self.shadow.buffer.clocks.items():
             if clock.uncertainty > AGREEMENT_S and sender not in self._uncertain:
                 self._uncertain.add(sender)
                 self._report(
                     f"{sender}: its clock was set back, or its messages take longer"
-                    f" than before; their age is uncertain by {clock.uncertainty:.1f} s"
+                    " than before, so the age of its messages is uncertain by"
+                    f" {clock.uncertainty:.1f} s"
                 )
 
     def _show(self, estimate: Estimate) -> None:
@@ -481,7 +481,7 @@ class Session:
 
     def _adopt(self, predicting: Future[Prediction]) -> None:
         if (error := predicting.exception()) is not None:
-            self._report(f"a forecast failed: {error!r}")
+            self._report(f"a forecast failed ({error!r})")
             return
         calibration = self.shadow.prediction_calibration
         self._prediction = calibration.inflate(predicting.result())

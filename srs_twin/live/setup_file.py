@@ -95,7 +95,8 @@ class SetupFile(Section):
     def _is_part_of_a_topic(cls, given: str | None) -> str | None:
         if given and re.search("[/+#]", given):
             raise ValueError(
-                "the name cannot be part of a topic; use a name without /, + and #"
+                "the name cannot be part of an MQTT topic; use a name without the"
+                " characters /, + and #"
             )
         return given
 

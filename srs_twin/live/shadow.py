@@ -484,8 +484,8 @@ def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
         name, _, number = pair.rpartition("=")
         if not name or not number.isdigit() or not 1 <= int(number) <= connectors:
             raise InputError(
-                f"--body {pair!r} is not allowed; write BODY=CONNECTOR with a connector"
-                f" from 1 to {connectors}, such as head=1"
+                f"--body {pair!r} is not allowed; write BODY=CONNECTOR with a"
+                f" connector between 1 and {connectors}, for example head=1"
             )
         frames[name] = int(number)
     return frames

@@ -45,7 +45,7 @@ class LabOptions:
         name: Name of the robot in the MQTT topics. [default: ROBOT]
         body: Name of a rigid body in the motion capture data, and number of the
             connector that carries it (1 is the head). Can be repeated. [default:
-            connector_1=1 …]
+            connector_1=1, connector_2=2, …]
         local: Network address of this machine at which the motion capture frames
             arrive.
         up: Axis of the motion capture frames that points upwards: y or z.
@@ -96,8 +96,9 @@ class SessionOptions:
 
     Options:
         setup: YAML file with the options of your lab (see `srs-twin schema setup`).
-            Options on the command line override it. [default: none]
-        mcap: Journal that was recorded earlier. It is processed instead of live
+            Options on the command line replace the options in this file. [default:
+            none]
+        mcap: Journal of an earlier session, which is processed instead of live
             messages.
         speed: Playback speed of the journal relative to real time.
         out: Output folder. If an earlier live twin saved its state in this folder, the
@@ -126,7 +127,7 @@ class SessionOptions:
         if self.mcap is not None:
             return ""
         if self.follow is not None:
-            return "; p pauses, v vents, g goes on, s stops"
+            return "; keys: p pauses, v vents, g goes on, s stops"
         return "; s stops"
 
 
@@ -137,14 +138,14 @@ def shadow(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Estimate and predict a running robot, and detect faults.
+    """Estimate the state of a running robot and detect faults.
 
-    The live twin receives commands, bends and pressures over MQTT and motion capture
-    frames over NatNet, or reads them from a journal. With --follow, it also steers the
-    robot along a path. The keys p (pause), g (go), v (vent) and s (stop) control it, as
-    do the words pause, go, vent and stop on the topic srs/NAME/control. docs/live.md
-    describes the messages. The environment variable SRS_TWIN_MQTT_PASSWORD contains the
-    password of --user.
+    The live twin also predicts the motion. It receives commands, bends and pressures
+    over MQTT and motion capture frames over NatNet, or reads them from a journal. With
+    --follow, it also steers the robot along a path. The keys p (pause), g (go), v
+    (vent) and s (stop) control it, as do the words pause, go, vent and stop on the
+    topic srs/NAME/control. docs/live.md describes the messages. The password of the
+    MQTT user is read from the environment variable SRS_TWIN_MQTT_PASSWORD.
     """
     from threadpoolctl import threadpool_limits
 
@@ -171,8 +172,9 @@ def shadow(
         sources = " and ".join(filter(None, (lab.mqtt or BROKER, lab.natnet)))
         raise InputError(
             f"no messages of the robot '{lab.topic_name}' arrived from"
-            f" {options.mcap or sources} in {result['seconds']:.0f} s; check that it is"
-            " running, and that name and number of segments are right"
+            f" {options.mcap or sources} in {result['seconds']:.0f} s; check that the"
+            " robot is running, and that its name and its number of segments are"
+            " right"
         )
 
 
@@ -192,7 +194,8 @@ def _checked(
         lab = lab.with_setup(options.setup, context)
     if lab.robot is None:
         raise InputError(
-            "no robot is given; give ROBOT, or a set-up file that names it with --setup"
+            "no robot is given; give ROBOT, or a set-up file that names the robot with"
+            " --setup"
         )
     if options.mcap is not None:
         require_file(options.mcap, suffix=".mcap")

@@ -138,8 +138,8 @@ class EstimateSteering:
         controller = scenario.build_controller()
         if not isinstance(controller, Follower):
             raise InputError(
-                f"{scenario.name}: the scenario follows no planned path; --follow needs"
-                " a scenario with controller.kind: follow"
+                f"{scenario.name}: the scenario follows no planned path; --follow"
+                " needs a scenario with `controller.kind: follow`"
             )
         if differ := differences(scenario.robot, shadow.spec):
             listed = ", ".join(differ[:3])
@@ -147,7 +147,7 @@ class EstimateSteering:
                 listed += f" and {len(differ) - 3} more"
             raise InputError(
                 f"{scenario.name} is for robot '{scenario.robot.name}', not for"
-                f" '{shadow.spec.name}'; they differ in {listed}"
+                f" '{shadow.spec.name}'; the robots differ in {listed}"
             )
         controller.min_margin_fraction = 0.0 if allow_zero_margin else LEAST_MARGIN
         self.follower = controller

@@ -373,13 +373,15 @@ class Primitives:
     def __post_init__(self) -> None:
         if self.count < 3 or self.count % 2 == 0:
             raise InputError(
-                f"{self.count} primitives: the number must be odd and at least 3 (the"
-                " middle arc is straight)"
+                f"the number of primitives {self.count} is not allowed; it must be odd"
+                " and at least 3, because the middle primitive is straight and each"
+                " side has equally many"
             )
         if not (0 < self.turn < math.pi and 0 < self.length < math.inf):
             raise InputError(
-                f"primitives of {self.length:g} m with turns up to {self.turn:g} rad:"
-                " the length must be above 0, the turn above 0 and below pi"
+                f"primitives of {self.length:g} m with turns of up to {self.turn:g}"
+                " rad are not allowed; the length must be above 0, and the turn must"
+                " be between 0 and pi"
             )
 
     @cached_property

@@ -110,12 +110,13 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     )
     if result.reason:
         reason = (
-            f"{result.reason}, {resolution}; finer cells (more levels) may find a path"
+            f"{result.reason}, {resolution}; finer cells (a larger value of `levels`)"
+            " may find a path"
         )
     else:
         reason = (
-            f"neither a path nor a proof after {expanded} nodes, {resolution}; give"
-            " more nodes or seconds"
+            f"neither a path nor a proof was found after {expanded} nodes,"
+            f" {resolution}; increase `nodes` or `seconds`"
         )
     return Plan(PlanOutcome.NOT_FOUND, reason, (), expanded)
 
@@ -238,9 +239,9 @@ class _Search:
         clearance = problem.footprint.narrowest
         if is_disconnected(problem.start, problem.goal, problem.world, clearance):
             return (
-                "no path of any shape: all passages between start and goal are"
-                f" narrower than {2 * clearance:g} m, the smallest width of the"
-                " footprint; move obstacles, or plan with a narrower footprint"
+                "no path of any shape exists, because all passages between start and"
+                f" goal are narrower than {2 * clearance:g} m, the smallest width of"
+                " the footprint; move obstacles, or plan with a narrower footprint"
             )
         return ""
 

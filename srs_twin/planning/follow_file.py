@@ -80,7 +80,9 @@ class FollowFile(ControllerSection):
     @model_validator(mode="after")
     def _leaves_the_offset_alone(self) -> FollowFile:
         if self.gait.offset != 0:
-            raise ValueError("the follower sets the offset; remove gait.offset")
+            raise ValueError(
+                "the follower itself sets the offset; remove `gait.offset`"
+            )
         return self
 
     @property
@@ -92,12 +94,14 @@ class FollowFile(ControllerSection):
         """See `ControllerSection.contradictions_with`."""
         if file.section("planner") is None:
             yield Contradiction(
-                ("controller",), "kind: follow needs a plan; add planner"
+                ("controller",),
+                "`kind: follow` needs a plan; add the section `planner`",
             )
         if file.start.run is not None:
             yield Contradiction(
                 ("start", "from"),
-                "a plan begins at one pose; set it by x_m, y_m and heading_rad",
+                "a plan begins at a single pose; set `x_m`, `y_m` and `heading_rad`"
+                " instead",
                 at_key=True,
             )
 

@@ -203,8 +203,7 @@ class Follower(Controller):
     def __post_init__(self) -> None:
         if not hasattr(self.gait, "offset") or not self.gait.frequency:
             raise InputError(
-                f"controller '{self.gait.kind}' has no offset to steer by; use gait"
-                " or ilc"
+                f"controller '{self.gait.kind}' has no steering offset; use gait or ilc"
             )
         self.frequency = self.gait.frequency
         self.layouts = self.gait.layouts
@@ -448,8 +447,8 @@ class Follower(Controller):
                 # once.
                 self._tries += 1
                 text = (
-                    f"{reason}: keeping the old plan, all {self.conditions.max_replans} new"
-                    " plans are used"
+                    f"{reason}: the old plan is kept, because all"
+                    f" {self.conditions.max_replans} new plans are used"
                 )
                 self._events.append(Event(time, "no_new_plan", text))
             return
@@ -478,7 +477,7 @@ class Follower(Controller):
                 time, "no_room", f"{ENDINGS['no_room']}: {reason}; {result.reason}"
             )
         elif reason in ("strayed", *_OPTIONAL):
-            text = f"{reason}: keeping the old plan, {result.reason}"
+            text = f"{reason}: the old plan is kept, because {result.reason}"
             self._events.append(Event(time, "no_new_plan", text))
         else:
             self._finish(

@@ -196,8 +196,8 @@ class Footprint:
         high = self.curvatures[-1]
         if not low - CURVATURE_TOLERANCE <= curvature <= high + CURVATURE_TOLERANCE:
             raise InputError(
-                f"curvature {curvature:g} 1/m is outside the footprint's range {low:g}"
-                f" to {high:g} 1/m"
+                f"the curvature {curvature:g} 1/m is not allowed; the footprint has"
+                f" curvatures between {low:g} and {high:g} 1/m"
             )
         columns = (self.offsets, self.speeds, self.left, self.right)
         return FootprintRow(
@@ -293,7 +293,13 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
     rows = len(footprint.offsets)
     for name in COLUMNS[1:]:
         if len(values := getattr(footprint, name)) != rows:
-            problems.append((name, f"{len(values)} values for {rows} offsets"))
+            problems.append(
+                (
+                    name,
+                    f"{len(values)} values are given for {rows} offsets; give one"
+                    " value for each offset",
+                )
+            )
     for name in ("offsets", "curvatures"):
         values = getattr(footprint, name)
         # Linear interpolation needs strictly increasing values.
@@ -302,8 +308,8 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
                 (
                     name,
                     (
-                        "must increase from row to row: a larger offset turns more to"
-                        " the left"
+                        "the values must increase from row to row, because a larger"
+                        " offset turns the robot more to the left"
                     ),
                 )
             )
@@ -315,7 +321,8 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
         problems.append(
             (
                 "curvatures",
-                f"from {low:g} to {high:g} 1/m; a planner needs turns to both sides",
+                f"the values range from {low:g} to {high:g} 1/m, but a planner needs"
+                " turns to both sides; measure offsets below and above 0",
             )
         )
     for side, name in enumerate(("left", "right")):
@@ -348,8 +355,8 @@ def validate_footprint(footprint: Footprint) -> Footprint:
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
     if not np.isfinite(numbers).all():
         raise InputError(
-            f"footprint {footprint.name}: all numbers must be finite, but at least one"
-            " is not"
+            f"footprint {footprint.name}: at least one number is not finite; all"
+            " numbers must be finite"
         )
     if (
         min(footprint.speeds) <= 0
@@ -357,8 +364,9 @@ def validate_footprint(footprint: Footprint) -> Footprint:
         or min(footprint.ahead, footprint.behind) < 0
     ):
         raise InputError(
-            f"footprint {footprint.name}: speeds and edges must be above 0, and ahead"
-            " and behind must be at least 0"
+            f"footprint {footprint.name}: a number is too small; speeds and the edges"
+            " `left` and `right` must be above 0, and the edges `ahead` and `behind`"
+            " at least 0"
         )
     for field, message in find_problems(footprint):
         raise InputError(f"footprint {footprint.name}: {field}: {message}")

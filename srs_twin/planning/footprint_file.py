@@ -104,8 +104,8 @@ class ConditionsFile(StrictModel):
     def _only_of_a_twin(self) -> ConditionsFile:
         if self.plant != "twin" and self.contact is not None:
             raise ValueError(
-                f"contact {self.contact} belongs to plant twin; the {self.plant} model"
-                " has none"
+                f"contact {self.contact} is allowed only for `plant: twin`, because"
+                f" the {self.plant} model has no contact model; remove `contact`"
             )
         return self
 
@@ -264,7 +264,7 @@ class FootprintFile(StrictModel):
         return (
             f"{self.name} was measured on a twin with contact {own}, but this twin has"
             f" contact {contact}; `srs-twin calibrate footprint {self.robot} --contact"
-            f" {contact}` measures one"
+            f" {contact}` measures a suitable footprint"
         )
 
     def footprint(self) -> Footprint:
@@ -286,7 +286,13 @@ class FootprintFile(StrictModel):
         for key in (*_KEYS.values(),)[1:] if self.spread else ():
             count = len(getattr(self.spread, key))
             if count != rows:
-                yield ("spread", key), f"{count} values for {rows} offsets"
+                yield (
+                    ("spread", key),
+                    (
+                        f"{count} values are given for {rows} offsets; give one value"
+                        " for each offset"
+                    ),
+                )
         for name, message in find_problems(self.footprint()):
             yield (_KEYS[name], "value"), message
 
@@ -338,8 +344,8 @@ def excursion_quantile(excursions: Sequence[float], probability: float) -> float
     if rank > count:
         least = math.ceil(probability / (1 - probability) - 1e-9)
         raise InputError(
-            f"a margin with probability {probability:g} needs at least {least} measured"
-            f" runs, but there are {count}"
+            f"a margin with probability {probability:g} needs at least {least}"
+            f" measured runs, but only {count} exist"
         )
     excursion = sorted(excursions)[rank - 1]
     if excursion >= LOST_M:
@@ -370,8 +376,8 @@ def margin_for(
             items = condition.model_dump(exclude_none=True).items()
             text = ", ".join(f"{key} {value}" for key, value in items)
             raise InputError(
-                f"no deviations from the path have been measured for {text}; `srs-twin"
-                " calibrate margin` measures them"
+                f"no deviations from the path have been measured for {text}; measure"
+                " them with `srs-twin calibrate margin`"
             )
         # Only one set of measurements is used, because the minimum over several sets
         # would be exceeded more often than the probability states.

@@ -123,8 +123,8 @@ def plan_scenario(
     loaded = load_scenario(scenario, set=set)
     if loaded.planner is None:
         raise InputError(
-            f"{loaded.name}: the scenario has no planner section; add the section"
-            " planner, and set controller.kind: follow"
+            f"{loaded.name}: the scenario has no planner; add the section `planner`,"
+            " and set `controller.kind: follow`"
         )
     if out is not None:
         check_output_folder(Path(out), _FILES)

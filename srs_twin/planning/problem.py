@@ -103,23 +103,28 @@ class Settings:
         if self.nodes < 1 or self.levels < 1 or not (1 <= self.weight < math.inf):
             values = f"nodes {self.nodes}, levels {self.levels}, weight {self.weight:g}"
             raise InputError(
-                f"planner: {values} are not allowed; each must be at least 1"
+                f"planner: {values} are not allowed; each of them must be at least 1"
             )
         if not 0 <= self.clearance_weight < math.inf:
             raise InputError(
-                f"planner: clearance_weight {self.clearance_weight:g} must not be"
-                " below 0"
+                f"planner: `clearance_weight` {self.clearance_weight:g} is not"
+                " allowed; it must be at least 0"
             )
         if self.levels > _MAX_LEVELS:
             raise InputError(
-                f"planner: levels {self.levels} must be at most {_MAX_LEVELS}"
+                f"planner: `levels` {self.levels} is not allowed; it must be at most"
+                f" {_MAX_LEVELS}"
             )
         if self.touch_limits is not None and self.clearance_weight > 0:
             raise InputError(
-                "planner: clearance_weight must be 0 if contact is allowed"
+                "planner: `clearance_weight` must be 0 if contact with obstacles"
+                " is allowed"
             )
         if self.seconds is not None and not self.seconds > 0:
-            raise InputError(f"planner: seconds {self.seconds:g} must be above 0")
+            raise InputError(
+                f"planner: `seconds` {self.seconds:g} is not allowed; it must be"
+                " above 0"
+            )
 
 
 @dataclass(frozen=True)
@@ -158,8 +163,8 @@ def check_problem(problem: Problem) -> None:
     if hit := Checker(problem.world, problem.footprint).first_collision(start):
         verb = "leaves" if hit.startswith("the bounds") else "touches"
         raise InputError(
-            f"start ({start.x:g}, {start.y:g}): the straight body's footprint {verb}"
-            f" {hit}"
+            f"start ({start.x:g}, {start.y:g}): the footprint of the straight body"
+            f" {verb} {hit}; move the start"
         )
 
 
@@ -178,8 +183,9 @@ def _check_poses(start: Pose, goal: Goal) -> None:
             )
     if not (0 <= goal.radius < math.inf and 0 <= goal.heading_tolerance <= math.pi):
         raise InputError(
-            f"goal: radius {goal.radius:g} m must not be below 0, heading_tolerance "
-            f"{goal.heading_tolerance:g} rad must be between 0 and pi"
+            f"goal: radius {goal.radius:g} m with `heading_tolerance`"
+            f" {goal.heading_tolerance:g} rad is not allowed; the radius must be at"
+            " least 0, and `heading_tolerance` between 0 and pi"
         )
 
 
@@ -193,8 +199,8 @@ def _check_world(world: World) -> None:
             and 0 < circle.radius < math.inf
         ):
             raise InputError(
-                f"obstacle {k + 1}: position and radius must be finite, and the radius"
-                " above 0"
+                f"obstacle {k + 1} is not allowed; its position and radius must be"
+                " finite, and its radius above 0"
             )
     for k, polygon in enumerate(world.polygons):
         finite = all(
@@ -207,13 +213,14 @@ def _check_world(world: World) -> None:
         ):
             raise InputError(
                 f"polygon {k + 1} is not allowed; it needs at least three finite"
-                " corners, and sides that do not cross"
+                " corners, and its sides must not cross"
             )
     if world.bounds and not all(
         low < high for low, high in (world.bounds.x, world.bounds.y)
     ):
         raise InputError(
-            "bounds: give the lower limit first; it must be below the upper limit"
+            "the bounds are not ascending; each lower limit must be below its upper"
+            " limit"
         )
 
 

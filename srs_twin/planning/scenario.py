@@ -78,7 +78,8 @@ class PlannerSection(ExtensionSection):
     def _keys_agree(self) -> PlannerSection:
         if self.margin_m is not None and self.margin_probability is not None:
             raise ValueError(
-                "margin_m and margin_probability both set the margin; remove one"
+                "`margin_m` and `margin_probability` both set the margin; remove one"
+                " of them"
             )
         return self
 
@@ -87,13 +88,14 @@ class PlannerSection(ExtensionSection):
         if file.controller.kind != "follow":
             yield Contradiction(
                 ("planner",),
-                "no controller follows its plan; set controller.kind: follow",
+                "no controller follows the plan; set `controller.kind: follow`",
                 at_key=True,
             )
         if file.bench:
             yield Contradiction(
                 ("planner",),
-                "there is no motion to plan on a bench; remove planner or bench",
+                "a robot on a bench does not move along a path; remove `planner` or"
+                " `bench`",
                 at_key=True,
             )
 
@@ -149,7 +151,7 @@ class PlannerSection(ExtensionSection):
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
         """Return the goal of the plan."""
         if goal is None:
-            raise InputError("the scenario has no goal; set world.goal")
+            raise InputError("the scenario has no goal; set `world.goal`")
         return goal
 
     @abstractmethod
@@ -204,7 +206,8 @@ class BestFirstFile(PlannerSection):
         for name in ("clearance_weight", "shape_changes"):
             if self.contact and getattr(self, name):
                 raise ValueError(
-                    f"contact: allowed and {name} exclude each other; remove one"
+                    f"`contact: allowed` and `{name}` exclude each other; remove one"
+                    " of them"
                 )
         return self
 
@@ -213,13 +216,15 @@ class BestFirstFile(PlannerSection):
         yield from super().contradictions_with(file)
         if file.world.goal is None:
             yield Contradiction(
-                ("planner",), "kind: best_first needs world.goal", at_key=True
+                ("planner",),
+                "the planner `best_first` needs a goal; set `world.goal`",
+                at_key=True,
             )
         analytical = file.plants.analytical
         if self.contact and analytical and not analytical.contact:
             text = (
-                "contact: allowed needs plants that touch obstacles; set model: compliant"
-                " and contact: true, or remove analytical"
+                "with `contact: allowed`, all plants must be able to touch obstacles;"
+                " set `model: compliant` and `contact: true`, or remove `analytical`"
             )
             yield Contradiction(("plants", "analytical"), text, at_key=True)
 
@@ -244,8 +249,8 @@ class BestFirstFile(PlannerSection):
             checker = Checker(problem.world, problem.footprint)
             if hit := checker.first_collision(problem.start, self.lead_in_m, wider):
                 raise InputError(
-                    f"the straight lead-in of {self.lead_in_m:g} m touches {hit}; set a"
-                    " shorter lead_in_m"
+                    f"the straight lead-in of {self.lead_in_m:g} m touches {hit}; set"
+                    " a shorter `lead_in_m`"
                 )
             # The lead-in is fixed, so the search starts at the end of the lead-in.
             problem = replace(problem, start=begin[-1].end)

@@ -362,9 +362,9 @@ class Plant(Claimable, Stateful, ABC):
         """
         if samples != 1:
             raise InputError(
-                f"plant '{self.name}' provides one sample per tick, not {samples};"
-                f" record_hz must be {format_exact(1 / self.tick)} or a whole fraction"
-                " of it"
+                f"plant '{self.name}' provides one sample per tick, but {samples} are"
+                f" requested; `record_hz` must be {format_exact(1 / self.tick)} or a"
+                " whole fraction of it"
             )
         return [self.step(valves)]
 
@@ -488,8 +488,8 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
     nominal = spec.supply.nominal
     if not 0 <= supply_pa < np.inf:
         raise InputError(
-            f"supply_pa {supply_pa!r} is not allowed; it must be finite and not"
-            " negative, in Pa"
+            f"`supply_pa` {supply_pa!r} is not allowed; it must be a finite pressure"
+            " of at least 0 Pa"
         )
     if 0 < supply_pa < _LEAST_SUPPLY_FRACTION * nominal:
         # Choose the unit with which the pressure is closest to the nominal pressure.
@@ -498,8 +498,8 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
             key=lambda unit: abs(np.log(supply_pa * _PA_PER_UNIT[unit] / nominal)),
         )
         raise InputError(
-            f"supply_pa {supply_pa:g} is in Pa, which is {supply_pa / 1e3:g} kPa;"
-            f" {spec.name} needs about {nominal:g} Pa; did you mean"
+            f"`supply_pa` {supply_pa:g} means {supply_pa / 1e3:g} kPa, because its"
+            f" unit is Pa, but {spec.name} needs about {nominal:g} Pa; did you mean"
             f" {supply_pa * _PA_PER_UNIT[unit]:g} ({supply_pa:g} {unit})?"
         )
     return supply_pa
@@ -564,7 +564,7 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
             wrong = first_implausible(getattr(history, field.name)[k])
             if wrong is not None:
                 before = history.at(slice(k)) if k else None
-                reason = f"{field.name} is {wrong:g}, which no snake reaches"
+                reason = f"`{field.name}` is {wrong:g}, a value that no snake can reach"
                 raise DivergedError(plant, float(time), reason, history=before)
     return state
 
@@ -587,7 +587,10 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
         wrong = first_implausible(
             np.concatenate([np.ravel(values) for values in state])
         )
-        reason = f"its state contains {wrong:g} before the step, which no snake reaches"
+        reason = (
+            f"the state before the step contains {wrong:g}, a value that no snake"
+            " can reach"
+        )
         raise DivergedError(plant, time, reason)
 
 
@@ -610,5 +613,7 @@ def check_commands(source: str, time: float, valves: object) -> None:
     ]
     if diverged.size:
         raise DivergedError(
-            source, time, f"it commands the valve state {diverged.flat[0]:g}"
+            source,
+            time,
+            f"the commanded valve state {diverged.flat[0]:g} is not possible",
         )

@@ -133,7 +133,10 @@ class Pneumatics(Stateful, ABC):
             InputError: the pressures are prescribed, or the chambers cannot reach the
                 values.
         """
-        raise InputError(f"pneumatics '{self.kind}' cannot start with given pressures")
+        raise InputError(
+            f"pneumatics '{self.kind}' cannot start with given pressures; use"
+            " 'lag' or 'orifice'"
+        )
 
     def rest_trace(self) -> Trace:
         """Return a trace of the current state with zero bend rates."""
@@ -172,8 +175,8 @@ class Pneumatics(Stateful, ABC):
         if commands.ndim != 3 or commands.shape[1:] != (self._segments, self._chambers):
             shape = f"{self._segments}, {self._chambers}"
             raise InputError(
-                f"valves have shape {np.shape(valves)}; allowed: ({shape}) or (slots,"
-                f" {shape})"
+                f"the valves have the shape {np.shape(valves)}, which is not allowed;"
+                f" it must be ({shape}) or (slots, {shape})"
             )
         self.check(commands)
         return Schedule.from_slots(commands.astype(np.int8), span)
@@ -187,7 +190,7 @@ class Pneumatics(Stateful, ABC):
         if not possible.all():
             raise InputError(
                 f"valve state {states[~possible][0]} is not possible with layout"
-                f" {self.layout}; allowed: {allowed}"
+                f" {self.layout}; allowed are {allowed}"
             )
 
     def effective_schedule(self, schedule: Schedule) -> Schedule:
@@ -249,7 +252,7 @@ class Pneumatics(Stateful, ABC):
         ):
             wrong = first_implausible(values)
             if wrong is not None:
-                reason = f"{name} is {wrong:g}, which no chamber reaches"
+                reason = f"the {name} is {wrong:g}, a value that no chamber can reach"
                 raise DivergedError(f"pneumatics '{self.kind}'", self._elapsed, reason)
 
     @abstractmethod
@@ -290,8 +293,9 @@ def check_supply(supply_pa: float, max_pa: float) -> None:
     """Raise an `InputError` if a supply pressure (Pa) is not within [0, `max_pa`]."""
     if not 0 <= supply_pa <= max_pa:
         raise InputError(
-            f"supply pressure {supply_pa!r} Pa is not allowed; it must be 0 to"
-            f" {max_pa:g} Pa, the pressure at construction"
+            f"supply pressure {supply_pa!r} Pa is not allowed; it must be between 0"
+            f" and {max_pa:g} Pa, the supply pressure that was given to the"
+            " constructor"
         )
 
 
@@ -300,5 +304,5 @@ def check_not_negative(**values: float) -> None:
     for name, value in values.items():
         if not (math.isfinite(value) and value >= 0):
             raise InputError(
-                f"{name} {value!r} is not allowed; it must be finite and 0 or more"
+                f"`{name}` {value!r} is not allowed; it must be finite and at least 0"
             )

@@ -154,8 +154,8 @@ def invert_bend_law(bends: Array, bend_law: BendLaw) -> Array:
             <= apply_bend_law(high, bend_law)[0]
         ):
             raise InputError(
-                f"no pressure bends a segment by {bend:.4g} rad; its limit is"
-                f" {bend_law.bend_limit:.4g} rad"
+                f"no pressure bends a segment by {bend:.4g} rad; the bend must be"
+                f" below the limit {bend_law.bend_limit:.4g} rad"
             )
         if low < high:
             error = partial(_bend_error, bend=bend, bend_law=bend_law)
@@ -178,8 +178,8 @@ def check_pressure(pressure: Array, largest: float) -> Array:
     outside = ~((pressure >= -1e-6) & (pressure <= largest * (1 + 1e-9)))
     if outside.any():
         raise InputError(
-            f"chamber pressure {pressure[outside][0]:g} Pa is not allowed; it must be 0"
-            f" to {largest:g} Pa"
+            f"chamber pressure {pressure[outside][0]:g} Pa is not allowed; it must be"
+            f" between 0 and {largest:g} Pa"
         )
     return np.maximum(pressure, 0.0)
 

@@ -126,8 +126,8 @@ class OrificeOptions:
                 check_positive(name, value)
         if not 0 <= self.critical_ratio <= MAX_CRITICAL_RATIO:
             raise InputError(
-                f"critical_ratio {self.critical_ratio!r} is not allowed; it must be 0"
-                f" to {MAX_CRITICAL_RATIO}"
+                f"`critical_ratio` {self.critical_ratio!r} is not allowed; it must be"
+                f" between 0 and {MAX_CRITICAL_RATIO}"
             )
 
     def line_pressure(self, supply_pa: float) -> float:
@@ -143,8 +143,8 @@ class OrificeOptions:
         )
         if not 0 <= begins <= supply_pa:
             raise InputError(
-                f"initial_line_pressure {begins!r} Pa is not allowed; it must be 0 to the"
-                f" supply's {supply_pa:g}"
+                f"`initial_line_pressure` {begins!r} Pa is not allowed; it must be"
+                f" between 0 and the supply pressure {supply_pa:g} Pa"
             )
         return begins
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 
 _LOGS = (
-    "Log with valve states or pressures. Give one log for each FILE, then one for each"
-    " --validate. [default: NAME.valves.csv in the same folder]"
+    "Log with valve states or pressures. Give one log for each FILE, and then one log"
+    " for each --validate. [default: NAME.valves.csv in the folder of the recording]"
 )
 
 
@@ -64,9 +64,10 @@ class TableOptions:
         units: Unit of lengths if the file does not state it: m, cm, mm, in or ft.
         rate: Frame rate in Hz if the file contains no times.
         columns: Column names of a text file without a header, for example time,x_1,y_1.
-        separator: Character that separates the cells of a text file: , ; | tab or
-            space. [default: detected]
-        decimal: Decimal mark of the numbers in a text file. [default: detected]
+        separator: Character between the cells of a text file: one of the characters , ;
+            | or one of the words tab and space. [default: detected]
+        decimal: Decimal mark of the numbers in a text file: a point or a comma.
+            [default: detected]
     """
 
     map: Annotated[str | None, option("--map FILE.yaml")] = None
@@ -95,13 +96,14 @@ class ReadingOptions(TableOptions):
     """Options of `RecordingReader`.
 
     Options:
-        up: Axis of the recording that points upwards: x, y, z, -x, -y, -z or auto.
-        layout: Arrangement of the markers on the body: auto, single, head, pair,
-            middles or head_middles (see docs/recordings.md).
-        head: Name of the marker at the head. [default: the end in the direction of
-            motion]
-        longest_gap: Maximum duration in seconds of a gap in a marker's track that is
-            filled. [default: 0.2]
+        up: Axis of the recording that points upwards: x, y, z, -x, -y or -z, or auto to
+            detect it.
+        layout: Arrangement of the markers on the body: single, head, pair, middles or
+            head_middles (see docs/recordings.md), or auto to detect it.
+        head: Name of the marker at the head. [default: the marker at the end that leads
+            the motion]
+        longest_gap: Fill gaps in the track of a marker that last at most this time in
+            seconds. [default: 0.2]
         marker: Position of a marker on the body, for example "tip=connector 3" or
             "m1=middle 1". Can be repeated.
     """
@@ -139,7 +141,7 @@ _DEFAULT_TABLE = TableOptions()
 
 def inspect(
     files: Annotated[
-        list[str], argument("FILE", "Recordings of markers or logs to describe.")
+        list[str], argument("FILE", "Files to describe: recordings or logs.")
     ],
     robot: Annotated[str | None, option("--robot -r ROBOT")] = None,
     table: TableOptions = _DEFAULT_TABLE,
@@ -210,7 +212,8 @@ def _check_outputs(
             check_output_folder(Path(target).parent, (Path(target).name,), option=name)
     if write_map is not None and os.path.lexists(write_map) and not overwrite:
         raise InputError(
-            f"{write_map} already exists; give --overwrite, or another name"
+            f"{write_map} already exists; replace it with --overwrite, or give another"
+            " name"
         )
 
 
@@ -252,7 +255,8 @@ class FormatOptions:
             return Path(out).suffix[1:]
         if len(names) != 1:
             raise InputError(
-                f"no single format is given; give one of --{', --'.join(_FORMATS)}"
+                "exactly one output format is needed; give one of"
+                f" --{', --'.join(_FORMATS)}"
             )
         return names[0]
 
@@ -278,9 +282,10 @@ def export(
     Options:
         run: Folder of a run, or name of a folder in runs/.
         file: Output file, as with --out. The suffix of the name selects the format.
-        plant: Trajectory to export: analytical, twin or measured. [default: all in
-            MCAP, else the twin]
-        out: Output file. [default: RUN/twin.csv, RUN/run.mcap]
+        plant: Trajectory to export: analytical, twin or measured. [default: all
+            trajectories in an MCAP file, only the twin in other files]
+        out: Output file. [default: a file in the folder of the run, such as
+            RUN/twin.csv or RUN/run.mcap]
     """
     from srs_twin.experiment import load_run
     from srs_twin.io.files import check_output_folder, display_path
@@ -308,7 +313,8 @@ def export(
     for target in targets:
         if target.exists() and not overwrite:
             raise InputError(
-                f"{display_path(target)} already exists; --overwrite replaces it"
+                f"{display_path(target)} already exists; replace it with --overwrite,"
+                " or give another name"
             )
     check_output_folder(path.parent, tuple(target.name for target in targets))
     _write(path, runs, first, finished.scenario.robot.geometry)

@@ -130,12 +130,16 @@ class CsvTable:
         for name, segment in required:
             if (name, segment) not in by_key:
                 raise self.file.error(
-                    f"{name}_{segment} is missing; {robot} has {segments} segments", 1
+                    f"the column '{name}_{segment}' is missing, because {robot} has"
+                    f" {segments} segments",
+                    1,
                 )
         for key, column in by_key.items():
             if key not in required:
                 raise self.error(
-                    column, f"{column.text}: {robot} has {segments} segments"
+                    column,
+                    f"the column '{column.text}' belongs to no segment,"
+                    f" because {robot} has {segments} segments",
                 )
         return [by_key[key] for key in required]
 
@@ -215,7 +219,10 @@ def read_table(
             continue
         first = columns.setdefault((column.name, column.number), column)
         if first is not column:
-            problem = f"{text}: the same as column '{file.names[first.place]}'"
+            problem = (
+                f"the column '{text}' has the same meaning as the column"
+                f" '{file.names[first.place]}'; remove one of them"
+            )
             raise file.error(problem, line, place + 1)
     return CsvTable(file, tuple(columns.values()), tuple(unused), tuple(notes))
 
@@ -253,8 +260,8 @@ def _own_column(
     unit = symbol(stated, units)
     if stated and not unit:
         raise InputError(
-            f"{text}: unit '{stated}' is not known;"
-            f" allowed: {', '.join(units) or 'none'}"
+            f"{text}: the unit '{stated}' is not known; allowed are"
+            f" {', '.join(units) or 'none'}"
         )
     factor = units.get(unit, 1.0)
     return CsvColumn(place, name, int(number or 0), unit, factor, text)

@@ -265,7 +265,8 @@ def _body_facts(
         return None
     if near > _MAX_NEIGHBOUR_M:
         facts.notes.append(
-            f"neighbours are {near:.3g} m apart; are lengths in mm? Give --units"
+            f"neighbouring markers are {near:.3g} m apart; if the lengths are in mm,"
+            " give --units mm"
         )
     tracks, notes = robot_tracks(table, slots, LONGEST_GAP / frames.period, 2 * near)
     facts.notes += notes
@@ -348,9 +349,9 @@ def _marker_names(
     _, chosen = linear_sum_assignment(-counts)
     if (away := counts.sum() - counts[np.arange(len(chosen)), chosen].sum()) > 0:
         facts.notes.append(
-            f"{100 * away / counts.sum():.0f} % of the positions are in other columns"
-            " than those of their markers: markers change their columns, so a map by"
-            " their names is not valid for all frames"
+            f"{100 * away / counts.sum():.0f} % of the positions are not in the"
+            " columns of their markers, because markers change their columns; a map"
+            " by their names is therefore not valid for all frames"
         )
     return tuple(labels[k] for k in chosen)
 

@@ -183,7 +183,7 @@ class RecordedFile:
         split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
         if len(split) <= lines and len(self.raw) > start + MAX_HEADER_BYTES:
             problem = (
-                f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB"
+                f"the header, or one line, is longer than {MAX_HEADER_BYTES >> 20} MB"
             )
             raise self.error(problem, after + len(split))
         rows = []
@@ -194,7 +194,9 @@ class RecordedFile:
                     csv.reader([text], delimiter=self.separator, strict=True), []
                 )
             except csv.Error as error:
-                raise self.error(f"the line is not CSV ({error})", number) from error
+                raise self.error(
+                    f"the line is not valid CSV ({error})", number
+                ) from error
             rows.append([cell.strip() for cell in cells])
         return rows
 
@@ -240,20 +242,24 @@ class RecordedFile:
         if stop < len(raw) and not section:
             line = raw.count(b"\n", 0, stop) + 1
             notes.append(
-                f"line {line}, the last one, has no line end and may be cut: left out"
+                f"line {line}, the last one, was left out, because it has no line end"
+                " and may be cut off"
             )
         count = raw.count(b"\n", start, stop)
         if width > MAX_COLUMNS or count * width > MAX_VALUES:
-            limit = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are read"
-            raise self.error(f"{count} rows of {width} cells; {limit}")
+            limit = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are allowed"
+            raise self.error(f"the file has {count} rows of {width} cells, but {limit}")
         cut = memoryview(raw)[start:stop]
         table = self._parsed(cut, header_lines, columns, width) if count else []
         if not table or not len(table[0]):
-            raise self.error("the header has no rows below it", header_lines + 1)
+            raise self.error(
+                "no rows follow the header; record or export the file again",
+                header_lines + 1,
+            )
         values = np.stack([column.to_numpy() for column in table], axis=1)
         infinite = np.isinf(values)
         if infinite.any():
-            notes.append(f"{int(infinite.sum())} infinite numbers: read as missing")
+            notes.append(f"{int(infinite.sum())} infinite numbers are read as missing")
             values[infinite] = np.nan
         return values, notes
 
@@ -347,7 +353,7 @@ class RecordedFile:
             if uneven:
                 cells = uneven[0].actual_columns
                 line = header_lines + (uneven[0].number or 0)
-                problem = f"{cells} cells, but the header has {width}"
+                problem = f"the row has {cells} cells, but the header has {width}"
                 raise self.error(problem, line) from error
             raise self._not_a_number(bytes(cut), header_lines, str(error)) from error
 
@@ -360,7 +366,9 @@ class RecordedFile:
         """
         cell = _REPORTED_CELL.search(reported)
         if cell is None:
-            problem = f"no rows of numbers ({' '.join(reported.split())[:200]})"
+            problem = (
+                f"the file has no rows of numbers ({' '.join(reported.split())[:200]})"
+            )
             return self.error(problem, header_lines + 1)
         lines = enumerate(rows.split(b"\n"), start=header_lines + 1)
         filled = [number for number, line in lines if line.strip(b"\r")]
@@ -410,8 +418,8 @@ def read_bytes(path: StrPath) -> RecordedFile:
         megabytes = place.stat().st_size / (1 << 20)
         limit = MAX_BYTES >> 20
         raise file.error(
-            f"{megabytes:.0f} MB; at most {limit} MB are read (export a shorter"
-            " recording)"
+            f"the file has {megabytes:.0f} MB, but at most {limit} MB are allowed;"
+            " export a shorter recording"
         )
     if not file.raw.strip():
         raise file.error(
@@ -426,7 +434,7 @@ def _bytes(place: Path, limit: int) -> bytes:
             return stream.read(limit)
     except OSError as error:
         raise InputError(
-            f"{display_path(place)}: cannot be read ({error.strerror})"
+            f"{display_path(place)}: the file cannot be read ({error.strerror})"
         ) from error
 
 
@@ -437,7 +445,9 @@ def read_file(path: StrPath) -> RecordedFile:
     # another error is raised.
     zero = file.data.find(b"\0")
     if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        raise file.error(f"not a text file (byte {zero + 1} is 0x00); use a CSV file")
+        raise file.error(
+            f"this is not a text file, because byte {zero + 1} is 0x00; use a CSV file"
+        )
     if not file.data.isascii():
         decode_text(file.data, file.name)
     return file
@@ -469,21 +479,24 @@ def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
     notes = list(header.notes)
     problem = header.problem
     if len(start) == 1 and len(file.raw) > MAX_HEADER_BYTES:
-        problem = f"the header, or a line, is longer than {MAX_HEADER_BYTES >> 20} MB"
+        problem = f"the header, or one line, is longer than {MAX_HEADER_BYTES >> 20} MB"
     elif separator == decimal and '"' not in row:
         problem = (
-            f"'{decimal}' cannot separate cells and decimals: give another --separator"
+            f"'{decimal}' cannot be both separator and decimal mark; give another"
+            " --separator"
         )
     elif not decimal:
         decimal = ","
         problem = problem or (
-            "commas in numbers may be decimal marks or separate thousands: give"
+            "commas in the numbers may be decimal marks or thousands separators; give"
             " --decimal ',' or '.'"
         )
     if separator + decimal != ",.":
         marks = "commas" if decimal == "," else "points"
         cells = _SEPARATOR_NAMES[separator]
-        notes.append(f"cells separated by {cells}, decimal {marks}")
+        notes.append(
+            f"the cells are separated by {cells}, and decimal marks are {marks}"
+        )
     return replace(
         file,
         separator=separator,
@@ -519,19 +532,22 @@ def _header(
         comments = comments[:-1]
     notes = []
     if comments:
-        notes.append(f"{len(comments)} lines of comments above the names skipped")
+        notes.append(f"{len(comments)} lines of comments above the names were skipped")
     if has_names:
         if columns:
             notes.insert(
                 0,
-                "the file names its columns: the names of --columns or of the map are"
-                " not used",
+                "the file names its columns, so the names of --columns or of the map"
+                " are not used",
             )
         return _Header(cells, top + 1, notes)
     if columns:
         return _Header(columns, top, notes)
-    example = "--columns time,x_1,y_1,… (columns: [time, …] in a map)"
-    problem = f"{len(cells)} numbers but no names of columns; give {example}"
+    example = "--columns time,x_1,y_1,… (or columns: [time, …] in a map)"
+    problem = (
+        f"the columns have no names, because the first line contains {len(cells)}"
+        f" numbers; give {example}"
+    )
     return _Header((), top, notes, problem)
 
 
@@ -586,5 +602,5 @@ def _since_1970(
     since = np.array([float(value - origin) for value in exact]) * TIMES[unit]
     epoch_ns = round(origin * round(TIMES[unit] * 1e9))
     seconds, rest = divmod(epoch_ns, 10**9)
-    note = f"time since 1970 in {unit}: {seconds}.{rest:09d} s subtracted"
+    note = f"the times are in {unit} since 1970; {seconds}.{rest:09d} s were subtracted"
     return Times(since, [*notes, note], epoch_ns)

@@ -49,12 +49,12 @@ class RecordedPressures(Pneumatics):
         """
         if pressure.shape != (len(time), spec.segments, 2):
             raise InputError(
-                f"recorded pressures have shape {pressure.shape}; {spec.name} needs "
-                f"({len(time)}, {spec.segments}, 2)"
+                f"the recorded pressures have the shape {pressure.shape}, but"
+                f" {spec.name} needs the shape ({len(time)}, {spec.segments}, 2)"
             )
         if not ((np.diff(time) > 0).all() and np.isfinite(pressure).all()):
             raise InputError(
-                "recorded pressures must be finite, and their times must increase"
+                "the recorded pressures must be finite, and their times must increase"
             )
         self._time = np.asarray(time, float)
         self._measured = np.asarray(pressure, float)

@@ -308,7 +308,8 @@ def read_motion(
     """
     if not 0 <= longest_gap_s <= 10:
         raise InputError(
-            f"longest_gap_s {longest_gap_s!r} is not allowed; it must be from 0 to 10 s"
+            f"`longest_gap_s` {longest_gap_s!r} is not allowed; it must be between 0"
+            " and 10 s"
         )
     check_choice("up", up, UPS)
     if layout not in LAYOUTS:
@@ -384,10 +385,10 @@ def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) ->
     if kept.stop - kept.start < MIN_FRAMES:
         complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
         raise InputError(
-            f"no {MIN_FRAMES} successive frames have all {points.shape[1]} markers with"
-            f" gaps up to {longest_gap_s:g} s ({len(frames.time)} frames at"
-            f" {1 / frames.period:.4g} Hz, all markers visible on {complete:.0f} % of"
-            " them); give --longest-gap"
+            f"no {MIN_FRAMES} successive frames contain all {points.shape[1]} markers"
+            f" with gaps of at most {longest_gap_s:g} s. All markers are visible on"
+            f" {complete:.0f} % of the {len(frames.time)} frames at"
+            f" {1 / frames.period:.4g} Hz; allow longer gaps with --longest-gap"
         )
     return kept
 
@@ -469,7 +470,8 @@ def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
         slots = pack_slots(points)
     if (count := slots.points.shape[1]) > MAX_MARKERS:
         raise InputError(
-            f"{count} markers on the same frame; at most {MAX_MARKERS} can be tracked"
+            f"{count} markers are on the same frame, but at most {MAX_MARKERS} can be"
+            " tracked"
         )
     return slots
 
@@ -494,8 +496,8 @@ def robot_tracks(
         visible = tracks.columns[tracks.columns[:, k] >= 0, k]
         if visible.size >= MIN_FRAMES:
             notes.append(
-                f"marker '{table.labels[np.bincount(visible).argmax()]}' left out:"
-                f" {reason}"
+                f"the marker '{table.labels[np.bincount(visible).argmax()]}' was left"
+                f" out: {reason}"
             )
     points, columns = (
         np.delete(values, list(foreign), axis=1) for values in tracks[:2]

@@ -104,7 +104,9 @@ class RecordingMap(StrictModel):
                 if place == "ignore":
                     continue
                 if (place.connector is None) == (place.middle is None):
-                    problem = "give either connector or middle, counted from the head"
+                    problem = (
+                        "give either `connector` or `middle`, counted from the head"
+                    )
                     yield (block, name), problem
 
     @property
@@ -177,7 +179,7 @@ class RecordingMap(StrictModel):
         ignored = len(table.labels) - len(chosen)
         notes = [*table.corrections]
         if ignored:
-            notes.append(f"{ignored} markers ignored according to the map")
+            notes.append(f"{ignored} markers are ignored according to the map")
         places = tuple(placed[label] for label in labels) if placed else ()
         return replace(
             table,
@@ -200,16 +202,16 @@ def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
             yield "the value must be a number"
         return
     if meaning is None:
-        yield f"this is not a key of a log; allowed: {_LOG_KEYS}"
+        yield f"this is not a key of a log; allowed are {_LOG_KEYS}"
         return
     if isinstance(value, float):
-        yield "the value must be the name of a column"
+        yield "must be the name of a column, as text"
     units = QUANTITIES[meaning.kind]
     given = value.unit if isinstance(value, LogColumn) else ""
     for unit in (meaning.default, given):
         if unit and not symbol(unit, units):
             allowed = ", ".join(units) or "none"
-            yield f"unit '{unit}' is not known; allowed: {allowed}"
+            yield f"the unit '{unit}' is not known; allowed are {allowed}"
 
 
 def log_meaning(key: str) -> Meaning | None:
@@ -253,7 +255,7 @@ def given_map(
                 "NAME=connector 1, NAME=middle 1, NAME=connector 1 ahead (behind, left,"
                 " right) or NAME=ignore"
             )
-            raise InputError(f"--marker: '{option}' is not allowed; use {allowed}")
+            raise InputError(f"--marker '{option}' is not allowed; use {allowed}")
         entry: object = "ignore"
         if match["kind"]:
             side = {"side": match["side"]} if match["side"] else {}

@@ -46,7 +46,7 @@ from srs_twin.scenario.fields import (
 from srs_twin.trajectory import Trajectory
 
 _LOG = ".valves.csv"
-NO_MARKERS = "bends alone do not tell where a robot crawled; markers are wanted"
+NO_MARKERS = "bends alone do not determine where a robot crawls; record markers"
 _ROUNDING_S = 1e-6
 """Rounding tolerance when the durations of a run and a recording are compared, s."""
 Result = TypeVar("Result")
@@ -149,8 +149,8 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
     if not given:
         return [_log_of(Path(take)) for take in takes]
     if len(given) != len(takes):
-        wanted = f"give one for each, in their order ({', '.join(takes)})"
-        otherwise = f"or none if each log is next to its recording as NAME{_LOG}"
+        wanted = f"give one for each recording, in the same order ({', '.join(takes)})"
+        otherwise = f"or none if each log is beside its recording and named NAME{_LOG}"
         raise InputError(
             f"{len(given)} valve logs are given for {len(takes)} recordings; {wanted},"
             f" {otherwise}"
@@ -177,7 +177,7 @@ class ReplayFile(ControllerSection):
         if file.section("recording") is None:
             yield Contradiction(
                 ("controller",),
-                "kind: replay has nothing to replay; give recording as well",
+                "`kind: replay` needs a recording; add the section `recording`",
             )
 
     def is_ready(self, products: Mapping[str, object]) -> bool:
@@ -234,7 +234,7 @@ class RecordingFile(ExtensionSection):
         if not isinstance(file.controller, ReplayFile):
             yield Contradiction(
                 ("recording",),
-                "nobody replays it; set controller.kind: replay",
+                "the recording is not used; replay it with `controller.kind: replay`",
                 at_key=True,
             )
 
@@ -288,7 +288,9 @@ class RecordingFile(ExtensionSection):
         if body is None or log is None:
             return None
         if not file.bench and body.only_bends:
-            document.report(("recording", "motion"), f"{NO_MARKERS}, or bench: true")
+            document.report(
+                ("recording", "motion"), f"{NO_MARKERS}, or set `bench: true`"
+            )
             return None
         one_file = path == self.motion
         joined = _read(
@@ -306,18 +308,19 @@ class RecordingFile(ExtensionSection):
         time = recording.trajectory.time
         span = float(time[-1] - time[0])
         if file.duration_s > span + _ROUNDING_S:
-            text = f"{file.duration_s:g} s is longer than the recording's {span:.4g} s"
+            text = (
+                f"{file.duration_s:g} s is longer than the recording, which lasts"
+                f" {span:.4g} s"
+            )
             document.report(("duration_s",), text)
         if recording.pressures() is not None and "pneumatics" in file.model_fields_set:
-            text = (
-                "the recording holds pressures, which chambers then have; take it out"
-            )
+            text = "the recorded pressures replace this section; remove it"
             document.report(("pneumatics",), text, at_key=True)
         if recording.starts_at_rest():
             return []
         return [
-            "recording: it begins while chambers hold air; the plants begin straight"
-            " and at rest"
+            "recording: some chambers hold air at the start, but the plants begin"
+            " straight and at rest"
         ]
 
 

@@ -66,7 +66,7 @@ Category = Group | Literal["shape", "by_construction", "law", "fit"]
 
 def _check_answer(text: str) -> str:
     if not text.startswith(("Yes: ", "No: ")):
-        raise ValueError("could_fail must start with 'Yes: ' or 'No: '")
+        raise ValueError("`could_fail` must begin with 'Yes: ' or 'No: '")
     return text
 
 
@@ -99,11 +99,13 @@ class RunRequest(Section):
     @model_validator(mode="after")
     def _check_source(self) -> Self:
         if [self.scenario, self.sweep, self.computation].count(None) != 2:
-            raise ValueError("give exactly one of scenario, sweep and computation")
+            raise ValueError(
+                "give exactly one of the keys `scenario`, `sweep` and `computation`"
+            )
         if self.where and self.sweep is None:
-            raise ValueError("where is only allowed with sweep; remove it")
+            raise ValueError("`where` is allowed only with `sweep`; remove it")
         if self.periods is not None and self.scenario is None:
-            raise ValueError("periods is only allowed with scenario; remove it")
+            raise ValueError("`periods` is allowed only with `scenario`; remove it")
         return self
 
     @property
@@ -175,7 +177,8 @@ class Cause(Section):
     def _check_evidence(self) -> Self:
         if (self.docs and self.switch) or bool(self.set) != (self.switch is not None):
             raise ValueError(
-                "give docs, or switch with set, or neither for a presumed cause"
+                "the evidence is incomplete; give `docs`, or `switch` together with"
+                " `set`, or none of them for a presumed cause"
             )
         return self
 
@@ -212,10 +215,11 @@ class TableRows(Section):
     def _check_columns(self) -> Self:
         if self.could_fail.keys() != self.columns.keys():
             raise ValueError(
-                "could_fail needs a sentence for each of the columns, and no other"
+                "`could_fail` must have a sentence for each key of `columns`, and no"
+                " other keys"
             )
         if not self.cause.keys() <= self.columns.keys():
-            raise ValueError("cause must name columns of the table")
+            raise ValueError("`cause` must have only keys of `columns`")
         return self
 
     def is_fitted(
@@ -294,18 +298,20 @@ class Claim(Section):
     def _check_evidence(self) -> Self:
         if (self.could_fail is None) == (self.table is None):
             raise ValueError(
-                "could_fail is needed: 'Yes: …' or 'No: …'; a table has it in `table`"
+                "`could_fail` must be given either here ('Yes: …' or 'No: …') or, for"
+                " a table, in `table`"
             )
         if (self.tolerance is None) == (self.use == "holdout"):
             raise ValueError(
-                "tolerance is needed for every holdout, and not allowed for other uses"
+                "`tolerance` is required for each holdout and not allowed for other"
+                " uses"
             )
         if self.limitation is not None and self.use != "holdout":
-            raise ValueError("limitation is only for a holdout")
+            raise ValueError("`limitation` is allowed only for a holdout; remove it")
         if self.group == "headline" and not self.falsifiable:
             raise ValueError(
-                "a headline prediction must be able to fail: could_fail must start"
-                " with Yes"
+                "a headline prediction must be able to fail, so `could_fail` must"
+                " begin with 'Yes: '"
             )
         return self
 
@@ -314,29 +320,36 @@ class Claim(Section):
         if self.table is not None:
             if not self.rows or self.tol is None or self.rule is not None:
                 raise ValueError(
-                    "a table needs rows and tol, and no rule, as its rows must be near"
+                    "a table needs `rows` and `tol`, and must have no `rule`, because"
+                    " its rows always have the rule near"
                 )
             return self
         if self.rule is None:
-            raise ValueError("a rule is needed: near, below, above or ordering")
+            raise ValueError(
+                "`rule` is missing; it must be near, below, above or ordering"
+            )
         if (self.measure is None) == (not self.measures):
-            raise ValueError("give either measure or measures")
+            raise ValueError("give either `measure` or `measures`")
         if self.rule == "ordering":
             if (
                 len(self.measures) < 2
                 or self.value is not None
                 or self.combine != "value"
             ):
-                raise ValueError("ordering needs two measures or more, and no value")
+                raise ValueError(
+                    "the rule ordering needs two or more `measures`, and neither"
+                    " `value` nor `combine`"
+                )
             return self
         if self.value is None:
-            raise ValueError(f"{self.rule} needs a value")
+            raise ValueError(f"the rule {self.rule} needs a `value`")
         if self.measures and (self.combine == "value" or len(self.measures) != 2):
             raise ValueError(
-                "two measures need combine: ratio, excess, difference or unevenness"
+                "two `measures` need `combine`, which must be ratio, excess,"
+                " difference or unevenness"
             )
         if self.rule == "near" and (self.tol is None) == (self.abs is None):
-            raise ValueError("near needs either tol or abs")
+            raise ValueError("the rule near needs either `tol` or `abs`")
         return self
 
     def is_named(self, name: str) -> bool:

@@ -65,7 +65,7 @@ def reproduce(
     from srs_twin.reproduction.runs import HTML, JSON, JUNIT
 
     with (
-        interruptible("finished runs are kept; start again to resume"),
+        interruptible("finished runs are kept; start the command again to resume"),
         RunCounter("runs", 0, quiet=quiet) as counting,
     ):
 
@@ -91,5 +91,8 @@ def reproduce(
     for line in result.changes:
         say(f"changed from the baseline: {line}")
     if result.changes:
-        say("if the changes are intended, explain them and give --write-baseline")
+        say(
+            "if the changes are intended, explain them, and store the new"
+            " baseline with --write-baseline"
+        )
         raise typer.Exit(CHANGED)

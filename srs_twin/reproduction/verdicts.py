@@ -217,7 +217,8 @@ def load_baseline(path: Path | None = None) -> Baseline:
         )
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
-            f"{display_path(file)}: not a baseline; --write-baseline writes one"
+            f"{display_path(file)}: the file is not a baseline; --write-baseline"
+            " writes one"
         ) from error
 
 

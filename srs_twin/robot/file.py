@@ -324,12 +324,12 @@ class RobotFile(StrictModel):
                 if kind in ("pressure", "position"):
                     robot = f"a robot with actuator {actuator}"
                 if missing and fits and key in model.needed_by:
-                    yield (name, key), f"missing; {robot} needs it"
+                    yield (name, key), f"missing; {robot} needs this key"
                 elif not missing and not fits:
-                    yield (name, key), f"{robot} has no {key}; remove it"
+                    yield (name, key), f"{robot} cannot have `{key}`; remove this key"
         for key in ("pitch_stiffness_nm_per_rad", "roll_stiffness_nm_per_rad"):
             if not self.is_spatial and getattr(self.bending, key) is None:
-                yield ("bending", key), "missing; a planar robot needs it"
+                yield ("bending", key), "missing; a planar robot needs this key"
         for violation in kind_violations(
             is_spatial=self.is_spatial,
             has_skin=self.has_skin,
@@ -372,7 +372,7 @@ class RobotFile(StrictModel):
         else:
             count = mass_violations(masses, connectors, "connectors")
         for violation in count:
-            reason = f"{violation.reason}, or one number for all"
+            reason = f"{violation.reason}, or one number for all of them"
             yield violation._replace(reason=reason)
         if self.mass.wheel_kg:
             yield from wheel_violations(self.mass.wheel_kg.value, masses)
@@ -389,8 +389,8 @@ class RobotFile(StrictModel):
         longest = numbers["tau_mode"] + min(numbers["tau_fill"], numbers["tau_vent"])
         if not numbers["damping_time"] < longest:
             text = (
-                f"{numbers['damping_time']:g} s is not allowed with lead: false; it"
-                f" must be below {longest:g}"
+                f"{numbers['damping_time']:g} s is not allowed together with `lead:"
+                f" false`; it must be below {longest:g} s"
             )
             yield ("bending", "damping_time_s", "value"), text
 
@@ -400,7 +400,9 @@ class RobotFile(StrictModel):
         nominal = self.supply.nominal_kpa.value
         limit = self.supply.pulsed_limit_kpa.value
         if nominal > limit:
-            text = f"{nominal:g} kPa is above pulsed_limit_kpa, {limit:g} kPa"
+            text = (
+                f"{nominal:g} kPa is above `pulsed_limit_kpa`, which is {limit:g} kPa"
+            )
             if nominal > 5 * limit:
                 text += f"; {likely_unit(limit, 'kPa', nominal)}"
             yield ("supply", "nominal_kpa", "value"), text
@@ -410,8 +412,8 @@ class RobotFile(StrictModel):
         height = self.geometry.com_height_m.value
         if self.is_spatial and abs(width / (2 * height) - 1) > _ROUNDNESS:
             text = (
-                f"{width:g} m is not twice com_height_m; a spatial robot has a round"
-                " section"
+                f"{width:g} m is not allowed, because a spatial robot has a round"
+                " cross-section; it must be twice `com_height_m`"
             )
             yield ("geometry", "width_m", "value"), text
 
@@ -437,20 +439,23 @@ def _prior_violations(
     value = record.value
     assert prior is not None, "the caller has checked it"
     if bounds is None or isinstance(value, list | int):
-        yield "only a single number can be uncertain, not a list or a count"
+        yield "only a single decimal number can be uncertain; lists and counts cannot"
     elif prior.kind == "lognormal" and value <= 0:
-        yield f"lognormal needs a number above 0, not {value:g}"
+        yield (
+            "the distribution `lognormal` needs a number above 0, but the number"
+            f" is {value:g}"
+        )
     elif prior.low is not None and prior.high is not None:
         lowest, highest = bounds
         if prior.low < lowest or prior.high > highest:
             yield (
-                f"{prior.low:g} to {prior.high:g} exceeds the allowed {lowest:g} to"
-                f" {highest:g}"
+                f"the range from {prior.low:g} to {prior.high:g} is not allowed; it"
+                f" must lie between {lowest:g} and {highest:g}"
             )
         elif not prior.low <= value <= prior.high:
             yield (
-                f"the number itself, {value:g}, is outside {prior.low:g} to"
-                f" {prior.high:g}"
+                f"the number {value:g} lies outside its own range from {prior.low:g}"
+                f" to {prior.high:g}; change the number or the range"
             )
 
 
@@ -544,7 +549,7 @@ def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile |
         base_loc = prefix
     if not isinstance(base, str):
         document.report(
-            base_loc, "must be a robot's name, a path, or a block of keys with base"
+            base_loc, "must be a robot's name, a path, or a block of keys with `base`"
         )
         return None
     try:

@@ -139,7 +139,7 @@ def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[
             * values["chamber.air_volume_ml"]
             / (math.pi / 2)
         )
-        stiffnesses["the moment of the air over the bend"] = (
+        stiffnesses["bending moment due to air pressure, divided by the bend"] = (
             moment / values["actuator.bend_rad"]
         )
     lengths = list(_outliers(values, _QUANTITIES[0], {}))
@@ -187,6 +187,9 @@ def _wrong_masses(
     for mass in dict.fromkeys(masses):
         excess = max(mass / usual / _DENSITY_RATIO, usual / mass / 1000)
         if excess > 1:
-            text = f"{mass:g} kg in {pitch:g} m by {width:g} m is a density of"
+            text = (
+                f"{mass:g} kg is implausible for a part of {pitch:g} m by"
+                f" {width:g} m, because its density would be"
+            )
             text += f" {mass / usual * _DENSITY:.2g} kg/m³"
             yield Doubt(path, f"{text}; {likely_unit(mass, 'kg', usual)}", excess > 4)

@@ -36,9 +36,9 @@ def raise_violations(violations: Iterable[Violation]) -> None:
 def spatial_refusal(robot: str, feature: str) -> str:
     """Return a message that the feature is not available for a spatial robot."""
     return (
-        f"{feature} does not support the spatial robot {robot}"
-        " (chamber.directions_deg); use a robot whose chambers bend it to the left and"
-        " right only"
+        f"{feature} does not support the spatial robot '{robot}', which has"
+        " `chamber.directions_deg`; use a robot whose chambers bend it only to the"
+        " left and right"
     )
 
 
@@ -49,18 +49,19 @@ def kind_violations(
     if is_spatial and not has_skin:
         yield Violation(
             "directions",
-            "a robot that bends in two directions needs contact skin: its wheels would"
-            " leave the floor",
+            "a robot that bends in two directions needs the contact `skin`, because"
+            " its wheels would leave the floor",
         )
     if extends and not is_spatial:
         yield Violation(
             "extension",
-            "segments of a planar robot keep their length; remove it, or give"
-            " chamber.directions_deg",
+            "the segments of a planar robot keep their length; remove this key, or"
+            " make the robot spatial with `chamber.directions_deg`",
         )
     if has_skin and has_tail:
         yield Violation(
-            "tail", "a robot with contact skin has no axles; remove the tail"
+            "tail",
+            "a robot with the contact `skin` has no axles; remove the section `tail`",
         )
 
 
@@ -69,7 +70,10 @@ def mass_violations(
 ) -> Iterator[Violation]:
     """Yield a violation if the number of masses differs from the number of parts."""
     if len(masses) != count:
-        yield Violation(part, f"{len(masses)} masses for {count} {part}; give {count}")
+        yield Violation(
+            part,
+            f"{len(masses)} masses are given for {count} {part}; give {count} masses",
+        )
 
 
 def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Violation]:
@@ -78,8 +82,9 @@ def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Viol
     if 2 * wheel > WHEEL_FRACTION * lightest:
         yield Violation(
             "wheel",
-            f"two wheels of {wheel:g} kg are too much for the lightest connector,"
-            f" {lightest:g} kg; {WHEEL_FRACTION * lightest / 2:g} kg each at most",
+            f"two wheels of {wheel:g} kg are too heavy for the lightest connector,"
+            f" which has {lightest:g} kg; one wheel may have at most"
+            f" {WHEEL_FRACTION * lightest / 2:g} kg",
         )
 
 
@@ -88,8 +93,8 @@ def tail_violations(com: float, axle: float) -> Iterator[Violation]:
     if com > axle:
         yield Violation(
             "com",
-            f"{com:g} m is behind the second axle at {axle:g} m; the assembly would tip"
-            " over",
+            f"the centre of mass at {com:g} m is behind the second axle at {axle:g} m,"
+            " so the tail would tip over; move it in front of this axle",
         )
 
 
@@ -100,6 +105,6 @@ def direction_violations(directions_deg: Sequence[float]) -> Iterator[Violation]
     if largest > _MAX_GAP_DEG:
         yield Violation(
             "directions",
-            f"no chamber within {largest:g} degrees; neighbours must be less than 180"
-            " degrees apart",
+            f"two neighbouring chambers are {largest:g} degrees apart; neighbours must"
+            " be less than 180 degrees apart",
         )

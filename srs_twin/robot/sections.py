@@ -138,14 +138,14 @@ class ModulesFile(Records):
                 for j, row in enumerate(values):
                     if len(row) != chambers:
                         text = (
-                            f"{len(row)} factors for {chambers} chambers; give"
-                            f" {chambers}"
+                            f"{len(row)} factors are given for {chambers} chambers;"
+                            f" give {chambers} factors"
                         )
                         yield ("modules", name, "value", j), text
             if isinstance(values, list) and len(values) != segments:
                 text = (
-                    f"{len(values)} entries for {segments} segments; give {segments},"
-                    " head first"
+                    f"{len(values)} entries are given for {segments} segments; give"
+                    f" {segments} entries, beginning at the head"
                 )
                 yield ("modules", name, "value"), text
 

@@ -140,13 +140,16 @@ class Uncertain(StrictModel):
         if present != required:
             needs = " and ".join(required)
             has = ", ".join(present) or "nothing"
-            raise ValueError(f"{self.kind} needs {needs}, but {has} is given")
+            raise ValueError(
+                f"the distribution `{self.kind}` needs {needs}, but {has} is given"
+            )
         if self.median is not None and self.kind != "lognormal":
             raise ValueError(
-                f"{self.kind} needs {' and '.join(required)}, but median is given"
+                f"the distribution `{self.kind}` has no `median`; it needs"
+                f" {' and '.join(required)}"
             )
         if self.low is not None and self.high is not None and not self.low < self.high:
-            raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
+            raise ValueError(f"`low` {self.low:g} must be below `high` {self.high:g}")
         return self
 
     @model_serializer(mode="wrap")

@@ -75,13 +75,14 @@ class Modules:
             low, high = (-math.pi, math.pi) if name.endswith("bias") else (0.01, 100.0)
             if values.shape != shape:
                 raise InputError(
-                    f"modules.{name} has shape {values.shape}; allowed: {shape}"
+                    f"modules.{name} has the shape {values.shape}, but the robot needs"
+                    f" the shape {shape}"
                 )
             wrong = values[~((values >= low) & (values <= high))]
             if wrong.size:
                 raise InputError(
-                    f"modules.{name} {wrong[0]:g} is not allowed; it must be {low:g} to"
-                    f" {high:g}"
+                    f"modules.{name} {wrong[0]:g} is not allowed; it must be between"
+                    f" {low:g} and {high:g}"
                 )
 
     @classmethod
@@ -136,7 +137,7 @@ def _not_negative(owner: object, *names: str) -> None:
             math.isfinite(value) and value >= 0,
             name,
             value,
-            "it must be finite and 0 or more",
+            "it must be finite and at least 0",
         )
 
 
@@ -167,7 +168,10 @@ class Geometry:
 
     def __post_init__(self) -> None:
         _require(
-            self.connectors >= 2, "connectors", self.connectors, "a snake has 2 or more"
+            self.connectors >= 2,
+            "connectors",
+            self.connectors,
+            "a snake needs 2 or more of them",
         )
         _positive(
             self, "segment_length", "half_track", "wheel_radius", "com_height", "width"
@@ -289,7 +293,7 @@ class Skin:
 
     def __post_init__(self) -> None:
         check_choice("friction law of a skin", self.friction_law, SKIN_LAWS)
-        _require(self.points >= 1, "points", self.points, "a segment has 1 or more")
+        _require(self.points >= 1, "points", self.points, "a segment needs 1 or more")
 
 
 @dataclass(frozen=True)
@@ -376,7 +380,7 @@ class Actuator:
             0 <= self.onset_fraction <= 1,
             "onset_fraction",
             self.onset_fraction,
-            "it must be 0 to 1",
+            "it must be between 0 and 1",
         )
         _require(
             self.bend_limit > 0, "bend_limit", self.bend_limit, "it must be above 0"
@@ -535,16 +539,17 @@ class RobotSpec:
         if (self.skin is None) != (self.mass.segments is None):
             yield Violation(
                 "mass",
-                "a robot has either a skin and masses of segments, or wheels and masses"
-                " of connectors",
+                "a robot has either a skin and masses of segments, or wheels and"
+                " masses of connectors; do not mix them",
             )
         if self.variation is not None:
             shape = len(self.variation.gain), len(self.variation.gain[0])
             if shape != (self.segments, self.chambers):
                 yield Violation(
                     "modules",
-                    f"modules: {shape[0]} with {shape[1]} chambers are not allowed; the"
-                    f" robot has {self.segments} with {self.chambers}",
+                    f"the variation of {shape[0]} segments with {shape[1]} chambers is"
+                    f" not allowed, because the robot has {self.segments} segments"
+                    f" with {self.chambers} chambers",
                 )
 
     @property

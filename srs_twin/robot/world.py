@@ -267,7 +267,8 @@ def fig54_world(count: int, seed: int) -> World:
     """
     if not 0 <= count <= len(FIG54_SITES):
         raise InputError(
-            f"{count} obstacles cannot be drawn from {len(FIG54_SITES)} sites"
+            f"{count} obstacles are too many; there are only {len(FIG54_SITES)} places"
+            " for them"
         )
     drawn = np.random.default_rng((seed, count)).choice(
         len(FIG54_SITES), count, replace=False

@@ -144,7 +144,9 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     if supply is None:
         if pressure not in (None, SERVO_PRESSURE_KPA):
             document.report(
-                loc, f"{robot.name} has servos and no supply; remove this key"
+                loc,
+                f"{robot.name} has servos and therefore no supply pressure;"
+                " remove this key",
             )
         return []
     is_number = isinstance(pressure, (int, float)) and not isinstance(pressure, bool)
@@ -156,23 +158,25 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     if document.get("controller", "kind") == HoldValves.kind:
         limit = supply.continuous_limit_kpa
         highest = limit.value * _ROUNDING
-        use = "with valves held open"
+        use = "if valves stay open"
     nominal = supply.nominal_kpa.value
     hint = _unit_hint(pressure, nominal)
     if pressure <= highest:
-        text = f"{pressure:g} kPa is far below the nominal {nominal:g} kPa of"
+        text = f"{pressure:g} kPa is far below the nominal pressure {nominal:g} kPa of"
         text += f" {robot.name}{hint}"
         return [document.describe(loc, text)] if hint else []
     text = (
-        f"{pressure:g} kPa is above the limit of {robot.name} {use}, {limit.value:g}"
-        f" kPa ({limit.source})"
+        f"{pressure:g} kPa is above the limit of {robot.name} {use}, which is"
+        f" {limit.value:g} kPa ({limit.source})"
     )
     if True in (
         document.get("allow_overpressure"),
         document.get("supply", "allow_overpressure"),
     ):
         return [f"supply.pressure_kpa: {text}"]
-    document.report(loc, f"{text}; lower it, or set allow_overpressure: true{hint}")
+    document.report(
+        loc, f"{text}; lower the pressure, or set `allow_overpressure: true`{hint}"
+    )
     return []
 
 
@@ -193,7 +197,8 @@ def check_robot(
     for k, fault in enumerate(file.faults):
         if fault.segment > segments:
             text = (
-                f"{fault.segment} is not allowed; {robot.name} has {segments} segments"
+                f"segment {fault.segment} does not exist; {robot.name} has {segments}"
+                " segments"
             )
             document.report(("faults", k, "segment"), text)
     with document.report_errors("sensor"):
@@ -266,7 +271,10 @@ def _kinds(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     if robot.is_spatial:
         yield from _spatial(file, robot)
     if robot.has_servos and file.pneumatics.kind != "lag":
-        text = f"{robot.name} has servos, which respond like lag; use lag"
+        text = (
+            f"{robot.name} has servos, which only the pneumatic model `lag` represents;"
+            " use `lag`"
+        )
         yield Contradiction(("pneumatics", "kind"), text)
 
 
@@ -276,7 +284,9 @@ def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     for kind, plant in file.plants.running.items():
         for key in plant.wheel_keys:
             if key in plant.model_fields_set:
-                reason = "has a skin with its own friction law (robot: contact.law)"
+                reason = (
+                    "has a skin, and its own key `contact.law` sets the friction law"
+                )
                 yield Contradiction(
                     ("plants", kind, key),
                     f"{robot.name} {reason}; remove this key",
@@ -287,13 +297,15 @@ def _contact(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     if file.start.moves:
         text = (
-            f"{robot.name} is spatial and starts straight and at rest; set its pose"
-            " only"
+            f"{robot.name} is spatial and must start straight and at rest; set only"
+            " the pose of the start"
         )
         yield Contradiction(("start",), text, at_key=True)
     if file.pneumatics.kind != "lag":
         yield Contradiction(
-            ("pneumatics", "kind"), f"{robot.name} is spatial and needs pneumatics lag"
+            ("pneumatics", "kind"),
+            f"{robot.name} is spatial, which only the pneumatic model `lag` supports;"
+            " use `lag`",
         )
 
 
@@ -308,24 +320,28 @@ def check_controller(file: ScenarioFile, loading: Loading) -> None:
         )
     except InputError as error:
         document.report(
-            ("controller", "reference"), f"{error} (beyond_range: saturate)"
+            ("controller", "reference"), f"{error} (with `beyond_range: saturate`)"
         )
     if spec.is_spatial and not any(
         getattr(each, "spatial", False) for each in controller.constructors
     ):
         document.report(
             ("controller", "kind"),
-            f"{spec.name} is spatial; only {Gait.kind} drives its chambers",
+            f"the controller is not allowed, because {spec.name} is spatial; use the"
+            f" controller `{Gait.kind}`",
         )
     possible = controller.layouts(loading.products)
     loading.layout = layout = file.valves.layout or possible[0]
     if layout not in possible:
-        reason = "it does not hold valves"
+        reason = "it never holds the air in a chamber"
         if layout == "3/2":
-            reason = "3/2 valves cannot hold"
+            reason = (
+                "3/2 valves cannot hold the air in a chamber, as this controller"
+                " requires"
+            )
         text = (
-            f"{controller.kind} drives valves of layout {', '.join(possible)}, not"
-            f" {layout}; {reason}"
+            f"the controller `{controller.kind}` needs valves of layout"
+            f" {', '.join(possible)}, not {layout}, because {reason}"
         )
         document.report(("valves", "layout"), text)
     with document.report_errors("pneumatics"):
@@ -389,8 +405,8 @@ def _rate_remedy(file: ScenarioFile) -> str:
     ]
     rate = nearest_rate(file.record_hz, clocks, LEAST_RECORD_HZ, MOST_RECORD_HZ)
     if rate is None:
-        return "no rate suits the plants' ticks; change tick_s"
-    return f"record_hz: {rate} is possible"
+        return "no rate fits the ticks of the plants; change `tick_s`"
+    return f"use `record_hz: {rate}`"
 
 
 def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
@@ -399,13 +415,17 @@ def _bench(file: ScenarioFile) -> Iterator[Contradiction]:
     if "start" in file.model_fields_set:
         yield Contradiction(
             ("start",),
-            "a module on a bench starts at its clamp; remove start or bench",
+            "a robot on a bench is clamped and has no start pose; remove `start` or"
+            " `bench`",
             at_key=True,
         )
     for kind, plant in file.plants.running.items():
         for key in plant.floor_keys:
             if key in plant.model_fields_set:
-                text = "there is no floor on a bench; remove this key, or bench: true"
+                text = (
+                    "this key describes the floor, but a robot on a bench touches"
+                    " no floor; remove this key, or `bench: true`"
+                )
                 yield Contradiction(("plants", kind, key), text, at_key=True)
 
 
@@ -419,12 +439,13 @@ def _world(file: ScenarioFile) -> Iterator[Contradiction]:
     ):
         yield Contradiction(
             ("world", "random"),
-            "strewn needs an area; set area, or bounds of the world",
+            "obstacles of kind `strewn` need an area; set `area`, or `bounds` of the"
+            " world",
         )
     if world.pegs and plants.analytical and not plants.analytical.contact:
         text = (
-            "pegs need an analytical plant that touches them; set model: compliant and"
-            " contact: true"
+            "the analytical plant must be able to touch the pegs; set `model:"
+            " compliant` and `contact: true`"
         )
         yield Contradiction(("plants", "analytical"), text)
 
@@ -434,17 +455,19 @@ def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:
     for i, item in enumerate(file.expect):
         if item.metric in MEASURED_UNITS and not measured:
             yield Contradiction(
-                ("expect", i, "metric"), f"{item.metric} needs the section recording"
+                ("expect", i, "metric"),
+                f"the metric `{item.metric}` compares with a recording; add"
+                " the section `recording`",
             )
         if item.plant and item.plant not in file.plants.running:
             yield Contradiction(
                 ("expect", i, "plant"),
-                f"{item.plant} does not run here; add it to plants",
+                f"the plant `{item.plant}` does not run here; add it to `plants`",
             )
         if item.of and len(file.plants.running) < 2:
             yield Contradiction(
                 ("expect", i, "of"),
-                "a comparison needs both plants; add the other to plants",
+                "a comparison needs both plants; add the other one to `plants`",
             )
 
 
@@ -456,11 +479,11 @@ def _gap_factor(file: ScenarioFile) -> Iterator[Contradiction]:
         return
     if analytical is None or twin is None:
         yield Contradiction(
-            key, "a comparison needs both plants; add the other to plants"
+            key, "a comparison needs both plants; add the other one to `plants`"
         )
     elif analytical.gaps:
         text = (
-            "the analytical plant already has gaps in its geometry; set"
-            " plants.analytical.gaps: false"
+            "the analytical plant already has the rigid gaps in its geometry; set"
+            " `plants.analytical.gaps: false`"
         )
         yield Contradiction(key, text)

@@ -207,11 +207,14 @@ class LearningFile(ControllerSection):
     @model_validator(mode="after")
     def _fits(self) -> LearningFile:
         if self.target is not None and self.target_rad is not None:
-            raise ValueError("give either target or target_rad, not both")
+            raise ValueError(
+                "`target` and `target_rad` exclude each other; give only one of them"
+            )
         least = 2 * MIN_PULSES * self.frequency_hz
         if self.carrier_hz < least:
             raise ValueError(
-                f"a gait of this frequency needs a carrier_hz of at least {least:g}"
+                "`carrier_hz` is too low for a gait of this frequency; it must be at"
+                f" least {least:g}"
             )
         return self
 
@@ -223,8 +226,9 @@ class LearningFile(ControllerSection):
         """Yield a warning if the target exceeds the maximum bend `limit` (rad)."""
         if self.target_rad and self.target_rad > limit:
             yield (
-                f"controller.target_rad: {self.target_rad:.4g} rad is above {limit:.4g}"
-                " rad, the largest bend at this supply pressure; duties will stay at 1"
+                f"controller.target_rad: {self.target_rad:.4g} rad is above"
+                f" {limit:.4g} rad, the maximum bend at this supply pressure, so the"
+                " duties will stay at 1"
             )
 
 
@@ -335,7 +339,7 @@ class _TrackingFile(ControllerSection):
         if unlimited := getattr(self.within(limit), "unclipped", None):
             yield (
                 f"controller.reference: {unlimited.peak:.4g} rad is limited to"
-                f" {limit:.4g} rad, the largest bend at this supply pressure"
+                f" {limit:.4g} rad, the maximum bend at this supply pressure"
             )
 
 

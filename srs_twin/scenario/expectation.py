@@ -243,34 +243,46 @@ class Expectation(Section):
     @model_validator(mode="after")
     def _is_consistent(self) -> Expectation:
         if (self.plant is None) == (self.of is None):
-            raise ValueError("give either plant (analytical or twin) or of: comparison")
+            raise ValueError(
+                "an expectation concerns one plant or the comparison; give either"
+                " `plant: analytical`, `plant: twin` or `of: comparison`"
+            )
         expected = self.metric in known_metrics(self.subject)
         if not expected and self.metric in known_metrics():
-            required = f"of: {COMPARISON}"
+            required = f"`of: {COMPARISON}`"
             if self.of:
-                required = "plant: analytical or plant: twin"
-            raise ValueError(f"{self.metric} needs {required}")
+                required = "`plant: analytical` or `plant: twin`"
+            raise ValueError(f"the metric `{self.metric}` needs {required}")
         values = (self.near, self.below, self.above, self.published)
         if values.count(None) != len(values) - 1:
-            raise ValueError("give exactly one of near, below, above and published")
+            raise ValueError(
+                "an expectation needs exactly one of the keys `near`, `below`,"
+                " `above` and `published`"
+            )
         if (self.within is None) != (self.published is None):
             raise ValueError(
-                "published and within must be given together, as in published: 0.1"
-                " with within: interval_95"
+                "`published` and `within` must be given together, for example"
+                " `published: 0.1` with `within: interval_95`"
             )
         if self.published is None and self.scatter is not None:
-            raise ValueError("scatter is only allowed with published; remove scatter")
+            raise ValueError(
+                "`scatter` is allowed only together with `published`; remove `scatter`"
+            )
         if self.published is not None and self.of is not None:
-            raise ValueError("published needs plant: analytical or plant: twin")
+            raise ValueError(
+                "a published value belongs to one plant; give `plant: analytical`"
+                " or `plant: twin` instead of `of`"
+            )
         tolerances = 2 - (self.rel, self.abs).count(None)
         if tolerances != (self.near is not None):
             raise ValueError(
-                "near needs a tolerance, either rel or abs; below, above and published"
-                " need none"
+                "a tolerance is needed with `near` and not allowed without it; give"
+                " `rel` or `abs` with `near`, and neither of them with `below`,"
+                " `above` or `published`"
             )
         if self.near == 0 and self.rel is not None:
             raise ValueError(
-                "near: 0 needs an absolute tolerance; use abs instead of rel"
+                "`near: 0` cannot have a relative tolerance; give `abs` instead of `rel`"
             )
         return self
 
@@ -376,7 +388,7 @@ class Expectation(Section):
         distance = max(low - published, published - high, 0.0)
         return {
             "allowed": (
-                f"published {published:.4g} lies {position} the"
+                f"the published value {published:.4g} lies {position} the"
                 f" {_INTERVALS[self.within]} {_ends(low, high, published)} (largest"
                 f" uncertainty: {cause})"
             ),
@@ -418,8 +430,8 @@ class Expectation(Section):
     ) -> str | None:
         if spread is None:
             return (
-                f"the stored intervals have no {self.metric} of the {self.subject}"
-                " plant"
+                f"the stored intervals do not contain the metric `{self.metric}` of"
+                f" the {self.subject} plant"
             )
         low, high = spread[str(self.within)]
         tolerance = max(
@@ -430,8 +442,9 @@ class Expectation(Section):
         if abs(value - spread["value"]) <= tolerance:
             return None
         return (
-            f"the stored interval is for {spread['value']:.4g} (other laws, duration or"
-            f" seed); {stored['renew']} renews it"
+            f"the stored interval was computed for the value {spread['value']:.4g}"
+            f" (other friction law, duration or seed); the command {stored['renew']}"
+            " computes it again"
         )
 
     def _undecided_reason(
@@ -446,10 +459,10 @@ class Expectation(Section):
             if error
         )
         return (
-            f"undecided: published {self.published:.4g} is {distance:.2g} standard"
-            f" errors from the end {end:.4g} (± {error:.2g}) of the interval, and a"
-            f" verdict needs {UNDECIDED_ERRORS:g} (more --samples and --twin make the"
-            " error smaller)"
+            f"undecided, because the published value {self.published:.4g} is only"
+            f" {distance:.2g} standard errors from the end {end:.4g} (± {error:.2g})"
+            f" of the interval, but {UNDECIDED_ERRORS:g} are needed; use more"
+            " --samples and --twin to reduce the error"
         )
 
 

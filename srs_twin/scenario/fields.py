@@ -127,8 +127,8 @@ class Section(StrictModel):
             present = [name for name in names if getattr(self, name) is not None]
             if present and getattr(self, key) != required:
                 raise ValueError(
-                    f"{present[0]} requires {key}: {required}; set that, or remove"
-                    f" {present[0]}"
+                    f"`{present[0]}` is allowed only with `{key}: {required}`; set"
+                    f" `{key}: {required}`, or remove `{present[0]}`"
                 )
         return self
 

@@ -207,7 +207,10 @@ class PneumaticsFile(PneumaticsSection):
             if getattr(self, key) is not None
         ]
         if present and self.flow_limit_l_per_min is None:
-            raise ValueError(f"{present[0]} requires flow_limit_l_per_min")
+            raise ValueError(
+                f"`{present[0]}` needs a limited supply; set"
+                f" `flow_limit_l_per_min`, or remove `{present[0]}`"
+            )
         return self
 
     def written(self) -> dict[str, Any]:
@@ -312,7 +315,7 @@ class ScenarioFile(Section):
         for key in RobotFile.model_fields
         if key not in ("name", "title", "supply")
     } | {
-        f"plants.{plant}.{key}": f"{key} (beside plants)"
+        f"plants.{plant}.{key}": f"{key} (outside of `plants`)"
         for plant in PLANTS
         for key in ("controller", "pneumatics", "sensor")
     }

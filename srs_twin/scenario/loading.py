@@ -95,8 +95,8 @@ def _scenario(document: Document, name: str, overrides: Overrides) -> Scenario:
     uses_goal = any(section.uses_goal for section in file.sections().values())
     if not uses_goal and (world.goal or world.bounds):
         loading.warnings.append(
-            "world: goal and bounds have no effect; only a controller of kind: follow"
-            " uses them"
+            "world: `goal` and `bounds` have no effect, because only a controller of"
+            " `kind: follow` uses them"
         )
     loading.warnings += ignored_obstacles(file, world, file.plants.running)
     resolved = _resolved(
@@ -221,8 +221,8 @@ def _check_field(change: Override) -> None:
     first, *more = change.loc
     if first == "changes":
         raise InputError(
-            f"{change.label}: srs_twin writes the list `changes` itself; set the"
-            " changed fields instead"
+            f"{change.label}: the list `changes` is written by srs_twin itself; set"
+            " the changed fields instead"
         )
     known = first in {*ScenarioFile.model_fields, *SECTIONS}
     if first == "robot" and more:
@@ -231,8 +231,8 @@ def _check_field(change: Override) -> None:
         path = format_path(change.loc)
         close = did_you_mean(path, field_paths())
         raise InputError(
-            f"{change.label}: there is no field"
-            f" {path}{close or '; `srs-twin show SCENARIO` prints all fields'}"
+            f"{change.label}: the field {path} does not"
+            f" exist{close or '; `srs-twin show SCENARIO` prints all fields'}"
         )
 
 

@@ -46,7 +46,8 @@ _DEPTH_BYTE = 24
 """Byte in a PNG file that contains the number of bits per channel. The byte is read
 directly because Pillow reduces 16-bit colours to 8 bits."""
 _ALLOWED = (
-    "a PNG or PGM picture of at most 8 bits a channel, without transparency, is allowed"
+    "the picture has an unsupported format; use a PNG or PGM picture with at most 8"
+    " bits per channel and without transparency"
 )
 _WHITE = 3 * 255
 """Sum of red, green and blue of a white pixel."""
@@ -114,7 +115,7 @@ class MapFile(StrictModel):
         if self.free_thresh >= self.occupied_thresh:
             yield (
                 ("free_thresh",),
-                f"must be below occupied_thresh, {self.occupied_thresh:g}",
+                f"must be below `occupied_thresh`, which is {self.occupied_thresh:g}",
             )
 
     def blocked(self, colour: np.ndarray) -> np.ndarray:
@@ -187,8 +188,8 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
     ]
     if missing:
         raise InputError(
-            f"{name}:1: columns {', '.join(CIRCLE_COLUMNS)} are required; {missing[0]}"
-            " is missing"
+            f"{name}:1: the column '{missing[0]}' is missing; the columns"
+            f" {', '.join(CIRCLE_COLUMNS)} are required"
         )
     circles = []
     for line, row in enumerate(rows, start=2):
@@ -216,7 +217,10 @@ def _colours(path: Path) -> np.ndarray:
     from PIL import Image, UnidentifiedImageError
 
     name = display_path(require_file(path, suffix=".pgm"))
-    too_large = f"1 to {MAX_PIXELS:,} pixels are allowed; crop it or reduce its size"
+    too_large = (
+        f"the picture must have between 1 and {MAX_PIXELS:,} pixels; crop it or"
+        " reduce its size"
+    )
     try:
         with path.open("rb") as stream:
             depth = stream.read(_DEPTH_BYTE + 1)[_DEPTH_BYTE:]
@@ -239,7 +243,7 @@ def _colours(path: Path) -> np.ndarray:
         raise InputError(f"{name}: {too_large}") from None
     except Exception as error:  # a decoder may raise any exception for a damaged file
         raise InputError(
-            f"{name}: damaged ({error}); save it again as PNG or PGM"
+            f"{name}: the picture is damaged ({error}); save it again as PNG or PGM"
         ) from error
 
 
@@ -267,9 +271,9 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
     first, last = (np.flatnonzero(~has_equal(shift)) for shift in (-width, width))
     if len(first) > MAX_RECTANGLES:
         raise InputError(
-            f"{len(first):,} rectangles are needed for the occupied cells of the map,"
-            f" but only {MAX_RECTANGLES:,} are allowed; remove specks with a median"
-            " filter, crop the map or reduce its size"
+            f"the occupied cells of the map need {len(first):,} rectangles, but only"
+            f" {MAX_RECTANGLES:,} are allowed; remove specks with a median filter,"
+            " crop the map or reduce its size"
         )
     # Rectangles in the same columns do not overlap, so the n-th start row belongs to
     # the n-th end row.

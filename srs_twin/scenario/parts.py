@@ -173,8 +173,9 @@ def _section(key: str, name: str, found: type) -> type[Section]:
                 not_written.add(field)
         elif default is ...:
             raise InputError(
-                f"{name}: a scenario file cannot set the argument {parameter.name}; give"
-                " the argument a default value, or define a section for the class"
+                f"{name}: the argument `{parameter.name}` cannot be set in a scenario"
+                " file; give this argument a default value, or define a section for"
+                " the class"
             )
     fields["constructors"] = (ClassVar[Any], (found,))
     fields["not_written"] = (ClassVar[Any], not_written)
@@ -199,9 +200,11 @@ def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
             SimpleNamespace(__annotations__=annotations), namespace, include_extras=True
         )
     except (NameError, SyntaxError, TypeError) as error:
-        text = f"{name}: the types of its arguments cannot be read ({error})"
+        text = (
+            f"{name}: the types of the constructor's arguments cannot be read ({error})"
+        )
         raise InputError(
-            f"{text}; import them outside of `if TYPE_CHECKING`"
+            f"{text}; import these types outside of `if TYPE_CHECKING`"
         ) from error
     for key in keys:
         yield key, hints.get(key.name, Any)

@@ -192,8 +192,9 @@ class TwinFile(_PlantFile):
     def _friction_is_loaded(self) -> TwinFile:
         if self.friction is not None and self.contact == "preloaded":
             raise ValueError(
-                "friction needs contact: loaded; with preloaded, wheels determine"
-                " the law"
+                "`friction` is allowed only with `contact: loaded`, because with"
+                " `contact: preloaded` the wheels determine the friction law; remove"
+                " `friction`, or set `contact: loaded`"
             )
         return self
 
@@ -245,10 +246,11 @@ class PlantsFile(Section):
         ]
         if empty:
             raise ValueError(
-                f"{empty[0]} is empty; write '{empty[0]}: {{}}' for its defaults"
+                f"the section `{empty[0]}` is empty; write `{empty[0]}: {{}}` to use"
+                " its default values"
             )
         if not self.model_fields_set:
             raise ValueError(
-                "the section names no plant; write 'analytical: {}', 'twin: {}' or both"
+                "the section names no plant; write `analytical: {}`, `twin: {}` or both"
             )
         return self

@@ -31,7 +31,7 @@ Fault = TypeVar("Fault", StuckValve, DeadSensor)
 
 IGNORED_OBSTACLES = (
     "plants.analytical: the model ignores the obstacles of this world and passes"
-    " through them; only model: compliant with contact: true touches them"
+    " through them; only `model: compliant` with `contact: true` touches them"
 )
 """Warning that the analytical plant ignores obstacles."""
 

@@ -82,14 +82,19 @@ class StartFile(Section):
         if self.run is None:
             if self.time_s is not None:
                 yield Contradiction(
-                    ("start", "time_s"), "needs a run; set from", at_key=True
+                    ("start", "time_s"),
+                    "this key needs an earlier run; set `from`",
+                    at_key=True,
                 )
             return
         for name in sorted(self.model_fields_set - {"run", "time_s"}):
-            text = "is set by the run in from; remove one of them"
+            text = (
+                "the run named by `from` already sets this key; remove this key"
+                " or `from`"
+            )
             yield Contradiction(("start", name), text, at_key=True)
         if self.time_s is None:
-            text = "needs the time in that run; set time_s"
+            text = "the time in the earlier run is missing; set `time_s`"
             yield Contradiction(("start", "from"), text, at_key=True)
 
     @property
@@ -126,8 +131,8 @@ class StartFile(Section):
             values = getattr(self, name)
             if values is not None and len(values) != segments:
                 raise InputError(
-                    f"{name} has {len(values)} entries; the robot has {segments}"
-                    " segments"
+                    f"`{name}` has {len(values)} entries, but the robot has {segments}"
+                    " segments; give one entry per segment"
                 )
 
         def per_segment(name: str, *shape: int) -> np.ndarray:
@@ -143,7 +148,8 @@ class StartFile(Section):
             given = pressure.max() / 1000
             limit = supply_pa / 1000
             raise InputError(
-                f"pressure_kpa {given:g} is above the supply pressure, {limit:g} kPa"
+                f"`pressure_kpa` {given:g} is above the supply pressure, which is"
+                f" {limit:g} kPa"
             )
         velocity = np.array(self.velocity_m_s or (0.0, 0.0))
         state = _MotionState(
@@ -212,14 +218,14 @@ def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionSt
     times = trajectory.time
     if len(times) < 2 or not times[0] - 1e-9 <= time <= times[-1] + 1e-9:
         raise InputError(
-            f"time_s {time:g} is outside {display_path(path)}, {times[0]:g} to"
-            f" {times[-1]:g} s"
+            f"`time_s` {time:g} is outside {display_path(path)}, which covers"
+            f" {times[0]:g} to {times[-1]:g} s"
         )
     bend = trajectory.stack("bend")
     if bend.shape[1] != segments:
         raise InputError(
-            f"{display_path(path)} has {bend.shape[1]} segments; the robot has"
-            f" {segments}"
+            f"{display_path(path)} has {bend.shape[1]} segments, but the robot has"
+            f" {segments}; choose a run of a robot with {segments} segments"
         )
     pressure = np.stack(
         [trajectory.stack("pressure_plus"), trajectory.stack("pressure_minus")], axis=-1

@@ -65,7 +65,8 @@ class PolygonFile(Section):
 
         if not Polygon(corners).is_valid:
             raise ValueError(
-                "the polygon encloses no area, because sides cross or overlap"
+                "the polygon is not allowed, because its sides cross or overlap or it"
+                " encloses no area"
             )
         return corners
 
@@ -85,7 +86,8 @@ class BoundsFile(Section):
     def _ordered(cls, ends: Pair) -> Pair:
         if not ends[0] < ends[1]:
             raise ValueError(
-                f"give the minimum first; {ends[0]:g} is not below {ends[1]:g}"
+                f"the range is not ascending; the minimum {ends[0]:g} must be below"
+                f" the maximum {ends[1]:g}"
             )
         return ends
 
@@ -135,7 +137,8 @@ class RandomFile(Section):
     def _ordered(cls, ends: tuple[float, ...]) -> tuple[float, ...]:
         if not ends[0] <= ends[1]:
             raise ValueError(
-                f"give the smaller radius first; {ends[0]:g} is above {ends[1]:g}"
+                f"the radii are not ascending; the smaller radius {ends[0]:g} must not"
+                f" be above the larger radius {ends[1]:g}"
             )
         return ends
 

@@ -52,7 +52,7 @@ def make_sensor(
         InputError: the sensor takes no options, or an option has an invalid value.
     """
     if options and (isinstance(kind, Sensor) or kind == IdealSensor.kind):
-        raise InputError(f"this sensor has no options; leave out {', '.join(options)}")
+        raise InputError(f"this sensor has no options; remove {', '.join(options)}")
     sensor: Sensor
     if isinstance(kind, Sensor):
         if spec.is_spatial and kind.axes == 1:

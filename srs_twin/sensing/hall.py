@@ -178,14 +178,15 @@ class Strip:
             _check(name, getattr(self, name), getattr(self, name) > 0, "above 0")
         if self.distance > self.segment_length:
             raise InputError(
-                f"distance {self.distance:g} m from magnet to element is not allowed;"
-                f" it must be at most the segment's length, {self.segment_length:g} m"
+                f"`distance` {self.distance:g} m from magnet to element is not"
+                " allowed; it must be at most the length of the segment,"
+                f" {self.segment_length:g} m"
             )
         for name in ("magnet_height", "element_height"):
             value = getattr(self, name)
             if not abs(value) < self.distance / math.pi:
                 raise InputError(
-                    f"{name} {value!r} m is not allowed; at this distance it must be"
+                    f"`{name}` {value!r} m is not allowed; at this distance it must be"
                     f" within ±{self.distance / math.pi:.3g} m, so that magnet and"
                     " element never touch"
                 )
@@ -294,26 +295,27 @@ class HallSensor:
         _check(
             "sensitivity", self.sensitivity, self.sensitivity != 0, "other than 0 V/T"
         )
-        _check("noise", self.noise, self.noise >= 0, "0 V or more")
+        _check("noise", self.noise, self.noise >= 0, "at least 0 V")
         _check("bias", self.bias, True, "a voltage")
         _check("gain_error", self.gain_error, self.gain_error > -1, "above -1")
         for name in ("rails", "converter_range"):
             low, high = getattr(self, name)
             if not -math.inf < low < high < math.inf:
                 raise InputError(
-                    f"{name} {low!r} to {high!r} V is not allowed; it must be a finite"
-                    " range"
+                    f"`{name}` {low!r} to {high!r} V is not allowed; it must be a"
+                    " finite range in ascending order"
                 )
         low, high = self.rails
         _check(
             "offset",
             self.offset,
             low < self.offset < high,
-            f"between the rails, {low:g} and {high:g} V",
+            f"between the rails {low:g} and {high:g} V",
         )
         if self.bits is not None and not 1 <= self.bits <= 32:
             raise InputError(
-                f"bits {self.bits!r} is not allowed; it must be 1 to 32, or none"
+                f"`bits` {self.bits!r} is not allowed; it must be between 1 and 32, or"
+                " None"
             )
 
     @classmethod
@@ -340,9 +342,10 @@ class HallSensor:
         )
         if not (allowed > 0 and swing > 0):
             raise InputError(
-                f"no gain suits this sensor: the element's output changes by {swing:g}"
-                f" V over ±{span:g} rad, and the amplifier's may change by {allowed:g}"
-                f" V about {unit.offset:g} V"
+                "no gain is suitable for this sensor. The output of the element"
+                f" changes by {swing:g} V over ±{span:g} rad, but the output of the"
+                f" amplifier may change by at most {allowed:g} V about {unit.offset:g}"
+                " V"
             )
         return cls(strip, gain=allowed / swing, **electronics)  # type: ignore[arg-type]
 
@@ -393,7 +396,7 @@ def _within(values: Array, low: float, high: float) -> Array:
 def _check(name: str, value: float, ok: bool, allowed: str) -> None:
     if not (math.isfinite(value) and ok):
         raise InputError(
-            f"{name} {value!r} is not allowed; it must be finite and {allowed}"
+            f"`{name}` {value!r} is not allowed; it must be finite and {allowed}"
         )
 
 
@@ -449,17 +452,18 @@ def fit_line(voltage: Array, angle: Array) -> HallCalibration:
     angle = np.asarray(angle, dtype=float)
     if voltage.ndim != 1 or voltage.shape != angle.shape or len(voltage) < 3:
         raise InputError(
-            "a calibration needs 3 or more pairs of voltage and angle, not"
-            f" {voltage.shape} and {angle.shape}"
+            "a calibration needs 3 or more pairs of voltage and angle, but the given"
+            f" arrays have the shapes {voltage.shape} and {angle.shape}"
         )
     if not (np.isfinite(voltage).all() and np.isfinite(angle).all()):
-        raise InputError("voltages and angles of a calibration must be finite")
+        raise InputError("the voltages and angles of a calibration must be finite")
     low = float(voltage.min())
     high = float(voltage.max())
     if low == high or (np.diff(angle) <= 0).any():
         raise InputError(
-            f"voltages from {low:g} to {high:g} V do not give a line: the voltage must"
-            " change, and the angles must ascend"
+            f"a calibration line cannot be fitted to voltages between {low:g} and"
+            f" {high:g} V; the voltages must differ, and the angles must increase from"
+            " value to value"
         )
     v = voltage - voltage.mean()
     q = angle - angle.mean()
@@ -493,8 +497,8 @@ def calibrate(sensor: HallSensor, span: float = SPAN) -> HallCalibration:
     line = fit_line(replace(sensor, bias=0.0, gain_error=0.0).voltage(angle), angle)
     if line.r_squared < LEAST_R_SQUARED:
         raise InputError(
-            f"this sensor cannot be calibrated over ±{span:g} rad: a line explains"
-            f" {line.r_squared:.1%} of the variance, less than {LEAST_R_SQUARED:.0%};"
-            " change its heights, distance or orientation"
+            f"this sensor cannot be calibrated over ±{span:g} rad, because a line"
+            f" explains only {line.r_squared:.1%} of the variance, less than"
+            f" {LEAST_R_SQUARED:.0%}; change its heights, distance or orientation"
         )
     return line

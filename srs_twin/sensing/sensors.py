@@ -112,7 +112,7 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
     time = np.asarray(time, dtype=float)
     if not (np.abs(time) < _MAX_TIME).all():
         raise InputError(
-            f"times of sensor noise must be finite and at most {_MAX_TIME:g} s"
+            f"the times of sensor noise must be finite and at most {_MAX_TIME:g} s"
         )
     slot = np.rint(time / SLOT).astype(np.int64)
     if slot.size == 1:

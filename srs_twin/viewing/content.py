@@ -33,12 +33,14 @@ class RunContent:
     def __post_init__(self) -> None:
         if not self.trajectories:
             raise InputError(
-                "nothing to draw: there is no trajectory; run the scenario first"
+                "there is nothing to draw, because no trajectory exists; run the"
+                " scenario first"
             )
         for plant, run in self.trajectories.items():
             if not len(run):
                 raise InputError(
-                    f"nothing to draw: the trajectory of '{plant}' has no samples"
+                    f"there is nothing to draw, because the trajectory of '{plant}'"
+                    " has no samples"
                 )
 
 

@@ -96,8 +96,8 @@ class WarpBatch(Claimable):
         self.device = wp.get_device(device)
         if device is None and not self.device.is_cuda:
             message = (
-                "engine 'warp' finds no GPU and runs on the CPU, slower than engine"
-                " 'cpu'"
+                "engine 'warp' finds no GPU and runs on the CPU, which is slower than"
+                " engine 'cpu'"
             )
             warnings.warn(message, EngineWarning, stacklevel=2)
         self.twins = tuple(twins)
@@ -166,7 +166,7 @@ class WarpBatch(Claimable):
         """
         raise InputError(
             "a batch of engine 'warp' can be neither copied nor pickled; use engine"
-            " 'cpu', or save() and restore() of its twins"
+            " 'cpu', or `save()` and `restore()` of its twins"
         )
 
     def __len__(self) -> int:
@@ -261,11 +261,11 @@ class WarpBatch(Claimable):
         for place, k in zip(places[far], chosen[far], strict=True):
             if self.twins[k].has_contact:
                 raise InputError(
-                    f"run {k} starts at ({place[0]:g}, {place[1]:g}) m, but engine"
-                    " 'warp' has single precision and needs starts within"
-                    f" {_MAX_START_DISTANCE:g} m of the origin in a world with"
-                    " obstacles; move the world closer to the origin, or use engine"
-                    " 'cpu'"
+                    f"run {k} starts at ({place[0]:g}, {place[1]:g}) m, which is too"
+                    " far from the origin. Engine 'warp' computes in single precision"
+                    f" and needs starts within {_MAX_START_DISTANCE:g} m of the origin"
+                    " in a world with obstacles; move the world closer to the origin,"
+                    " or use engine 'cpu'"
                 )
         return np.where(far[:, None], places[:, :2], 0.0)
 
@@ -306,8 +306,8 @@ class WarpBatch(Claimable):
             or shape[-2:] != (segments, 2)
         ):
             raise InputError(
-                f"valves of shape {shape} are not allowed; give ({len(self)},"
-                f" {segments}, 2) or ({len(self)}, slots, {segments}, 2)"
+                f"valves of shape {shape} are not allowed; the shape must be"
+                f" ({len(self)}, {segments}, 2) or ({len(self)}, slots, {segments}, 2)"
             )
         if isinstance(valves, np.ndarray):
             self.twins[0].pneumatics.check(valves)
@@ -316,14 +316,16 @@ class WarpBatch(Claimable):
             commands = wp.from_dlpack(valves)
             if commands.dtype is not wp.int32:
                 raise InputError(
-                    f"valves on a device must be int32, not {commands.dtype.__name__}"
+                    "the valves on a device must have the type int32, not"
+                    f" {commands.dtype.__name__}"
                 )
         if commands.ndim != 4:
             commands = commands.reshape((len(self), 1, segments, 2))
         most = self._engine.slots * self._engine.steps
         if commands.shape[1] > most:
             raise InputError(
-                f"{commands.shape[1]} slots per tick are not allowed; at most {most}"
+                f"{commands.shape[1]} slots per tick are not allowed; use at most"
+                f" {most}"
             )
         self._engine.command(commands)
 
@@ -340,7 +342,7 @@ class WarpBatch(Claimable):
         if max(ticks, samples) % min(ticks, samples):
             raise InputError(
                 f"engine 'warp' cannot record {samples} samples in {ticks} ticks; one"
-                " number must be a multiple of the other"
+                " of these numbers must be a multiple of the other"
             )
         middles = (np.arange(ticks * slots) + 0.5) * self.tick / slots
         idle = np.full(

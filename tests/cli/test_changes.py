@@ -66,7 +66,7 @@ def test_a_resolved_scenario_can_be_changed_again():
         (
             "controler.frequency_hz=3",
             (
-                "there is no field controler.frequency_hz; did you mean"
+                "the field controler.frequency_hz does not exist; did you mean"
                 " controller.frequency"
             ),
         ),
@@ -93,7 +93,10 @@ def test_a_resolved_scenario_can_be_changed_again():
             "robot.friction.mu_t: must be a number from 0 to 10, not -1",
         ),
         ("robot=gen9", "unknown robot 'gen9'"),
-        ("expect[40].near=1", "expect[40]: there are 7 entries, counted from 0"),
+        (
+            "expect[40].near=1",
+            "this entry does not exist; the list has 7 entries, counted from 0",
+        ),
         ("supply.pressure_kpa=48300", "not 48300; did you mean 48.3?"),
         ("supply.pressure_kpa=0.0483", "not 0.0483; did you mean 48.3?"),
         ("start.heading_rad=90", "did you mean 1.571?"),

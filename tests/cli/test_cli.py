@@ -397,7 +397,7 @@ def test_expectations_not_judged_are_counted_with_their_reason(start):
         " reason: the run is short"
     )
     assert words in " ".join(left.out.split())
-    assert "to attribute the difference" not in left.err
+    assert "to find the causes of the difference" not in left.err
     for option, code in (("--check", 0), ("--strict", 1)):
         quiet = start("run", "a", option, "-q", a="not_judged")
         assert (quiet.code, quiet.err.splitlines()[0]) == (code, words)
@@ -606,11 +606,11 @@ def test_view_looks_in_the_run_folder_and_under_runs(tmp_path, monkeypatch):
         assert find_recording(given).resolve() == recording
     with pytest.raises(
         InputError,
-        match=r"^b: no recording found \(looked for b/recording.rrd, runs/b/",
+        match=r"^b: no recording exists there \(looked for b/recording\.rrd, runs/b/",
     ):
         find_recording("b")
     (tmp_path / "x.csv").touch()
-    with pytest.raises(InputError, match=r"^x.csv: not a recording"):
+    with pytest.raises(InputError, match=r"^x.csv: this is not a recording"):
         find_recording("x.csv")
 
 

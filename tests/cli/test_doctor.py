@@ -140,8 +140,8 @@ def test_kernels_without_cache_folder_report_a_remedy(srs_twin_process, tmp_path
         cwd=tmp_path,
     )
     assert (
-        "works, but is compiled again at every start; export NUMBA_CACHE_DIR="
-        in done.stdout
+        "works, but is compiled again at every start; to avoid this, export"
+        " NUMBA_CACHE_DIR=" in done.stdout
     )
 
 
@@ -183,7 +183,7 @@ def test_missing_or_failing_viewer_is_reported(monkeypatch, tmp_path):
     monkeypatch.setattr(probes, "rerun_executable", lambda: script)
     check = probes.rerun_check(tmp_path, 60.0)
     assert check.status == "missing"
-    assert check.detail == "cannot draw (Failed to get render context)"
+    assert check.detail == "the window cannot be drawn (Failed to get render context)"
     assert check.remedy == probes.NO_VULKAN
     script.write_text("#!/bin/sh\nexec sleep 60")
     assert probes.rerun_check(tmp_path, 0.5).status == "undecided"
@@ -253,7 +253,7 @@ def test_no_room_for_temporary_files(srs_twin_process, tmp_path):
     (tmp_path / "sitecustomize.py").write_text(broken)
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(tmp_path))
     assert (done.returncode, done.stdout) == (2, "")
-    assert "set TMPDIR to a writable folder" in done.stderr
+    assert "set the environment variable TMPDIR to a writable folder" in done.stderr
 
 
 def by_name(text):
@@ -292,7 +292,7 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(shadow), DISPLAY="")
     assert done.returncode == 2
     assert (
-        done.stderr.startswith("runs would fail: imports, ")
+        done.stderr.startswith("runs would fail because of imports, ")
         and "results" in done.stderr
     )
     assert (

@@ -52,20 +52,20 @@ PLACES = {
     "calibrate robot": ("calibrate robot fit.yaml --name mine", {"NAME": "mine"}),
 }
 PHRASES = {
-    "all but metrics",
+    "all except metrics",
     "start of the run",
     "end of the run",
     "one per processor",
     "those of the scenario",
     "from the scenario",
-    "from the sweep",
-    "the twin's",
-    "NAME.valves.csv in the same folder",
+    "the models that the scenario names",
+    "the models that the sweep names",
+    "NAME.valves.csv in the folder of the recording",
     "detected",
     "from the robot file",
     "estimated",
     "from the valve pattern",
-    "the end in the direction of motion",
+    "the marker at the end that leads the motion",
     "any free port",
     "none",
     "no motion capture",
@@ -74,15 +74,15 @@ PHRASES = {
     "the run's folder",
     "ROBOT_COMMAND",
     "all shipped robots with wheels",
-    "ROBOT_CONTROLLER",
-    "3; 1 with the twin's shapes",
+    "names of robot and controller, for example gen2_gait",
+    "3, or 1 if the twin is fitted to shapes",
     "local",
-    "orifice; spatial robots: lag",
-    "generation 2",
-    "scaled from generation 2",
-    "NAME.yaml, NAME.py",
-    "all in MCAP, else the twin",
-    "RUN/twin.csv, RUN/run.mcap",
+    "orifice, or lag for spatial robots",
+    "4",
+    "mass of the robot gen2, scaled to this size",
+    "NAME.yaml, or NAME.py for a controller",
+    "all trajectories in an MCAP file, only the twin in other files",
+    "a file in the folder of the run, such as RUN/twin.csv or RUN/run.mcap",
 }
 
 
@@ -103,11 +103,17 @@ def stated() -> Iterator[tuple[str, str, str]]:
 
 def values() -> dict[tuple[str, str], str]:
     """Return command and parameter → default that the command takes, in the help's words."""
-    from srs_twin.cli.new import _BEND_RAD, _SERVO_BEND_RAD
+    from srs_twin.cli.new import (
+        _BEND_RAD,
+        _PITCH_M,
+        _PRESSURE_KPA,
+        _SERVO_BEND_RAD,
+    )
     from srs_twin.comparison.diff import Tolerances
     from srs_twin.identification.calibration import _plant_settings
     from srs_twin.identification.footprint import FREQUENCY_HZ, GaitSetup
     from srs_twin.identification.replay import _plants
+    from srs_twin.plants.twin.mjcf.numerics import ModelSettings
     from srs_twin.recordings.takes import RecordingReader
     from srs_twin.robot.file import load_robot
 
@@ -120,19 +126,24 @@ def values() -> dict[tuple[str, str], str]:
     return {
         ("diff", "rel"): f"{Tolerances().rel:.0e}".replace("e-0", "e-"),
         ("diff", "abs_"): f"{Tolerances().abs:.0e}".replace("e-0", "e-"),
-        ("new robot", "bend"): f"{_BEND_RAD:g}; joints {_SERVO_BEND_RAD:g}",
+        ("new robot", "bend"): f"{_BEND_RAD:g}, or {_SERVO_BEND_RAD:g} with --servo",
+        ("new robot", "length"): f"{4 * _PITCH_M:g}",
+        ("new robot", "pressure"): f"{_PRESSURE_KPA:g}",
+        ("calibrate footprint", "contact"): ModelSettings.contact.name,
         ("replay", "friction_law"): _plants(["analytical"], "complete", None, False)[
             "analytical"
         ]["friction"],
         ("calibrate locomotion", "friction_law"): fitted["friction"],
         ("calibrate locomotion", "model"): fitted["model"],
-        ("calibrate footprint", "frequency"): "{gait:g}, ilc {ilc:g}".format(
+        ("calibrate footprint", "frequency"): "{gait:g}, or {ilc:g} for ilc".format(
             **FREQUENCY_HZ
         ),
         (
             "calibrate footprint",
             "offsets",
-        ): "-{gait:g} to {gait:g}; ilc: -{ilc:g} to {ilc:g}".format(**most),
+        ): "from -{gait:g} to {gait:g}, or from -{ilc:g} to {ilc:g} for ilc".format(
+            **most
+        ),
         **{
             (name, "longest_gap"): gap
             for name in (
@@ -149,7 +160,7 @@ LIVE = {
     ("shadow", "mqtt"): "127.0.0.1:1883, or none with --mcap",
     ("shadow", "name"): "ROBOT",
     ("shadow", "robot"): "from --setup",
-    ("shadow", "body"): "connector_1=1 …",
+    ("shadow", "body"): "connector_1=1, connector_2=2, …",
     ("emulate", "name"): "ROBOT",
 }
 

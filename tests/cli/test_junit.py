@@ -262,7 +262,8 @@ def test_characters_outside_xml_are_escaped(tmp_path):
 def test_report_name_without_xml_suffix_is_refused(name):
     # A scenario after a bare --junit must not be overwritten.
     with pytest.raises(
-        InputError, match=r"--junit .*: the file name of a report must end in .xml"
+        InputError,
+        match=r"--junit .* is not allowed; the name of a report must end in .xml",
     ):
         report_path(name)
 
@@ -380,7 +381,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_simulating(
     (tmp_path / "folder.xml").mkdir()
     done = srs_twin("run", "./a.yaml", "--junit", where, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith(f"{where}: cannot be written (")
+    assert done.stderr.startswith(f"{where}: the file cannot be written (")
     assert done.stderr.count("\n") == 1
     assert not (tmp_path / "runs").exists()
 

@@ -128,18 +128,18 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("robot", "Worm"), "'Worm' is not allowed as a name"),
+        (("robot", "Worm"), "the name 'Worm' is not allowed"),
         (
             ("robot", "worm", "--mass", "-1"),
-            "--mass -1 is not allowed; it must be positive",
+            "--mass -1 is not allowed; it must be above 0 and finite",
         ),
         (
             ("robot", "worm", "--servo", "--bend", "0"),
-            "--bend 0 is not allowed; it must be positive",
+            "--bend 0 is not allowed; it must be above 0 and finite",
         ),
         (
             ("robot", "worm", "--segments", "0"),
-            "--segments 0 is not allowed; it must be positive",
+            "--segments 0 is not allowed; it must be above 0 and finite",
         ),
         (
             ("robot", "worm", "--servo", "--pressure", "40"),

@@ -145,7 +145,9 @@ def test_unwritable_folder_is_reported_before_simulation(tmp_path):
         with pytest.raises(InputError, match=r"file.*: cannot .*--out"):
             prepare(scenario, folder)
     (tmp_path / "out/report.html").mkdir(parents=True)
-    with pytest.raises(InputError, match=r"report.html: cannot be replaced"):
+    with pytest.raises(
+        InputError, match=r"report.html: a folder has the name of an output file"
+    ):
         run_scenario(scenario, tmp_path / "out")
 
 
@@ -186,7 +188,8 @@ def test_diverged_plant_keeps_its_trajectory_and_the_other_runs(tmp_path):
     (error,) = result.diverged
     assert error.exit_code == 3
     assert str(error).startswith(
-        "short: analytical diverged at t = 1.002 s: its state contains nan before the"
+        "short: analytical diverged at t = 1.002 s: the state before the step"
+        " contains nan"
     )
     assert str(error).endswith(str(tmp_path / "out/analytical.parquet"))
     kept = Trajectory.from_parquet(tmp_path / "out/analytical.parquet")
@@ -275,7 +278,7 @@ def test_command_keeps_ignored_interrupts(tmp_path):
         (["compare", "gen2_strait"], "unknown scenario 'gen2_strait'"),
         (["run", "./bad.yaml"], "bad.yaml:5:13: controller.frequency_hz: missing"),
         (["models", "export", "gen9"], "unknown robot 'gen9'; did you mean gen"),
-        (["view", "nosuch"], "nosuch: no recording found"),
+        (["view", "nosuch"], "nosuch: no recording exists there"),
     ],
 )
 def test_bad_input_exits_with_2_and_writes_nothing(tmp_path, srs_twin, words, said):

@@ -226,8 +226,8 @@ def test_robots_with_equally_many_connectors_can_be_compared():
         (
             Snake(connectors=4).trajectory("twin"),
             (
-                "analytical has 5 connectors and twin 4; only runs of robots with the"
-                " same number of connectors can be compared"
+                "analytical has 5 connectors, but twin has 4; only runs of robots"
+                " with the same number of connectors can be compared"
             ),
         ),
         (
@@ -235,13 +235,15 @@ def test_robots_with_equally_many_connectors_can_be_compared():
                 Snake().trajectory("twin"), **numbered("x", np.zeros((601, 6)))
             ),
             (
-                "twin has 6 columns x_1…, 5 columns y_1… and 4 columns bend_1…; a snake"
-                " with N connectors has N, N and N − 1"
+                "twin has 6 columns x_1…, 5 columns y_1… and 4 columns bend_1…, which"
+                " is not possible; a snake with N connectors has N columns x, N"
+                " columns y and N − 1 columns bend"
             ),
         ),
         (
             with_columns(Snake().trajectory("twin"), time=np.arange(601) / 100 + 9),
-            "analytical covers 0 to 6 s, twin covers 9 to 15 s; the runs have no times",
+            "the runs cannot be compared, because they have no times in common"
+            " (analytical covers 0 to 6 s, twin covers 9 to 15 s",
         ),
         (
             with_columns(Snake().trajectory("twin"), x_2=np.full(601, np.nan)),
@@ -257,6 +259,6 @@ def test_incomparable_runs_are_refused(candidate, words):
 def test_a_reference_without_body_length_is_refused():
     run = Snake(periodic=False).trajectory()
     with pytest.raises(
-        InputError, match="analytical: metadata body_length_m is missing"
+        InputError, match="analytical: the metadata lack `body_length_m`"
     ):
         compare(with_metadata(run, body_length_m=None), run)

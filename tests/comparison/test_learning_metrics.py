@@ -288,7 +288,7 @@ def test_runs_without_fill_starts_are_refused(begins):
         learnt(RUN, amplitudes(FADING)), control={"fill_begins_s": begins}
     )
     with pytest.raises(
-        InputError, match="add gait_frequency_hz and control.fill_begins_s"
+        InputError, match="add `gait_frequency_hz` and `control.fill_begins_s`"
     ):
         learning_metrics(run)
 

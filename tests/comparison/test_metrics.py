@@ -346,7 +346,7 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
         (Trajectory({"time": np.arange(3.0)}), "trajectory: no column 'com_x'"),
         (
             with_metadata(Snake().trajectory(), body_length_m=None),
-            "body_length_m is missing",
+            "the metadata lack `body_length_m`",
         ),
         (
             with_metadata(Snake().trajectory(), gait_frequency_hz=-1.0),
@@ -354,11 +354,11 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
         ),
         (
             with_metadata(Snake().trajectory(), gait_frequency_hz="2"),
-            "gait_frequency_hz is '2'",
+            "gait_frequency_hz` is '2'",
         ),
         (
             with_metadata(Snake().trajectory(), gait_frequency_hz=math.nan),
-            "gait_frequency_hz is nan",
+            "gait_frequency_hz` is nan",
         ),
     ],
 )

@@ -272,7 +272,7 @@ def test_missing_columns_are_named(missing):
         for n, c in run(lambda t: 0.4, lambda t: 0.4).columns.items()
         if n != missing
     }
-    with pytest.raises(InputError, match=f"no column '{missing}'"):
+    with pytest.raises(InputError, match=f"the column '{missing}' is missing"):
         tracking_metrics(Trajectory(columns))
 
 

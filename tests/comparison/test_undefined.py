@@ -115,7 +115,7 @@ def judged(
         ),
         (STEP, {}, "com_speed_m_s", "no gait frequency"),
         (GAIT, {}, "settling_5_s", "follows no reference"),
-        (GAIT, {}, "final_bend_rad", "not on a bench"),
+        (GAIT, {}, "final_bend_rad", "only a run on a bench"),
         (GAIT, {}, "periods_to_converge", "no iterative learning"),
         (GAIT, {}, "reading_r_squared", "no sensor"),
         (GAIT, {}, "goal_reached", "no plan"),
@@ -395,9 +395,9 @@ def test_a_published_value_within_two_standard_errors_of_an_end_is_undecided(
         verdict_by_interval,
         state == "met",
     )
-    assert (row["reason"] or "").startswith("undecided: published") == (
-        state == "not_judged"
-    )
+    assert (row["reason"] or "").startswith(
+        "undecided, because the published value"
+    ) == (state == "not_judged")
     assert row["interval_error"] == [error, error]
 
 
@@ -481,8 +481,8 @@ def test_seed_and_duration_keep_the_interval_valid_but_another_robot_does_not():
 def test_an_interval_for_another_contact_is_reported():
     other = load_scenario("gen2_straight", set={"plants.twin.contact": "preloaded"})
     assert (
-        "is for a twin with contact loaded, not preloaded"
-        in stored_intervals(other)["stale"]
+        "belongs to a twin with the contact 'loaded', but this twin has the contact"
+        " 'preloaded'" in stored_intervals(other)["stale"]
     )
 
 

@@ -228,7 +228,8 @@ def test_command_continues_without_a_cache_folder(tmp_path, srs_twin_process):
     )
     first, second = done.stderr.splitlines()
     assert first.startswith(
-        f"warning: {WARNING} (no cache folder is writable); set NUMBA_CACHE_DIR to"
+        f"warning: {WARNING} (no writable cache folder exists); set the environment"
+        " variable NUMBA_CACHE_DIR to"
     )
     assert (done.returncode, second.partition(" (")[0]) == (
         2,

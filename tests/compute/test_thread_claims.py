@@ -47,7 +47,7 @@ GAIT.reset(SPEC, 0.02)
 VALVES = np.tile(np.array([1, -1], dtype=np.int8), (4, 1))
 IN_USE = (
     r"this \w+ is in use by another thread; build another one for this thread\."
-    r" run_many runs"
+    r" `run_many` runs"
 )
 
 

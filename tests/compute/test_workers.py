@@ -275,7 +275,7 @@ def test_objects_of_the_main_program_are_rejected(tmp_path):
     for line, name in zip(lines, ("mine", "mine", "<lambda>", "Mine"), strict=True):
         assert line.startswith("cannot be sent to worker processes: ") and name in line
         assert line.endswith(
-            "but not from the main program: define them in a module and import it"
+            "but not from the main program; define them in a module and import it"
         )
 
 

@@ -76,7 +76,8 @@ def test_invalid_supply_pressures_are_refused():
         for pressure in (-1.0, 60.1e3, math.nan):
             with pytest.raises(
                 InputError,
-                match="it must be 0 to 60000 Pa, the pressure at construction",
+                match="it must be between 0 and 60000 Pa, the supply pressure that"
+                " was given",
             ):
                 chambers.set_supply_pressure(pressure)
     log = RecordedPressures(

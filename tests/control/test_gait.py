@@ -169,7 +169,7 @@ def test_invalid_frequencies_are_refused(frequency):
 @pytest.mark.parametrize("offset", [1.0, -1.0, 2.0, math.nan])
 def test_offsets_without_a_wave_are_refused(offset):
     with pytest.raises(
-        InputError, match=r"gait offset .* is not allowed; it must lie between -1 and 1"
+        InputError, match=r"gait offset .* is not allowed; it must be between -1 and 1"
     ):
         Gait(2.0, offset)
     gait = Gait(2.0)

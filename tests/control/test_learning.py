@@ -420,7 +420,8 @@ def test_offsets_without_targets_are_refused(offset):
         ({"carrier_hz": math.inf}, "ilc carrier_hz inf is not allowed"),
         (
             {"carrier_hz": 7.0},
-            "carrier_hz 7 gives fewer than 4 pulses per fill at 1 Hz; use 8 Hz or more",
+            "ilc `carrier_hz` 7 gives fewer than 4 pulses per fill at a gait"
+            " frequency of 1 Hz; it must be at least 8",
         ),
         (
             {"free_periods": 0},
@@ -439,7 +440,7 @@ def test_ticks_with_too_few_readings_per_period_are_refused():
     controller = ILC(7.0, carrier_hz=60.0)
     words = (
         "a gait of 7 Hz has fewer than 8 readings per period at a tick of 0.02 s; use"
-        " at most 0.01786 s, or"
+        " a tick of at most 0.01786 s, or"
     )
     with pytest.raises(InputError, match=words):
         controller.reset(load_robot("gen4"), 0.02)

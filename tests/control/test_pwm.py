@@ -115,7 +115,7 @@ def test_a_new_duty_does_not_change_the_current_period():
 @pytest.mark.parametrize("bad", [-1e-9, 1 + 1e-9, math.nan, math.inf])
 def test_duties_outside_0_to_1_are_refused(bad):
     with pytest.raises(
-        InputError, match=r"duty .* is not allowed; it must lie between 0 and 1"
+        InputError, match=r"duty .* is not allowed; it must be between 0 and 1"
     ):
         PulseWidthModulator(60.0, 1e-3, 1).step(np.array([[0.5, bad]]))
 

@@ -164,7 +164,7 @@ def test_an_unknown_policy_lists_the_known_ones():
         ),
         (lambda: Square(0.5, 1.0, math.nan), "phase nan is not allowed"),
         (lambda: Staircase((), 1.0), "one or more"),
-        (lambda: Staircase((0.1, math.nan), 1.0), "all finite"),
+        (lambda: Staircase((0.1, math.nan), 1.0), "give one or more finite numbers"),
         (lambda: Staircase((0.1,), 0.0), "hold 0.0 s is not allowed"),
     ],
 )

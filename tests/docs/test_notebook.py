@@ -72,7 +72,7 @@ def test_notebook_reports_its_folder_and_the_missing_display(ran):
         "recording.rrd" in text(cells["keep"])
         and (folder / "runs/gen2_straight/metrics.json").is_file()
     )
-    assert "no display found for the viewer" in text(cells["open"])
+    assert "no display was found for the viewer" in text(cells["open"])
 
 
 def test_links_have_targets():

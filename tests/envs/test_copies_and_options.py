@@ -119,24 +119,24 @@ OPTIONS = {
     "number": ({1: 1}, r"unknown option of reset '1'"),
     "state": (
         {"state": 1},
-        r"option state 1 is not allowed; give a SavedState, which episode",
+        r"the option `state` 1 is not allowed; give a SavedState, which episode",
     ),
-    "none": ({"state": None}, r"option state None is not allowed"),
+    "none": ({"state": None}, r"the option `state` None is not allowed"),
     "other": (
         {"state": EMPTY_STATE},
         r"episode of GoTo: the saved state has other settings",
     ),
     "snake": (
         {"snake": {"com": (0, 0)}},
-        r"option snake .* give a SnakeState, such as plant.state",
+        r"option `snake` .* give a SnakeState, such as plant.state",
     ),
     "yaw alone": (
         {"yaw_rate": 0.1},
-        r"option yaw_rate requires option snake; give both",
+        r"the option `yaw_rate` needs the option `snake`; give both",
     ),
     "yaw nan alone": (
         {"yaw_rate": float("nan")},
-        r"option yaw_rate requires option snake; give both",
+        r"the option `yaw_rate` needs the option `snake`; give both",
     ),
 }
 SNAKE_STATES = {
@@ -173,7 +173,7 @@ SNAKE_STATES = {
     "overpressure": (
         {"pressure": np.full((4, 2), 1e7)},
         0.0,
-        r"chamber pressure .* it must be 0 to",
+        r"chamber pressure .* it must be between 0 and",
     ),
 }
 SEEDS = {"negative": -1, "real": 1.5, "text": "seven", "truth": True}
@@ -193,12 +193,12 @@ def refusals(env: SnakeEnv) -> dict[str, tuple[dict[str, Any], str]]:
         )
     cases["both"] = (
         {"options": {"snake": snake, "state": env.episode.save()}},
-        "not allowed with option state",
+        "not allowed together with the option `state`",
     )
     incomplete = replace(env.episode.save(), content={})
     cases["incomplete"] = (
         {"seed": 3, "options": {"state": incomplete}},
-        "the state is incomplete; it has no",
+        "the state is incomplete, because it has no",
     )
     cases["another seed"] = (
         {"seed": 4, "options": {"state": env.episode.save()}},
@@ -277,13 +277,18 @@ def test_a_given_goal_is_kept_by_saved_and_placed_states():
 @pytest.mark.parametrize(
     ("task", "goal", "message"),
     [
-        ("GoTo", (1.0,), r"option goal \(1.0,\) is not allowed; give x and y in m"),
+        (
+            "GoTo",
+            (1.0,),
+            r"the option `goal` \(1\.0,\) is not allowed; give x and y in m",
+        ),
         ("GoTo", (1.0, np.nan), "is not allowed; give x and y in m"),
-        ("GoTo", "here", "option goal 'here' is not allowed"),
+        ("GoTo", "here", "the option `goal` 'here' is not allowed"),
         (
             "GoTo",
             (2.6, 0.0),
-            r"option goal \(2.6, 0\) is not allowed; it is outside the bounds",
+            r"the option `goal` \(2\.6, 0\) is not allowed, because it is outside the"
+            r" bounds",
         ),
         ("GoTo", (0.05, 0.0), "the snake is already within 0.1 m of it"),
         ("Module", (1.0, 0.0), "the task Module has no goal position"),
@@ -306,7 +311,7 @@ def test_a_goal_in_an_obstacle_is_refused():
 
 
 def test_the_removed_range_of_actions_is_named():
-    with pytest.raises(InputError, match="action_range has been removed"):
+    with pytest.raises(InputError, match="`action_range` has been removed"):
         SnakeEnv("GoTo", action_range="physical")
 
 
@@ -383,7 +388,7 @@ def test_refused_action_leaves_the_environment_unchanged(interface):
         environment.reset(seed=3) if interface == "gymnasium" else environment.reset()
     for name, action in ACTIONS.items():
         with pytest.raises(
-            InputError, match="give 3 finite numbers: offset, frequency_hz"
+            InputError, match="give 3 finite numbers (offset, frequency_hz"
         ) as refused:
             env.step(action)
             pytest.fail(name)

@@ -256,7 +256,7 @@ def test_actions_are_clipped_and_invalid_ones_refused():
     for action in ([0.0, 1.0], [0.0, np.nan, 0.5], 1.0):
         with pytest.raises(
             InputError,
-            match="give 3 finite numbers: offset, frequency_hz, pressure_kpa",
+            match="give 3 finite numbers (offset, frequency_hz, pressure_kpa",
         ):
             one.step(np.array(action))
 
@@ -273,7 +273,7 @@ def test_calls_in_the_wrong_order_and_unknown_names_are_refused():
         SnakeEnv("GoTo", render_mode="human")
     with pytest.raises(
         InputError,
-        match="robot 'gen2' has 4 segments; this task needs a robot with one",
+        match="robot 'gen2' has 4 segments, but this task needs a robot with one",
     ):
         SnakeEnv("Module", robot="gen2")
 
@@ -340,7 +340,7 @@ def test_vector_environment_refuses_invalid_counts_and_shapes():
     ):
         with pytest.raises(
             InputError,
-            match=r"give finite numbers of shape \(2, 2\), an action for each of 2",
+            match=r"give finite numbers of shape \(2, 2\), one action for each of 2",
         ):
             envs.step(actions)
     assert [float(env.episode.state.time) for env in envs.envs] == before
@@ -406,5 +406,8 @@ def test_selected_observations_equal_those_of_all():
         InputError, match="unknown group of observations 'goals'; did you mean goal"
     ):
         SnakeEnv("GoTo", observations=("goals",))
-    with pytest.raises(InputError, match="give at least one group of pose, goal"):
+    with pytest.raises(
+        InputError,
+        match="no group of observations is selected; give at least one of pose, goal",
+    ):
         SnakeEnv("GoTo", observations=())

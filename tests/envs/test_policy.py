@@ -41,14 +41,14 @@ def test_a_policy_finds_its_observations_by_name():
     assert (policy.bind(task)(observation) == expected).all()
     with pytest.raises(InputError, match="has no goal_left_m, goal_ahead_m"):
         policy.bind(make_task("GoTo", observations=("pose",)))
-    with pytest.raises(InputError, match="is for task GoTo"):
+    with pytest.raises(InputError, match="It was trained for the task GoTo"):
         policy.bind(make_task("Obstacles"))
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 damaged", b"policy"])
 def test_damaged_files_are_refused(tmp_path, content):
     (tmp_path / "p.npz").write_bytes(content)
-    with pytest.raises(InputError, match="not a policy file"):
+    with pytest.raises(InputError, match="the file is not a policy"):
         load_policy(tmp_path / "p.npz")
 
 

@@ -144,5 +144,8 @@ def test_invalid_variations_are_refused(fit):
         Variation.load("gen2", ranges={"friction.mu_t": (0.2, 0.1)})
     with pytest.raises(InputError, match="unknown .*friction.mu_s.*did you mean"):
         Variation.load("gen2", ranges={"friction.mu_s": (0.1, 0.2)})
-    with pytest.raises(InputError, match=r"friction.mu_t: the start -1 is not allowed"):
+    with pytest.raises(
+        InputError,
+        match=r"friction.mu_t: the initial value -1 of the fit is not allowed",
+    ):
         Variation.load("gen2", ranges={"friction.mu_t": (-1.0, 0.2)})

@@ -85,9 +85,7 @@ def damaged(good: dict[str, Any], name: str) -> tuple[Malformed, ...]:
             replaced(declared("(1000000000,)", "<U0")),
             "an array of shape",
         ),
-        Malformed(
-            "300 MB", replaced(np.zeros(300 << 17)), "bytes unpacked; the limit is"
-        ),
+        Malformed("300 MB", replaced(np.zeros(300 << 17)), "bytes, but at most"),
         Malformed(
             "nested signs in a header",
             replaced(npy("-" * 9000 + "1")),
@@ -103,12 +101,14 @@ def damaged(good: dict[str, Any], name: str) -> tuple[Malformed, ...]:
         Malformed(
             "archive packed with bz2",
             archive(good, zipfile.ZIP_BZIP2),
-            "NumPy does not write this compression method",
+            "the archive is compressed with a method that NumPy does not use; write"
+            " the file again with NumPy",
         ),
         Malformed(
             "archive packed with LZMA",
             archive(good, zipfile.ZIP_LZMA),
-            "NumPy does not write this compression method",
+            "the archive is compressed with a method that NumPy does not use; write"
+            " the file again with NumPy",
         ),
         Malformed("archive of nothing", archive({}), ""),
         Malformed("other arrays", archive({"a": np.zeros(3)}), ""),
@@ -146,7 +146,7 @@ def _policy(message: str, **changed: Any) -> Malformed:
     )
 
 
-_NO_FIT = "the shapes of the policy's layers do not match"
+_NO_FIT = "the shapes of its layers do not match"
 POLICY_MALFORMED = damaged(POLICY, "biases_0") + (
     _policy("no vector of numbers 'biases_0'", biases_0=np.array(1.0)),
     _policy("no vector of numbers 'biases_0'", biases_0=np.ones((3, 7))),
@@ -206,7 +206,7 @@ STATE_MALFORMED = damaged(STATE, "array_0") + (
     Malformed(
         "a document of 20 MB",
         archive(STATE | {"state": np.array("[" * (20 << 20))}),
-        "the limit is",
+        "characters, but at most",
     ),
     Malformed(
         "deeply nested document",

@@ -28,20 +28,22 @@ MALFORMED = (
     Malformed(
         "100,000 lists deep",
         b"[" * 100_000 + b"]" * 100_000,
-        "nested more than 64 levels deep",
+        "the JSON is nested more than 64 levels deep",
     ),
     Malformed(
-        "100,000 lists deep, cut off", b"[" * 100_000, "nested more than 64 levels deep"
+        "100,000 lists deep, cut off",
+        b"[" * 100_000,
+        "the JSON is nested more than 64 levels deep",
     ),
     Malformed(
         "900 objects deep",
         b'{"a":' * 900 + b"1" + b"}" * 900,
-        "nested more than 64 levels deep",
+        "the JSON is nested more than 64 levels deep",
     ),
     Malformed(
         "duplicate key",
         GOOD.replace(b'"comparison"', b'"plants"'),
-        "key 'plants' is given twice",
+        "the key 'plants' is given twice",
     ),
     Malformed("JSON cut off", GOOD[:60], ":2:"),
     Malformed("UTF-16", GOOD.decode().encode("utf-16"), "not UTF-8 text"),

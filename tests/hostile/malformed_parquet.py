@@ -163,17 +163,19 @@ MALFORMED: tuple[Malformed, ...] = (
         "footer of noise", GOOD[: -FOOTER - 8] + b"\xa5" * FOOTER + GOOD[-8:], OURS
     ),
     Malformed(
-        "200,000,000 rows", on_disk(many_rows), f"{OURS}200000000 values; the limit is "
+        "200,000,000 rows",
+        on_disk(many_rows),
+        f"{OURS}the file has 200000000 values, but at most ",
     ),
     Malformed(
         "3 GB in a small file",
         on_disk(inflating),
-        " uncompressed bytes; the limit is 2147483648",
+        " uncompressed bytes, but at most 2147483648",
     ),
     Malformed(
         "5,000 columns",
         table({"time": [0.0], **{f"x{k}": [0.0] for k in range(5000)}}),
-        f"{OURS}5001 columns; the limit is ",
+        f"{OURS}the file has 5001 columns, but at most ",
     ),
     Malformed("110,000 column chunks", on_disk(numerous_groups), f"{OURS}"),
     Malformed(
@@ -189,12 +191,12 @@ MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "no metadata",
         table({"time": [1.0]}, {}),
-        f"{OURS}a Parquet file with other content)",
+        f"{OURS}the Parquet file has no metadata of srs-twin)",
     ),
     Malformed(
         "no events",
         table({"time": [1.0]}, {"srs_twin.metadata": "{}"}),
-        f"{OURS}a Parquet file with other",
+        f"{OURS}the Parquet file has no metadata",
     ),
     Malformed("metadata that are not JSON", metadata("{"), OURS),
     Malformed("metadata that are not text", metadata(b"\xff\xfe"), OURS),
@@ -222,7 +224,7 @@ MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "event at NaN",
         events([{"time": float("nan"), "kind": "a", "text": "b"}]),
-        f"{OURS}an event's time must be",
+        f"{OURS}the time of an event must be",
     ),
     Malformed(
         "text as event time", events([{"time": "0", "kind": "a", "text": "b"}]), OURS
@@ -230,7 +232,7 @@ MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "list as event kind",
         events([{"time": 0, "kind": ["a"], "text": "b"}]),
-        f"{OURS}an event's kind and text",
+        f"{OURS}the kind and the text of an event",
     ),
     Malformed("number as events", events(3), OURS),
     Malformed("mapping as events", events({"time": 1}), OURS),
@@ -241,65 +243,68 @@ MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "text as time",
         table({"time": ["now"]}),
-        f"{OURS}column time holds string, not float64)",
+        f"{OURS}column 'time' contains values of type string, but must contain"
+        " float64)",
     ),
     Malformed(
         "integers as time",
         table({"time": [0, 1]}),
-        f"{OURS}column time holds int64, not float64)",
+        f"{OURS}column 'time' contains values of type int64, but must contain float64)",
     ),
     Malformed(
         "half precision",
         table({"time": [0.0], "x": pa.array(np.zeros(1, np.float16))}),
-        f"{OURS}column x holds halffloat",
+        f"{OURS}column 'x' contains values of type halffloat",
     ),
     Malformed(
         "a list in a column",
         table({"time": [0.0], "x": [[1.0]]}),
-        f"{OURS}column x holds list<",
+        f"{OURS}column 'x' contains values of type list<",
     ),
     Malformed(
         "a record in a column",
         table({"time": [0.0], "x": [{"a": 1.0}]}),
-        f"{OURS}column x holds struct<",
+        f"{OURS}column 'x' contains values of type struct<",
     ),
     Malformed(
         "lists of lists",
         table({"time": pa.nulls(1, nested(30))}),
-        f"{OURS}column time holds list<",
+        f"{OURS}column 'time' contains values of type list<",
     ),
     Malformed("very deep lists", table({"time": pa.nulls(1, nested(300))}), OURS),
     Malformed(
         "missing times",
         table({"time": [0.0, None, 1.0]}),
-        f"{OURS}column time has 1 missing values)",
+        f"{OURS}column 'time' has 1 missing values)",
     ),
     Malformed(
         "column of nulls",
         table({"time": [0.0, 1.0], "x": [None, None]}, None),
-        f"{OURS}column x holds null",
+        f"{OURS}column 'x' contains values of type null",
     ),
     Malformed(
         "NaN in time",
         table({"time": [0.0, float("nan"), 1.0]}),
-        ": column time: must be finite and increase",
+        ": the values in column 'time' must be finite and increase",
     ),
     Malformed(
         "infinity in time",
         table({"time": [0.0, float("inf")]}),
-        ": column time: must be finite and increase",
+        ": the values in column 'time' must be finite and increase",
     ),
     Malformed(
         "time backwards",
         table({"time": [0.0, 2.0, 1.0]}),
-        ": column time: must be finite and increase",
+        ": the values in column 'time' must be finite and increase",
     ),
     Malformed(
         "repeated time",
         table({"time": [0.0, 1.0, 1.0]}),
-        ": column time: must be finite and increase",
+        ": the values in column 'time' must be finite and increase",
     ),
-    Malformed("duplicate column", duplicate_column(), f"{OURS}column x: given twice)"),
+    Malformed(
+        "duplicate column", duplicate_column(), f"{OURS}column 'x' is given twice)"
+    ),
     Malformed(
         "unit that is not text",
         table(

@@ -82,12 +82,12 @@ BENCH_MALFORMED = edited(
         (
             "bench: true",
             "bench: true\nstart: {}",
-            ":5:1: start: a module on a bench starts at its clamp",
+            ":5:1: start: a robot on a bench is clamped",
         ),
         (
             "analytical: {}",
             "analytical: {friction: axis}",
-            ":10:16: plants.analytical.friction: there is no floor on a bench",
+            ":10:16: plants.analytical.friction: this key describes the floor",
         ),
         (
             "analytical: {}",
@@ -97,7 +97,7 @@ BENCH_MALFORMED = edited(
         (
             "twin: {",
             "twin: {wheels: rolling, ",
-            ":11:10: plants.twin.wheels: there is no floor on a bench",
+            ":11:10: plants.twin.wheels: this key describes the floor",
         ),
         (
             "analytical: {}",
@@ -113,16 +113,16 @@ BENCH_MALFORMED = edited(
             "in_out",
             "3/2",
             (
-                ":6:18: valves.layout: direct_smc drives valves of layout in_out, not"
-                " 3/2; 3/2 va"
+                ":6:18: valves.layout: the controller `direct_smc` needs valves of"
+                " layout in_out, not 3/2, because 3/2 va"
             ),
         ),
         (
             "{kind: direct_smc, d_per_s: 20,",
             "{kind: iterative_smc, carrier_hz: 60,",
             (
-                ":6:18: valves.layout: iterative_smc drives valves of layout 3/2, not"
-                " in_out"
+                ":6:18: valves.layout: the controller `iterative_smc` needs valves of"
+                " layout 3/2, not in_out"
             ),
         ),
         ("kind: direct_smc, ", "", ":8:13: controller.kind: missing; it selects"),
@@ -217,7 +217,7 @@ LEARNING_MALFORMED = edited(
         (
             "offset: 0.3",
             "target: smallest",
-            ":5:13: controller: give either target or target_rad",
+            ":5:13: controller: `target` and `target_rad` exclude each other",
         ),
         (
             "target_rad: 0.7",
@@ -252,7 +252,8 @@ LEARNING_MALFORMED = edited(
         (
             "carrier_hz: 60",
             "carrier_hz: 2",
-            "controller: a gait of this frequency needs a carrier_hz of at least 16",
+            "controller: `carrier_hz` is too low for a gait of this frequency; it"
+            " must be at least 16",
         ),
         (
             "k_per_rad: 0.3",
@@ -262,7 +263,7 @@ LEARNING_MALFORMED = edited(
         (
             "duration_s: 2",
             "duration_s: 2\nvalves: {layout: in_out}",
-            "valves.layout: ilc drives valves of",
+            "valves.layout: the controller `ilc` needs valves of",
         ),
         (
             "k_per_rad: 0.3",
@@ -342,7 +343,7 @@ FOLLOWING_MALFORMED = edited(
         (
             "frequency_hz: 2.0",
             "frequency_hz: 2.0, offset: 0.1",
-            "controller: the follower sets the offset",
+            "controller: the follower itself sets the offset",
         ),
         (
             "gait: {kind: gait, frequency_hz: 2.0}",
@@ -367,7 +368,8 @@ FOLLOWING_MALFORMED = edited(
         (
             "[0.6, 0.5], [0.6, 0.6]",
             "[0.6, 0.6], [0.6, 0.5], [0.5, 0.6]",
-            "world.polygons[0].corners_m: the polygon encloses no area",
+            "world.polygons[0].corners_m: the polygon is not allowed, because its"
+            " sides",
         ),
         (", [0.6, 0.6]", "", "world.polygons[0].corners_m: "),
         ("[0.6, 0.6]", "[0.6, 0.6, 0.1]", "world.polygons[0].corners_m[2]"),
@@ -376,12 +378,13 @@ FOLLOWING_MALFORMED = edited(
         (
             "radius_m: [0.02, 0.05]",
             "radius_m: [0.05, 0.02]",
-            "world.random.radius_m: give the smaller radius first",
+            "world.random.radius_m: the radii are not ascending",
         ),
         (
             "count: 2",
             "kind: fig54, count: 19",
-            "world.random: 19 obstacles cannot be drawn from 18 sites",
+            "world.random: 19 obstacles are too many; there are only 18 places for"
+            " them",
         ),
         (
             (
@@ -389,7 +392,7 @@ FOLLOWING_MALFORMED = edited(
                 " 0.1, radius_m: 0.05}\n"
             ),
             "",
-            "planner: kind: best_first needs world.goal",
+            "planner: the planner `best_first` needs a goal",
         ),
     ],
 )

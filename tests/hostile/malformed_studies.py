@@ -53,7 +53,11 @@ SWEEP_MALFORMED = edited(
             "beside: {source: Fig. 0}\nplots:",
             ":9:1: beside: unknown key: it was retired; `srs-twin reproduce`",
         ),
-        ("kind: line", "kind: contour", "'contour': it was retired; use line"),
+        (
+            "kind: line",
+            "kind: contour",
+            "'contour': it was retired; use the kind `line`",
+        ),
         ("plots:\n", "plots:\n  x: 1\n", "not YAML"),
     ],
 )
@@ -64,7 +68,8 @@ FIT_MALFORMED = edited(
         (
             "not identifiable, why",
             "not identifiable, value: 0.1, why",
-            "parameters[2].value: a parameter that is not identifiable has no value",
+            "parameters[2].value: a parameter that is not identifiable must not have"
+            " a value",
         ),
         (
             "value: 0.0966, ",
@@ -80,8 +85,8 @@ FIT_MALFORMED = edited(
             "value: 0.0966",
             "value: 0.2",
             (
-                ":12:66: parameters[0].value: must be between low and high, 0.0955 and"
-                " 0.0977"
+                ":12:66: parameters[0].value: must be between `low` and `high`, which"
+                " are 0.0955 and 0.0977"
             ),
         ),
         (
@@ -115,10 +120,10 @@ FIT_MALFORMED = edited(
             "role: test",
             "data[1].role: must be one of fit, validation, not text 'test'",
         ),
-        ("role: fit", "role: validation", "data: no data of role fit"),
+        ("role: fit", "role: validation", "data: no data have the role `fit`"),
         ("a" * 64, "a" * 63, "data[0].sha256: "),
         ("a" * 64, "A" * 64, "data[0].sha256: "),
-        (", to_s: 5.0", "", "data[1]: from_s and to_s belong together"),
+        (", to_s: 5.0", "", "data[1]: `from_s` and `to_s` belong together"),
         ("to_s: 5.0", "to_s: -5.0", "data[1].to_s: must be 0 or more"),
         (
             "0.2, 1.0]]",
@@ -128,9 +133,13 @@ FIT_MALFORMED = edited(
         (
             "0.2, 1.0]]",
             "0.3, 1.0]]",
-            "correlation[1][0]: must be 0.2, as the matrix is symmetric",
+            "correlation[1][0]: must be 0.2, because a correlation matrix is symmetric",
         ),
-        ("[[1.0, 0.2]", "[[0.5, 0.2]", "correlation[0][0]: must be 1 on the diagonal"),
+        (
+            "[[1.0, 0.2]",
+            "[[0.5, 0.2]",
+            "correlation[0][0]: must be 1, because it is on the diagonal",
+        ),
         ("[[1.0, 0.2], [0.2, 1.0]]", "[[1.0]]", "correlation: must have 2 rows of 2"),
         (
             "standard_error: 0.1",

@@ -107,12 +107,12 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "older format version",
         _edited(MOTIVE, "1.21", "0.9"),
-        ":1:2: Format Version '0.9' cannot be read; allowed: 1.0",
+        ":1:2: the format version '0.9' cannot be read; allowed are 1.0",
     ),
     Malformed(
         "no version",
         _edited(MOTIVE, "1.21", ""),
-        ":1:2: Format Version '' cannot be read",
+        ":1:2: the format version '' cannot be read",
     ),
     Malformed(
         "an unknown unit",
@@ -127,29 +127,34 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "a wrong unit",
         _edited(MOTIVE, "Millimeters", "Meters"),
-        "but the connectors of gen2 are 55 mm apart; are the lengths in mm?",
+        "but the connectors of gen2 are 55 mm apart; check the unit, because the"
+        " lengths seem to be in mm",
     ),
     Malformed(
-        "the header cut after one line", _LINES[0] + b"\r\n", ":2: the header is cut"
+        "the header cut after one line",
+        _LINES[0] + b"\r\n",
+        ":2: the header is incomplete",
     ),
     Malformed(
         "the header cut before Frame",
         b"\r\n".join(_LINES[:6]) + b"\r\n",
-        ": the header is cut: no line 'Frame",
+        ": the header is incomplete, because the line 'Frame",
     ),
     Malformed(
         "no rows Type and Name",
         _LINES[0] + b"\r\n" + b"\r\n".join(_LINES[6:]),
-        ":2: the header is cut: it must have rows Type",
+        ":2: the header is incomplete; it must have the rows Type",
     ),
-    Malformed("a header only", _HEADER, ":8: the header has no rows below it"),
+    Malformed("a header only", _HEADER, ":8: no rows follow the header"),
     Malformed(
-        "one row", _HEADER + _ROW, ": the recording has 1 frames; 12 or more are needed"
+        "one row",
+        _HEADER + _ROW,
+        ": the recording has 1 frames, but at least 12 are needed",
     ),
     Malformed(
         "the same row forty times",
         _HEADER + _ROW * 40,
-        ": the recording has 1 frames; 12 or more are needed",
+        ": the recording has 1 frames, but at least 12 are needed",
     ),
     Malformed(
         "a word in place of a number",
@@ -172,12 +177,12 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "only rotations",
         MOTIVE.replace(b"Position", b"Rotation"),
-        ":7: the header has no positions of markers",
+        ":7: the header contains no positions of markers",
     ),
     Malformed(
         "only bones",
         MOTIVE.replace(b",Marker", b",Bone"),
-        "types with positions: Bone; allowed: Marker",
+        "export one of the types Marker",
     ),
     Malformed(
         "no visible marker",
@@ -193,7 +198,7 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
             + b",,,\r\n"
             for line in _LINES[7:-1]
         ),
-        ": 4 markers may belong to the robot, but 5 connectors have 5 (single), 6"
+        ": 4 markers may belong to the robot, but 5 connectors need 5 (single), 6"
         " (head), 10 (pair)",
     ),
     Malformed("duplicate marker", _HEADER.replace(b"\r\n", b",\r\n") + _ROW, ""),
@@ -211,46 +216,51 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "latin-1",
         _edited(MOTIVE, "good", "größe").decode().encode("latin-1"),
-        ": not UTF-8 text (byte ",
+        ": the file is not UTF-8 text (byte ",
     ),
     Malformed(
-        "UTF-16", MOTIVE.decode().encode("utf-16"), ": not UTF-8 text (byte 1 is 0xff)"
+        "UTF-16",
+        MOTIVE.decode().encode("utf-16"),
+        ": the file is not UTF-8 text (byte 1 is 0xff)",
     ),
     Malformed(
         "a zero byte",
         MOTIVE[:900] + b"\0" + MOTIVE[900:],
-        ": not a text file (byte 901 is 0x00)",
+        ": this is not a text file, because byte 901 is 0x00",
     ),
     Malformed(
         "unclosed quote",
         _edited(MOTIVE, "Take Name,", 'Take Name,"'),
-        ":1: the line is not CSV",
+        ":1: the line is not valid CSV",
     ),
     Malformed(
         "200 MB of junk after the header",
         _large(_HEADER, b"junk,junk\n"),
-        "rows of 17 cells; at most",
+        "rows of 17 cells, but at most",
     ),
     Malformed(
         "200 MB without a line end",
         _large(_HEADER, b"1", 9),
-        ":8: the header, or a line, is longer than 4 MB",
+        ":8: the header, or one line, is longer than 4 MB",
     ),
     Malformed(
         "a header of 200 MB",
         _large(b"Format Version,1.21,", b"x,", 9),
-        ":1: the header, or a line, is longer than 4 MB",
+        ":1: the header, or one line, is longer than 4 MB",
     ),
 )
 
 PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
-        "words", b"just text\n", ":1: not a known motion recording: its first line is"
+        "words",
+        b"just text\n",
+        ":1: the file is not a known motion recording, because its first line is",
     ),
     Malformed(
         "no names",
         PLAIN.split(b"\n", 1)[1],
-        ":1: 11 numbers but no names of columns; give --columns",
+        ":1: the columns have no names, because the first line contains 11 numbers;"
+        " give --columns",
     ),
     Malformed(
         "decimal commas and points",
@@ -265,8 +275,8 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "missing y",
         _edited(PLAIN, "y_3_mm", "q_3_mm"),
-        ":1:6: x_3_mm belongs to no marker: each marker has x and y, once, in m,"
-        " cm, mm",
+        ":1:6: the column 'x_3_mm' belongs to no marker; each marker must have one"
+        " column x and one column y, in m, cm, mm",
     ),
     Malformed(
         "missing connector",
@@ -276,13 +286,13 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "duplicate name",
         _edited(PLAIN, "x_2_mm", "x_1_mm"),
-        ":1:2: x_1_mm: two columns have this name",
+        ":1:2: two columns have the name 'x_1_mm'",
     ),
     Malformed(
         "an unknown unit",
         _edited(PLAIN, "x_2_mm", "x_2_mile"),
-        ":1:4: x_2_mile belongs to no marker: each marker has x and y, once, in m, cm,"
-        " mm, in, ft",
+        ":1:4: the column 'x_2_mile' belongs to no marker; each marker must have one"
+        " column x and one column y, in m, cm, mm, in, ft",
     ),
     Malformed(
         "x without a number",
@@ -292,7 +302,7 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "only time",
         b"time\n" + b"".join(b"%d\n" % k for k in range(40)),
-        ":1: the file has no positions",
+        ":1: the file contains no positions",
     ),
     Malformed(
         "a word", _edited(PLAIN, "\n0.05,", "\nhalf,"), ":7:1: 'half' is not a number"
@@ -300,13 +310,15 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "200 MB of junk",
         _large(b"", b"junk,junk\n"),
-        ":1: not a known motion recording: its first line is",
+        ":1: the file is not a known motion recording, because its first line is",
     ),
-    Malformed("300 MB", _large(PLAIN, b"1,2\n", 300), " MB; at most 256 MB are read"),
+    Malformed(
+        "300 MB", _large(PLAIN, b"1,2\n", 300), " MB, but at most 256 MB are allowed"
+    ),
 )
 
 VALVE_MALFORMED: tuple[Malformed, ...] = (
-    Malformed("words", b"just text\n", ":1: no column 'time'"),
+    Malformed("words", b"just text\n", ":1: the column 'time' is missing"),
     Malformed(
         "invalid valve state",
         _edited(VALVES, "0.3,-1", "0.3,7"),
@@ -334,9 +346,11 @@ STATIC = b"pressure_plus_1_kpa,pressure_minus_1_kpa,bend_1_deg\n" + b"".join(
 )
 
 STATIC_MALFORMED: tuple[Malformed, ...] = (
-    Malformed("words", b"just text\n", ":1: no column 'bend_1'"),
+    Malformed("words", b"just text\n", ":1: the column 'bend_1' is missing"),
     Malformed(
-        "no bends", STATIC.replace(b"bend_1", b"bent_1"), ":1: no column 'bend_1'"
+        "no bends",
+        STATIC.replace(b"bend_1", b"bent_1"),
+        ":1: the column 'bend_1' is missing",
     ),
     Malformed(
         "invalid segment",
@@ -354,12 +368,12 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "a row without pressure",
         STATIC.replace(b"10,0", b",0"),
-        ": pressures must be from -2e+06 to 2e+06 Pa in every row",
+        ": the pressures must be between -2e+06 and 2e+06 Pa in every row",
     ),
     Malformed(
         "degrees as radians",
         STATIC.replace(b"_deg", b""),
-        ": bends must be at most 6.28 rad; check the unit (bend_1_deg)",
+        ": bends must be given and at most 6.28 rad",
     ),
     Malformed("a header only", STATIC.split(b"\n")[0] + b"\n", ""),
 )

@@ -40,41 +40,43 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "UTF-16 with its mark",
         "title: x\n".encode("utf-16"),
-        ": not UTF-8 text (byte 1 is 0xff)",
+        ": the file is not UTF-8 text (byte 1 is 0xff)",
     ),
     Malformed(
         "UTF-16, big end first",
         b"\xfe\xff" + "title: x\n".encode("utf-16-be"),
-        ": not UTF-8 text (byte 1",
+        ": the file is not UTF-8 text (byte 1",
     ),
     Malformed(
         "UTF-16 without its mark",
         "title: x\n".encode("utf-16-le"),
-        ":1:2: not YAML: unusable character U+0000",
+        ":1:2: not YAML: the character U+0000",
     ),
     Malformed(
         "UTF-32 with its mark",
         "title: x\n".encode("utf-32"),
-        ": not UTF-8 text (byte 1 is 0xff)",
+        ": the file is not UTF-8 text (byte 1 is 0xff)",
     ),
     Malformed(
         "UTF-32, big end first",
         b"\0\0\xfe\xff" + "a: b".encode("utf-32-be"),
-        ": not UTF-8 text (byte 3 is 0xfe",
+        ": the file is not UTF-8 text (byte 3 is 0xfe",
     ),
     Malformed("UTF-7", b"+AHQ-itle: x\n", ":1:1: +AHQ-itle: unknown key"),
     Malformed(
         "Latin-1",
         "title: größe\n".encode("latin-1"),
-        ": not UTF-8 text (byte 10 is 0xf6); save it as UTF-8",
+        ": the file is not UTF-8 text (byte 10 is 0xf6); save it as UTF-8",
     ),
     Malformed(
-        "overlong UTF-8", b"title: \xc0\xaf\n", ": not UTF-8 text (byte 8 is 0xc0)"
+        "overlong UTF-8",
+        b"title: \xc0\xaf\n",
+        ": the file is not UTF-8 text (byte 8 is 0xc0)",
     ),
     Malformed(
         "surrogate in UTF-8",
         b"title: \xed\xa0\x80\n",
-        ": not UTF-8 text (byte 8 is 0xed)",
+        ": the file is not UTF-8 text (byte 8 is 0xed)",
     ),
     Malformed(
         "half a surrogate pair",
@@ -89,21 +91,23 @@ STRUCTURE: tuple[Malformed, ...] = (
         "a byte order mark inside", "title: x\n\ufefftitle: y\n".encode(), ":2:1: "
     ),
     Malformed("two byte order marks", "\ufeff\ufefftitle: x\n".encode(), ":1:"),
-    Malformed("NUL", b"title: a\0b\n", ":1:9: not YAML: unusable character U+0000"),
-    Malformed("bell", b"\x07title: x", ":1:1: not YAML: unusable character U+0007"),
-    Malformed("delete", b"title: \x7f\n", ":1:8: not YAML: unusable character U+007F"),
+    Malformed("NUL", b"title: a\0b\n", ":1:9: not YAML: the character U+0000"),
+    Malformed("bell", b"\x07title: x", ":1:1: not YAML: the character U+0007"),
+    Malformed("delete", b"title: \x7f\n", ":1:8: not YAML: the character U+007F"),
     Malformed(
         "escape sequence of a terminal",
         b"title: \x1b[2J\n",
-        ":1:8: not YAML: unusable character U+001B",
+        ":1:8: not YAML: the character U+001B",
     ),
     Malformed(
         "not a character",
         "title: \ufffe\n".encode(),
-        ":1:8: not YAML: unusable character U+FFFE",
+        ":1:8: not YAML: the character U+FFFE",
     ),
-    Malformed("more than 64 kB", b"a: " + b"x" * 70_000, ": larger than 64 kB"),
-    Malformed("64 kB of comments", b"#\n" * 40_000, ": larger than 64 kB"),
+    Malformed(
+        "more than 64 kB", b"a: " + b"x" * 70_000, ": the file is larger than 64 kB"
+    ),
+    Malformed("64 kB of comments", b"#\n" * 40_000, ": the file is larger than 64 kB"),
     Malformed("64 kB of spaces", b" " * 65_000, ": must be a block of keys ("),
     Malformed("64 kB of line ends", b"\r\n" * 32_000, ": must be a block of keys ("),
     Malformed("64 kB of quotes", b"title: " + b'"' * 65_000, ":1:"),
@@ -113,21 +117,23 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "unclosed brackets",
         b"a: " + b"[" * 60_000,
-        ":1:19: nested more than 16 levels deep",
+        ":1:19: the file is nested more than 16 levels deep",
     ),
     Malformed(
         "unclosed braces",
         b"a: " + b"{a: " * 10_000,
-        ":1:64: nested more than 16 levels deep",
+        ":1:64: the file is nested more than 16 levels deep",
     ),
     Malformed(
-        "nested dashes", b"- " * 30_000, ":1:33: nested more than 16 levels deep"
+        "nested dashes",
+        b"- " * 30_000,
+        ":1:33: the file is nested more than 16 levels deep",
     ),
     Malformed("nested question marks", b"? " * 30_000, ":1:"),
     Malformed(
         "deep indentation",
         b"".join(b" " * k + b"a:\n" for k in range(300)),
-        ":17:17: nested more than 16",
+        ":17:17: the file is nested more than 16",
     ),
     Malformed(
         "10,000 keys",
@@ -196,12 +202,12 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "key given twice",
         b"title: x\ntitle: y\n",
-        ":2:1: title: given twice; the first is in line 1",
+        ":2:1: title: the key is given twice; the first one is in line 1",
     ),
     Malformed(
         "key given twice in braces",
         b"{title: x, 'title': y}",
-        ":1:12: title: given twice",
+        ":1:12: title: the key is given twice",
     ),
     Malformed("a list as key", b"? [a, b]\n: 1\n", ":1:3: a key must be plain text"),
     Malformed("a block as key", b"{? {a: b} : 1}", ":1:4: a key must be plain text"),
@@ -213,10 +219,12 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "carriage returns as line ends",
         b"title: x\rtitle: y\r",
-        ":2:1: title: given twice",
+        ":2:1: title: the key is given twice",
     ),
     Malformed(
-        "mixed line ends", b"title: x\r\n\r\n\rtitle: y\n\r", ":4:1: title: given twice"
+        "mixed line ends",
+        b"title: x\r\n\r\n\rtitle: y\n\r",
+        ":4:1: title: the key is given twice",
     ),
     Malformed("on as key", b"on: x\n", ":1:1: on: unknown key"),
     Malformed("a number as key", b"1: x\n", ":1:1: 1: unknown key"),

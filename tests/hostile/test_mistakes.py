@@ -64,13 +64,13 @@ COMMANDS = [
     ),
     (
         "plan gen2_straight",
-        "the scenario has no planner section; add the section planner",
+        "the scenario has no planner; add the section `planner`",
     ),
-    ("view gen2_straight", "no recording found"),
-    ("render gen2_straight", "give exactly one of --video FILE.mp4"),
+    ("view gen2_straight", "no recording exists there"),
+    ("render gen2_straight", "exactly one of --video FILE.mp4"),
     ("diff a b", "a: no such file"),
     ("models export gen7", "unknown robot 'gen7'; did you mean gen"),
-    ("models export gen2 --contact loaded", "an MJCF file would contain none"),
+    ("models export gen2 --contact loaded", "an MJCF file would contain no friction"),
     ("models check model.xml", "was retired"),
     ("play gen22", "unknown scenario or robot 'gen22'; did you mean gen2,"),
     (
@@ -102,7 +102,7 @@ SCENARIO_EDITS = [
     (
         "frequency_hz: 2.0",
         "frequency_hz: 2,0",
-        "unknown key; write a decimal point, not a comma",
+        "unknown key; a decimal number is written with a point, not with a comma",
     ),
     (
         "frequency_hz: 2.0",
@@ -117,7 +117,7 @@ SCENARIO_EDITS = [
     (
         "pressure_kpa: 48.3",
         "pressure_kpa: 483",
-        "lower it, or set allow_overpressure: true",
+        "lower the pressure, or set `allow_overpressure: true`",
     ),
     ("pressure_kpa: 48.3", "pressure_kpa: 48300", "not 48300; did you mean 48.3?"),
     ("kind: gait", "kind: sine", "controller.kind: must be one of gait, ilc,"),
@@ -150,7 +150,7 @@ SCENARIO_EDITS = [
     (
         "twin: {}",
         "twin: {contact: preloaded, friction: wheel}",
-        "plants.twin: friction needs contact: loaded",
+        "plants.twin: `friction` is allowed only with `contact: loaded`",
     ),
     ("analytical: {}", "analytical: {model: compliance}", "did you mean compliant?"),
     (
@@ -171,7 +171,7 @@ SCENARIO_EDITS = [
     (
         "title: Mine",
         "title: Mine\nexpect: [{metric: com_speed_m_s, plant: twin, near: 1}]",
-        "either rel or abs",
+        "give `rel` or `abs` with `near`",
     ),
     (
         "robot: gen2",
@@ -184,7 +184,7 @@ SCENARIO_EDITS = [
     (
         "pressure_kpa: 48.3",
         "pressure_kpa: 1200",
-        "or set allow_overpressure: true; 1200 mbar would be 120 kPa",
+        "or set `allow_overpressure: true`; 1200 mbar would be 120 kPa",
     ),
     (
         "title: Mine",
@@ -285,7 +285,8 @@ POSITIONS = [
     (
         "friction: axis",
         "load: instantaneous",
-        "8:39: plants.analytical.load: friction 'axis' has one contact per connector",
+        "8:39: plants.analytical.load: instantaneous loads need two contacts per"
+        " connector",
     ),
     (
         "twin: {wheels: rolling}",
@@ -339,7 +340,7 @@ POSITIONS = [
     (
         "gen2\n",
         "gen2\nrobot: gen3\n",
-        "3:1: robot: given twice; the first is in line 2",
+        "3:1: robot: the key is given twice; the first one is in line 2",
     ),
     ("gen2\n", "&r gen2\n", "2:8: anchors (&r) are not allowed"),
     (
@@ -368,7 +369,7 @@ POSITIONS = [
         "---\ntitle: x\n---\ntitle: G",
         "3:1: a second YAML document begins here",
     ),
-    ("title: G", "\x07title: G", "1:1: not YAML: unusable character U+0007"),
+    ("title: G", "\x07title: G", "1:1: not YAML: the character U+0007"),
     ("title: G", "on: G", "1:1: on: unknown key; allowed: "),
 ]
 

@@ -117,13 +117,13 @@ each_command = pytest.mark.parametrize(
 )
 
 TOO_LONG = "File name too long"
-FOLDER = "cannot be replaced (a folder)"
+FOLDER = "a folder has the name of an output file"
 TURNS = (
-    "turns.yaml: curvature -8 1/m is outside the footprint's range -5.23599 to"
-    " 5.23599 1/m"
+    "turns.yaml: the curvature -8 1/m is not allowed; the footprint has curvatures"
+    " between -5.23599 and 5.23599 1/m"
 )
 BYTES = "cannot be used (not UTF-8); rename it"
-CONTROL = "cannot be used (a control character in it); rename it"
+CONTROL = "this name cannot be used (it contains a control character); rename it"
 REJECTED = [
     # The output folder cannot be written.
     (f"run ./good.yaml --out runs/{LONG}", TOO_LONG),
@@ -150,7 +150,7 @@ REJECTED = [
     (f"sweep ./sweep.yaml --exclude seed=3 --out {NEW}", "unknown value of seed '3'"),
     (f"{FITTING} --out {NEW}/f.yaml", "nothing.csv: no such file"),
     (f"replay nothing.csv --robot gen2 --out {NEW}", "nothing.csv"),
-    (f"render nothing --strobe --out {NEW}", "nothing: there is no finished run"),
+    (f"render nothing --strobe --out {NEW}", "nothing: no finished run exists there"),
     # Names that cannot be written to result files.
     ("run ./good.yaml --out new/\udcff", rf"new/\xff: {BYTES}"),
     ("run \udcff.yaml", rf"\xff.yaml: {BYTES}"),

@@ -418,7 +418,9 @@ def test_unsuitable_actuator_data_are_refused():
         fit_actuator([response()], MODULE, names=["modules.bias_rad_2"])
     with pytest.raises(InputError, match="given twice"):
         free_parameters(MODULE, ["friction.mu_t", "friction.mu_t"])
-    with pytest.raises(InputError, match="1 bends; gen2 has 4 segments"):
+    with pytest.raises(
+        InputError, match="bends of 1 segments, but gen2 has 4 segments"
+    ):
         fit_actuator([response()], SPEC)
     with pytest.raises(InputError, match="give at least one"):
         fit_actuator([], MODULE)

@@ -69,11 +69,11 @@ def test_a_table_of_pulls_is_read(tmp_path):
         (PULLS.replace(",mass_kg", ",weight"), r"pulls.csv:1: no column 'mass_kg'"),
         (
             PULLS.replace("along_mm", "along_1_mm"),
-            r"pulls.csv:1:1: along_1_mm: these columns have no",
+            r"pulls.csv:1:1: the column 'along_1_mm' must not be numbered",
         ),
         (
             "along_mm,spring_n_per_m,mass_kg\n3,30,0.15\n",
-            r"pulls.csv: one pull along does not show",
+            r"pulls.csv: a single pull along does not show",
         ),
         (
             "along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n",
@@ -166,7 +166,8 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
         ),
         (
             ["friction", "p.csv", "q.csv"],
-            "q.csv: a fit uses only one table of pulls; give other tables with",
+            "q.csv: only one table of pulls is allowed in a fit; give other tables"
+            " with",
         ),
         (["friction", "none.csv"], "none.csv: no such file"),
         (
@@ -176,15 +177,15 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
         (["friction", "p.csv", "--name", "No"], "--name: 'No' is not allowed"),
         (
             ["friction", "p.csv", "--out", "My-Fit.yaml"],
-            "--out names the fit, without --name: 'My-Fit' is not allowed",
+            "--out names the fit if --name is not given: 'My-Fit' is not allowed",
         ),
         (
             ["friction", "p.csv", "--out", "x.txt"],
-            "--out: x.txt is not allowed; a fit file ends in .yaml",
+            "--out: x.txt is not allowed; the name of a fit file must end in .yaml",
         ),
         (
             ["actuator", "h.csv", "--valves", "p.csv"],
-            "--valves: remove this option; tables of constant pressures",
+            "--valves: tables of constant pressures need no log",
         ),
         (
             ["actuator", "h.csv", "--parameters", "modules.gan_plus_1"],
@@ -205,7 +206,7 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
         ),
         (
             ["locomotion", "w.csv", "--plant", "twin", "--friction-law", "wheel"],
-            "--friction-law: remove this option",
+            "--friction-law: this option is allowed only with --plant analytical",
         ),
         (
             ["locomotion", "w.csv", "--pressure", "nan"],
@@ -290,7 +291,10 @@ def test_fits_are_combined_into_a_robot(tmp_path, monkeypatch, capsys):
         gen2.bending,
     )
     for options, message in (
-        (["f.yaml", "--name", "mine"], "the file exists; --overwrite replaces it"),
+        (
+            ["f.yaml", "--name", "mine"],
+            "the file already exists; replace it with --overwrite",
+        ),
         (["pulls.csv", "--name", "other"], "pulls.csv"),
         (["f.yaml", "--name", "No Name"], "name"),
     ):

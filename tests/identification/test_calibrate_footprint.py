@@ -89,8 +89,8 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
     assert (
         other.returncode == 2
         and other.stderr
-        == f"{FILE}: the file exists with another footprint; --overwrite replaces it; "
-        "--name or --out choose another file\n"
+        == f"{FILE}: the file already contains another footprint; replace it with"
+        " --overwrite, or choose another file with --name or --out\n"
     )
     assert (tmp_path / FILE).read_bytes() == before
     monkeypatch.chdir(tmp_path)
@@ -115,11 +115,12 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
         (["gen2", "--plant", "real"], "unknown plant 'real'"),
         (
             ["gen2", "--offsets=a,b"],
-            "--offsets: 'a,b' is not a list of numbers such as -0.3,0,0.3",
+            "--offsets 'a,b' is not allowed; give a list of numbers, for example"
+            " --offsets=-0.3,0,0.3",
         ),
-        (["gen2", "--offsets="], "--offsets: '' is not a list of numbers"),
+        (["gen2", "--offsets="], "--offsets '' is not allowed"),
         (["gen2", "--offsets=nan,0,0.3"], "offset nan is not allowed"),
-        (["gen2", "--offsets=0,0.3"], "some below and some above 0"),
+        (["gen2", "--offsets=0,0.3"], "some below 0 and some above 0"),
         (["gen2", "--pressure", "1e9"], "is above the"),
         (["gen2", "--pressure", "nan"], "pressure nan kPa is not allowed"),
         (["gen2", "--frequency", "-1"], "frequency -1.0 Hz is not allowed"),
@@ -130,7 +131,7 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
         (["gen2", "--contact", "lose"], "did you mean loaded?"),
         (
             ["gen2", "--plant", "analytical", "--contact", "loaded"],
-            "contact 'loaded' is only for the twin",
+            "contact 'loaded' is allowed only for the twin",
         ),
         (["gen2", "--periods", "-3"], "periods -3 is not allowed"),
         (
@@ -139,7 +140,7 @@ def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkey
         ),
         (
             ["gen2", "--phases", "1000000"],
-            "phases 1000000 is not allowed; it must be from 1 to 64",
+            "phases 1000000 is not allowed; it must be between 1 and 64",
         ),
         (
             ["gen2", "--name", "../x"],
@@ -195,13 +196,17 @@ def test_a_measurement_records_the_contact_of_its_twin(contact):
 
 def test_a_diverged_run_is_named_in_the_message(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    runs = [object(), DivergedError("twin", 1.5, "its state contains nan"), object()]
+    runs = [
+        object(),
+        DivergedError("twin", 1.5, "the state before the step contains nan"),
+        object(),
+    ]
     monkeypatch.setattr(study_module, "run_many", lambda *_, **__: runs)
     with pytest.raises(SystemExit) as end:
         main(list(SHORT))
     assert end.value.code == 3
     assert (
-        "offset 0: twin diverged at t = 1.5 s: its state contains nan"
+        "offset 0: twin diverged at t = 1.5 s: the state before the step contains nan"
         in capsys.readouterr().err
     )
 

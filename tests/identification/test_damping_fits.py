@@ -168,8 +168,8 @@ def test_closed_valves_raise_frequency_and_keep_the_stiffness(tmp_path):
         assert contains(each[STIFFNESS], 0.5)
     assert (
         notes[-1]
-        == "valves closed: frequency and loss_factor contain the spring of the air and"
-        " its loss"
+        == "the valves are closed, so the estimated frequency and `loss_factor`"
+        " include the spring and the loss of the air"
     )
     assert fits["closed"].held["air_stiffness_nm_per_rad"] > 1.0
 
@@ -221,20 +221,25 @@ def ring(time, hertz=8.0, size=0.4):
 @pytest.mark.parametrize(
     ("rate", "motion", "message"),
     [
-        (80, ring, "80 samples per second; 100 Hz or more is needed"),
+        (
+            80,
+            ring,
+            "the recording has 80 samples per second, but at least 100 are"
+            " needed; record faster",
+        ),
         (
             200,
             overdamped,
             (
-                "0 visible half swings, but 3 or more are needed; hang a heavier body,"
-                " or record longer"
+                "0 visible half swings, but at least 3 are needed; hang a heavier"
+                " body, or record longer"
             ),
         ),
-        (200, lambda t: ring(t, size=1e-3), "the amplitude is within the noise"),
+        (200, lambda t: ring(t, size=1e-3), "the amplitude is not above the noise"),
         (
             100,
             lambda t: ring(t, hertz=30.0),
-            "samples per swing, but 5 or more are needed",
+            "samples per swing, but at least 5 are needed",
         ),
     ],
     ids=["slow", "overdamped", "small", "fast"],
@@ -251,11 +256,14 @@ def test_recordings_that_do_not_show_a_decay_are_refused(
 
 def test_short_and_incomplete_files_are_refused(tmp_path):
     time = np.arange(0.0, 0.1, 0.01)
-    with pytest.raises(InputError, match="10 samples; at least 20"):
+    with pytest.raises(
+        InputError, match="the recording has 10 samples, but at least 20"
+    ):
         read_decay(recording(tmp_path, time, ring(time)))
     with pytest.raises(
         InputError,
-        match="no column 'bend_rad'; a recording of a decay has time_s,bend_rad",
+        match="the column 'bend_rad' is missing; a recording of a decay has the"
+        " columns time_s,bend_rad",
     ):
         read_decay(recording(tmp_path, time, ring(time), header="time_s,angle"))
     path = tmp_path / "pressure.csv"
@@ -286,7 +294,7 @@ def test_closed_recordings_must_begin_at_rest():
     decay = free_swing("decay", "0" * 64, time[held], bend[held])
     with pytest.raises(
         InputError,
-        match="begins with a bent or moving segment; close the valves at rest",
+        match="begins with a bent or moving segment. Close the valves at rest",
     ):
         fit_damping(
             [decay],
@@ -299,7 +307,7 @@ def test_closed_recordings_must_begin_at_rest():
 @pytest.mark.parametrize("robot", ["skin_example", "spatial_example"])
 def test_robots_without_planar_segments_are_refused(robot):
     with pytest.raises(
-        InputError, match="only fitted for planar segments between connectors"
+        InputError, match="can be fitted only for planar segments between connectors"
     ):
         HangingBody.of(srs.load_robot(robot))
 

@@ -116,6 +116,6 @@ def test_unreachable_targets_are_reported(srs_twin, tmp_path):
         cwd=tmp_path,
     )
     assert wrong.returncode == 2
-    assert "must be NAME=PERCENT" in wrong.stderr
+    assert "must have the form NAME=PERCENT" in wrong.stderr
     with pytest.raises(InputError, match="contains no parameters"):
         choose_experiments(SPEC, {}, {})

@@ -303,7 +303,10 @@ def test_followers_get_the_delay_of_a_turn():
 
 def test_an_unsettled_path_is_refused():
     crawl = Crawl((0.0, 2.0), (7.0,), duration=8.0)
-    with pytest.raises(InputError, match="not settled 8 gait periods after the change"):
+    with pytest.raises(
+        InputError,
+        match="does not become steady within 8 gait periods after the change",
+    ):
         measured(crawl, OffsetChange(4.0, -0.1, 0.1))
     with pytest.raises(InputError, match="at least 4 gait periods must precede"):
         measured(crawl, OffsetChange(1.0, -0.1, 0.1))
@@ -452,7 +455,7 @@ GEN2 = load_robot("gen2")
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"offsets": [0.0, 0.1, 0.2]}, "some below and some above 0"),
+        ({"offsets": [0.0, 0.1, 0.2]}, "some below 0 and some above 0"),
         ({"offsets": [-0.1, 0.1]}, "a planner needs 3 to 101"),
         ({"offsets": []}, r"offsets \(none\) are not allowed"),
         ({"offsets": [-0.1, 0.1, 0.1]}, "give each offset once, in ascending order"),
@@ -464,16 +467,16 @@ GEN2 = load_robot("gen2")
         ),
         ({"controller": "itc"}, "unknown controller 'itc'; did you mean ilc?"),
         ({"plant": "twins"}, "unknown plant 'twins'; did you mean twin?"),
-        ({"supply_pa": 600e3}, "pressure 600 kPa is above the"),
+        ({"supply_pa": 600e3}, "the pressure 600 kPa is not allowed"),
         ({"supply_pa": math.nan}, "pressure nan kPa is not allowed"),
         ({"frequency": 0.0}, "frequency 0.0 Hz is not allowed"),
         ({"frequency": 5.0}, "it must be 4 Hz or less"),
         ({"controller": "ilc", "target": -1.0}, "ilc target -1.0 is not allowed"),
-        ({"periods": 2}, "periods 2 is not allowed; it must be from 3 to 200"),
+        ({"periods": 2}, "periods 2 is not allowed; it must be between 3 and 200"),
         ({"phases": 0}, "phases 0 is not allowed"),
         ({"changes": [(0.1, 0.1)]}, "a change from offset 0.1 to 0.1 is not allowed"),
         ({"changes": [(0.1, 0.15)]}, "a change from offset 0.1 to 0.15 is not allowed"),
-        ({"threads": 0}, "threads: 0 is not allowed"),
+        ({"threads": 0}, "`threads` 0 is not allowed"),
     ],
 )
 def test_invalid_studies_are_refused_before_any_run(changes, message):

@@ -78,11 +78,11 @@ def test_a_direction_without_pulls_is_not_identifiable():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"along": [0.1]}, "one pull along does not show the scatter"),
+        ({"along": [0.1]}, "a single pull along does not show the scatter"),
         ({"along": [0.1, math.nan]}, "pulls along must be a list of lengths"),
         ({"along": [0.1, -0.1]}, "0 or more"),
         ({"mass": 0.0}, "mass 0.0 with error 0.0 is not allowed"),
-        ({"stiffness_error": 200.0}, "its error smaller"),
+        ({"stiffness_error": 200.0}, "larger than its error"),
     ],
 )
 def test_invalid_pulls_are_refused(values, message):
@@ -370,7 +370,7 @@ def test_unsuitable_throws_are_refused():
     still = {"time": time, "com_x": 0 * time, "com_y": 0 * time, "heading": 0 * time}
     with pytest.raises(InputError, match="the maximum speed is 0 m/s"):
         CoastingTest.from_trajectory(Trajectory(still), "x")
-    with pytest.raises(InputError, match="it turns by"):
+    with pytest.raises(InputError, match="the robot turns by"):
         CoastingTest.from_trajectory(
             Trajectory(still | {"com_x": 0.3 * time, "heading": time}), "x", start=0.0
         )

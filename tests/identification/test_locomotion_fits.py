@@ -312,5 +312,7 @@ def test_unsuitable_walks_are_refused():
         48e3,
         "short",
     )
-    with pytest.raises(InputError, match="short: no average over gait periods"):
+    with pytest.raises(
+        InputError, match="short: the average over gait periods cannot be computed"
+    ):
         fit_locomotion([short], SPEC, ["friction.mu_t"], model=COMPLETE)

@@ -169,7 +169,7 @@ class ScheduledOffset(Gait):
 @pytest.mark.parametrize(
     ("extra", "message"),
     [
-        (lambda time: 0.1, "a function without a name in its module"),
+        (lambda time: 0.1, "a lambda or a nested function"),
         ((item for item in ()), "a generator"),
         (ThreadPoolExecutor(1).submit, "a task of another thread"),
     ],
@@ -193,7 +193,8 @@ def test_incomplete_state_is_rejected_and_changes_nothing():
     for name in state.content:
         incomplete = {key: value for key, value in state.content.items() if key != name}
         with pytest.raises(
-            InputError, match=f"TwinSnake: the state is incomplete; it has no {name}"
+            InputError,
+            match=f"TwinSnake: the state is incomplete, because it has no {name}",
         ):
             twin.restore(replace(state, content=incomplete))
     assert twin.state is before

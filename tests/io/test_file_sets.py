@@ -255,7 +255,7 @@ def test_lock_timeout_is_an_input_error(room, monkeypatch):
     try:
         fcntl.flock(handle, fcntl.LOCK_EX)
         with pytest.raises(
-            InputError, match=r"\(another process holds the folder's lock\); the files"
+            InputError, match=r"\(another process has locked the folder\); the files"
         ):
             finish(folder, NEW)
     finally:

@@ -134,7 +134,8 @@ def test_text_that_is_not_utf8_is_rejected(tmp_path):
     path.write_bytes("title: größe".encode("latin-1"))
     with pytest.raises(
         InputError,
-        match=r"x\.yaml: not UTF-8 text \(byte 10 is 0xf6\); save it as UTF-8",
+        match=r"x\.yaml: the file is not UTF-8 text \(byte 10 is 0xf6\); save it as"
+        r" UTF-8",
     ):
         read_text(path)
 
@@ -199,7 +200,7 @@ def test_all_rejected_features_are_reported_at_once():
             "f.yaml:3:4: tags (tag:yaml.org,2002:str) are not allowed; write the plain"
             " value"
         ),
-        "f.yaml:4:1: a: given twice; the first is in line 1",
+        "f.yaml:4:1: a: the key is given twice; the first one is in line 1",
         "f.yaml:5:5: merge keys (<<) are not allowed; write the keys out",
     )
 
@@ -222,7 +223,7 @@ def test_all_rejected_features_are_reported_at_once():
             ),
         ),
         ("a: b: c\n", "f.yaml:1:5: not YAML: mapping values are not allowed here"),
-        ("a: 1\nb: \x00\n", r"f.yaml:2:4: not YAML: unusable character U\+0000"),
+        ("a: 1\nb: \x00\n", r"f\.yaml:2:4: not YAML: the character U\+0000"),
         (
             'a: "\\UFFFFFFFF"\n',
             r"f.yaml:1:\d: not YAML: Python int too large|f.yaml:1:\d: not YAML: chr",
@@ -252,7 +253,7 @@ def test_all_rejected_features_are_reported_at_once():
         ("? [1]\n: 2\n", "f.yaml:1:3: a key must be plain text"),
         (
             "[" * (MAX_DEPTH + 1),
-            f"f.yaml:1:17: nested more than {MAX_DEPTH} levels deep",
+            f"f.yaml:1:17: the file is nested more than {MAX_DEPTH} levels deep",
         ),
         (
             "[" + "1," * 10_000 + "1]",
@@ -375,7 +376,7 @@ def test_atomic_write_to_an_unusable_path_is_rejected(tmp_path):
     (tmp_path / "folder").mkdir()
     for target in (tmp_path / "file" / "out.txt", tmp_path / "folder"):
         with (
-            pytest.raises(InputError, match=r": cannot be written \("),
+            pytest.raises(InputError, match=r": the file cannot be written \("),
             atomic_write(target) as temporary,
         ):
             temporary.write_text("x")

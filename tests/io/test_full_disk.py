@@ -213,7 +213,7 @@ def test_full_disk_behind_stdout_is_an_input_error(words, buffered, tmp_path):
             env=os.environ | {"PYTHONUNBUFFERED": buffered},
             check=False,
         )
-    message = "stdout: cannot be written (No space left on device)\n"
+    message = "stdout: the output cannot be written (No space left on device)\n"
     assert (done.returncode, done.stderr) == (2, message)
 
 
@@ -233,7 +233,7 @@ def test_results_are_kept_if_stdout_is_full(room):
     assert done.returncode == 2
     assert (
         done.stderr.splitlines()[-1]
-        == "stdout: cannot be written (No space left on device)"
+        == "stdout: the output cannot be written (No space left on device)"
     )
     assert {path.name for path in (room / "new").iterdir()} == {*PRODUCTS} - {
         "twin.parquet"

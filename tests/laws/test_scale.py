@@ -171,7 +171,7 @@ def test_defaults_of_plants_and_scenarios_are_the_same():
 def test_robot_that_mujoco_would_take_as_massless_is_refused(contact):
     with pytest.raises(
         InputError,
-        match=r"moment of inertia .* MuJoCo needs more .* too small for the twin",
+        match=r"too small for the twin, .* moment of inertia .* MuJoCo needs more",
     ):
         TwinSnake(scaled(SPEC, 0.01), contact=contact)
 

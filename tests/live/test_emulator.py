@@ -300,7 +300,7 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
     for more, why in (
         (("--fault", "stuck@1"), "unknown fault 'stuck'"),
         ((), f"no broker answers at 127.0.0.1:{port}"),
-        (("--name", "a/b"), "cannot be part of a topic"),
+        (("--name", "a/b"), "cannot be part of an MQTT topic"),
         (("--start", "1,2"), "--start '1,2' is not a pose; give x and y in m"),
         (("--chambers", "orifce"), "did you mean orifice?"),
     ):

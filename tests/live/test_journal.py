@@ -135,18 +135,19 @@ SECOND = 10**9
 @pytest.mark.parametrize(
     ("records", "words"),
     [
-        ([], "has no message at all"),
+        ([], "has no messages at all"),
         (
             [("srs/other/bends", BEND, 1), ("srs/natnet/poses", POSE, 2)],
-            "has no message of 'r'; it has messages of other \\(--name\\)",
+            "has no messages of 'r', but messages of other \\(choose one with --name\\)",
         ),
         (
             [("/imu/data", b"{}", 1)],
-            "not readable: 1 × not a message of srs-twin: ValueError",
+            "unreadable messages: 1 × the message does not have the form of srs-twin:"
+            " ValueError",
         ),
         (
             [("srs/r/bends", b'{"t": 1, "rad": [0.1]}', 1)],
-            "not readable: 1 × rad: must be a list of 2 numbers",
+            "unreadable messages: 1 × `rad` must be a list of 2 numbers",
         ),
     ],
 )
@@ -163,8 +164,8 @@ def test_the_command_refuses_a_journal_of_another_robot(tmp_path, srs_twin):
     done = srs_twin("shadow", "gen2", "--mcap", "a.mcap", "--name", "r", cwd=tmp_path)
     assert done.returncode == 2
     assert (
-        "a.mcap: the journal has no message of 'r'; it has messages of other (--name)"
-        in done.stderr
+        "a.mcap: the journal has no messages of 'r', but messages of other (choose"
+        " one with --name)" in done.stderr
     )
 
 
@@ -194,7 +195,7 @@ def test_times_out_of_order_are_refused_and_gaps_passed_over(tmp_path, times, pl
         # Without skipping, the longest gap would take hours.
         wait(lambda: link.counts["over"])
         assert [round(each.arrived) for each in link.received()] == played
-    bad = "bad: a record whose time does not follow that of the one before"
+    bad = "bad: a record is earlier than the record before it"
     assert link.counts[bad] == len(times) - len(played)
 
 

@@ -91,16 +91,16 @@ def test_a_bend_that_nobody_read_is_none():
         (b"", "not JSON"),
         (b"\xff\xfe", "not JSON"),
         (b"[1]", "must be a JSON object, not list"),
-        (b"{}", "t: must be a number"),
-        (b'{"t": true}', "t: must be a number"),
-        (b'{"t": NaN}', "t: must be a number"),
-        (b'{"t": 1e400}', "t: must be a number"),
-        (b'{"t": "1"}', "t: must be a number"),
+        (b"{}", "`t` must be a number"),
+        (b'{"t": true}', "`t` must be a number"),
+        (b'{"t": NaN}', "`t` must be a number"),
+        (b'{"t": 1e400}', "`t` must be a number"),
+        (b'{"t": "1"}', "`t` must be a number"),
         (b'{"t": 1, "plus": [1, 1, 1, 1]}', "minus: must be a list of 4"),
-        (b'{"t": 1, "plus": [1], "minus": [1]}', "plus: must be a list of 4"),
+        (b'{"t": 1, "plus": [1], "minus": [1]}', "`plus` must be a list of 4"),
         (
             b'{"t": 1, "plus": "1111", "minus": [1, 1, 1, 1]}',
-            "plus: must be a list of 4",
+            "`plus` must be a list of 4",
         ),
         (b'{"t": 1, "plus": [2, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
         (b'{"t": 1, "plus": [null, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
@@ -145,7 +145,7 @@ def test_values_are_accepted_up_to_their_limits_in_every_place(kind, low, high):
             beyond[place] = 1.001 * limit
             with pytest.raises(BadMessageError, match=f"from {low:g} to {high:g}"):
                 read(document(beyond))
-    with pytest.raises(BadMessageError, match="t: must be a number"):
+    with pytest.raises(BadMessageError, match="`t` must be a number"):
         read(document([0.0] * 2 * SEGMENTS, 9.001e9))
 
 

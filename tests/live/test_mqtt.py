@@ -211,7 +211,8 @@ def test_an_address_or_a_name_that_cannot_be_used_has_exit_code_2(
     done = srs_twin("emulate", "gen2", "--duration", "0.1", *words, cwd=tmp_path)
     assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
     assert (
-        "is not an address" in done.stderr or "cannot be part of a topic" in done.stderr
+        "is not an address" in done.stderr
+        or "cannot be part of an MQTT topic" in done.stderr
     )
 
 

@@ -83,7 +83,7 @@ def test_the_command_prints_the_schema(srs_twin, tmp_path):
         ("robot: gen4\nnam: x\n", "lab.yaml:2:1: nam: unknown key; did you mean name?"),
         (
             "robot: gen4\nname: a/b\n",
-            "lab.yaml:2:7: name: the name cannot be part of a topic",
+            "lab.yaml:2:7: name: the name cannot be part of an MQTT topic",
         ),
         (
             "robot: gen4\nbroker: {address: 'lab:0'}\n",

@@ -295,7 +295,7 @@ def test_steerings_refuse_what_cannot_be_steered():
     with pytest.raises(InputError, match="the scenario follows no planned path"):
         EstimateSteering(load_scenario("gen2_straight"), shadow, 0.02)
     text = (
-        r"follow_gen4_a is for robot 'gen4', not for 'gen2'; they differ in"
+        r"follow_gen4_a is for robot 'gen4', not for 'gen2'; the robots differ in"
         r" geometry.segment_length "
     )
     with pytest.raises(InputError, match=text + r"\(0.075 and 0.037\), .* and \d more"):

@@ -62,7 +62,7 @@ def test_messages_have_a_list_per_chamber_and_two_bends():
 @pytest.mark.parametrize(
     ("kind", "values", "chambers", "words"),
     [
-        (COMMAND, FULL, 0, "plus: must be a list of 8"),
+        (COMMAND, FULL, 0, "`plus` must be a list of 8"),
         (COMMAND, FULL[:, :2], 4, "chamber_1: must be a list of 8"),
         (VALVES, FULL[:, :3], 4, "chamber_4: must be a list of 8"),
         (BENDS, np.zeros(8), 4, "pitch_rad: must be a list of 8"),
@@ -110,7 +110,7 @@ def test_dead_sensors_freeze_both_axes_and_chambers_with_a_side_are_refused():
     ):
         EmulatedRobot("spatial_example", faults=["stuck_valve:2+@1"])
     with pytest.raises(
-        InputError, match="a leak cannot be simulated without compressible flow"
+        InputError, match="a leak can be simulated only with compressible flow"
     ):
         EmulatedRobot("spatial_example", faults=["leak:2+@1"])
 

@@ -142,7 +142,9 @@ def test_bounds_are_left_as_by_a_drawn_region(arc, west, east, south, north):
 
 
 def test_even_numbers_of_primitives_are_rejected():
-    with pytest.raises(InputError, match="4 primitives: the number must be odd"):
+    with pytest.raises(
+        InputError, match="the number of primitives 4 is not allowed; it must be odd"
+    ):
         Primitives(4, 1.0, 0.1)
-    with pytest.raises(InputError, match="below pi"):
+    with pytest.raises(InputError, match="between 0 and pi"):
         Primitives(5, 3.2, 0.1)

@@ -359,7 +359,9 @@ def test_run_ends_without_the_required_margin(least):
     def replan(pose, fraction):
         fractions.append(fraction)
         if fraction > 0.25:
-            raise InputError("start: the straight body's footprint touches obstacle 1")
+            raise InputError(
+                "start: the footprint of the straight body touches obstacle 1"
+            )
         return a_plan(((-3.0, 0.2), (3.0, 0.2), (0.0, 1.0)), start=pose)
 
     follower, _, _ = follow(
@@ -429,7 +431,9 @@ def test_new_plan_is_requested_before_the_body_reaches_an_obstacle():
     def replan(pose, fraction):
         asked.append((pose, fraction))
         if fraction == 1.0:
-            raise InputError("start: the straight body's footprint touches obstacle 1")
+            raise InputError(
+                "start: the footprint of the straight body touches obstacle 1"
+            )
         return a_plan(((-3.0, 0.2), (3.0, 0.2), (0.0, 1.0)), start=pose)
 
     follower, _, _ = follow(
@@ -463,7 +467,9 @@ def test_no_plan_is_requested_on_the_path_or_without_a_margin():
 
 
 def refuse(pose, _fraction):
-    raise InputError("start (1, 2): the straight body's footprint touches obstacle 1")
+    raise InputError(
+        "start (1, 2): the footprint of the straight body touches obstacle 1"
+    )
 
 
 def test_old_plan_is_kept_if_there_is_no_new_one():
@@ -560,7 +566,7 @@ def test_old_plan_is_followed_until_another_thread_returns_a_new_one():
 
 def test_a_controller_without_an_offset_is_refused():
     with pytest.raises(
-        InputError, match="'iterative_smc' has no offset to steer by; use gait or ilc"
+        InputError, match="'iterative_smc' has no steering offset; use gait or ilc"
     ):
         Follower(
             IterativeSMC(Constant(0.1)),

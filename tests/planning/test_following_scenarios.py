@@ -146,8 +146,7 @@ def test_plan_command_rejects_scenarios_without_a_planner(tmp_path, srs_twin):
     done = srs_twin("plan", "gen2_straight", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and "the scenario has no planner section; add the section planner"
-        in done.stderr
+        and "the scenario has no planner; add the section `planner`" in done.stderr
     )
     assert list(tmp_path.iterdir()) == []
 
@@ -319,7 +318,7 @@ def test_run_up_is_straight_and_must_be_free():
     }
     with pytest.raises(
         InputError,
-        match=r"straight lead-in of 0\.25 m touches .*; set a shorter lead_in_m",
+        match=r"straight lead-in of 0\.25 m touches .*; set a shorter `lead_in_m`",
     ):
         parse_scenario(data(planner=planner, world=world)).build_controller()
 
@@ -344,12 +343,15 @@ def test_goal_of_a_given_path_is_its_end():
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"planner": None}, "controller: kind: follow needs a plan; add planner"),
+        (
+            {"planner": None},
+            "controller: `kind: follow` needs a plan; add the section `planner`",
+        ),
         (
             {"controller": {"kind": "gait", "frequency_hz": 2}},
-            "planner: no controller follows its plan",
+            "planner: no controller follows the plan",
         ),
-        ({"world": {}}, "planner: kind: best_first needs world.goal"),
+        ({"world": {}}, "planner: the planner `best_first` needs a goal"),
         (
             {
                 "planner": {
@@ -360,8 +362,8 @@ def test_goal_of_a_given_path_is_its_end():
                 }
             },
             (
-                "planner: curvature 6 1/m is outside the footprint's range -5.23599 to"
-                " 5.23599 1/m"
+                "planner: the curvature 6 1/m is not allowed; the footprint has"
+                " curvatures between -5.23599 and 5.23599 1/m"
             ),
         ),
         (
@@ -380,7 +382,8 @@ def test_goal_of_a_given_path_is_its_end():
         ),
         (
             {"world": {"goal": {"x_m": 1, "y_m": 0}, "random": {"count": 3}}},
-            "world.random: strewn needs an area; set area, or bounds of the world",
+            "world.random: obstacles of kind `strewn` need an area; set `area`, or"
+            " `bounds` of the world",
         ),
         (
             {

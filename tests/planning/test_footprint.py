@@ -82,7 +82,8 @@ def test_the_box_shifts_outward():
 def test_curvature_beyond_the_table_is_rejected():
     with pytest.raises(
         InputError,
-        match="curvature 6 1/m is outside the footprint's range -5.23599 to 5.23599",
+        match="the curvature 6 1/m is not allowed; the footprint has curvatures"
+        " between -5.23599 and 5.23599",
     ):
         BOX.at(6.0)
 
@@ -195,8 +196,11 @@ def test_unknown_footprint_error_lists_the_names():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"speeds": (0.2, 0.0, 0.2)}, "speeds and edges must be above 0"),
-        ({"ahead": -0.1}, "ahead and behind must be at least 0"),
+        (
+            {"speeds": (0.2, 0.0, 0.2)},
+            "speeds and the edges `left` and `right` must be above 0",
+        ),
+        ({"ahead": -0.1}, "`ahead` and `behind` at least 0"),
         ({"left": (0.02, math.nan, 0.02)}, "all numbers must be finite"),
         ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must increase"),
         (

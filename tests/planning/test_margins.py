@@ -112,11 +112,13 @@ def test_excursions_without_a_contact_are_those_of_a_preloaded_twin():
     )
     with pytest.raises(
         InputError,
-        match="plant twin, contact loaded, .* `srs-twin calibrate margin` measures",
+        match="plant twin, contact loaded, .*; measure them with `srs-twin calibrate margin`",
     ):
         margin_for([tried([0.03] * 20)], 0.9, [conditions(contact="loaded")])
     assert conditions(plant="analytical").contact is None
-    with pytest.raises(ValueError, match="contact loaded belongs to plant twin"):
+    with pytest.raises(
+        ValueError, match="contact loaded is allowed only for `plant: twin`"
+    ):
         conditions(plant="analytical", contact="loaded")
 
 
@@ -140,10 +142,9 @@ def test_footprint_of_another_contact_causes_a_warning():
     assert warned() == []
     (text,) = warned(**{"plants.twin.contact": "preloaded"})
     assert (
-        text
-        == "planner.footprint: gen2_gait was measured on a twin with contact loaded,"
-        " but this twin has contact preloaded; `srs-twin calibrate footprint gen2"
-        " --contact preloaded` measures one"
+        text == "planner.footprint: gen2_gait was measured on a twin with contact"
+        " loaded, but this twin has contact preloaded; `srs-twin calibrate"
+        " footprint gen2 --contact preloaded` measures a suitable footprint"
     )
     assert (
         warned(

@@ -298,7 +298,7 @@ def test_goal_in_a_niche_too_small_to_turn_in_is_not_found():
 def test_spent_budget_asks_for_more_nodes():
     answer = plan(fig54(18, 0), Settings(nodes=20))
     assert answer.outcome is PlanOutcome.NOT_FOUND and answer.expanded <= 20
-    assert "give more nodes" in answer.reason
+    assert "increase `nodes`" in answer.reason
 
 
 @settings(max_examples=40)
@@ -353,25 +353,25 @@ def test_worlds_with_a_plan_are_never_disconnected(seed):
         ),
         (
             {"world": World((Circle(0, 0.22, 0.2),))},
-            "the straight body's footprint touches obstacle 1",
+            "the footprint of the straight body touches obstacle 1",
         ),
         (
             {"start": Pose(-1, 0, 1.57)},
-            "the straight body's footprint leaves the bounds",
+            "the footprint of the straight body leaves the bounds",
         ),
         (
             {"goal": Goal(math.nan, 0, 0.0, 0.1)},
             r"goal \(nan, 0\) m is not allowed; both coordinates must be finite",
         ),
         ({"start": Pose(0, 0, math.inf)}, "headings inf and 0 rad"),
-        ({"goal": Goal(1, 0, 0.0, -0.1)}, "radius -0.1 m must not be below 0"),
+        ({"goal": Goal(1, 0, 0.0, -0.1)}, "the radius must be at least 0"),
         (
             {"world": World((Circle(1, 1, 0),))},
             "obstacle 1: position and radius must be finite",
         ),
         (
             {"world": World(polygons=(Polygon(((0, 0), (1, 1), (1, 0), (0, 1))),))},
-            "polygon 1 .* sides that do not cross",
+            "polygon 1 .* its sides must not cross",
         ),
         (
             {"world": World(bounds=Bounds((1, -1), (0, 1)))},
@@ -387,7 +387,8 @@ def test_invalid_problems_are_rejected_by_name(changes, words):
 def test_invalid_settings_are_rejected():
     with pytest.raises(
         InputError,
-        match="nodes 0, levels 4, weight 1 are not allowed; each must be at least 1",
+        match="nodes 0, levels 4, weight 1 are not allowed; each of them must be at"
+        " least 1",
     ):
         Settings(nodes=0)
     with pytest.raises(InputError, match="levels 9 must be at most 5"):
@@ -413,7 +414,9 @@ def test_random_worlds_repeat_for_a_seed_and_keep_their_gaps():
     )
     with pytest.raises(InputError, match="fit with gaps of 0.5 m"):
         random_circles(30, FIG54_BOUNDS, 0, gap=0.5)
-    with pytest.raises(InputError, match="19 obstacles cannot be drawn from 18 sites"):
+    with pytest.raises(
+        InputError, match="19 obstacles are too many; there are only 18 places for them"
+    ):
         fig54_world(19, 0)
 
 

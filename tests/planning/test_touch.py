@@ -225,11 +225,11 @@ def scenario(**changes: object) -> dict:
         ),
         (
             {"clearance_weight": 1},
-            "contact: allowed and clearance_weight exclude each other",
+            "`contact: allowed` and `clearance_weight` exclude each other",
         ),
         (
             {"shape_changes": True},
-            "contact: allowed and shape_changes exclude each other",
+            "`contact: allowed` and `shape_changes` exclude each other",
         ),
         ({"contact": "yes"}, "planner.contact"),
     ],
@@ -241,13 +241,14 @@ def test_touch_is_refused_by_name(changes, message):
 
 def test_a_plant_without_contact_is_refused():
     with pytest.raises(
-        InputError, match="set model: compliant and contact: true, or remove analytical"
+        InputError,
+        match="set `model: compliant` and `contact: true`, or remove `analytical`",
     ):
         parse_scenario(scenario() | {"plants": {"analytical": {}, "twin": {}}})
 
 
 def test_touch_excludes_a_cost_of_clearance_in_python():
-    with pytest.raises(InputError, match="clearance_weight must be 0"):
+    with pytest.raises(InputError, match="`clearance_weight` must be 0"):
         replace(LEANING, clearance_weight=1.0)
 
 

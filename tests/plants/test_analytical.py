@@ -300,9 +300,9 @@ def test_all_options_that_exclude_each_other_are_reported_at_once():
         AnalyticalSnake(SPEC, friction_torque=False, contact=True, load="instantaneous")
     assert str(error.value).split("; ") == [
         "model 'complete' has a friction torque",
-        "use 'simplified' to leave it out",
-        "model 'complete' has prescribed bends and touches no obstacles",
-        "use 'compliant'",
-        "friction 'axis' has one contact per connector",
-        "instantaneous loads need two: use 'wheel' or 'ellipse'",
+        "use model 'simplified' to leave it out",
+        "model 'complete' cannot touch obstacles",
+        "use model 'compliant'",
+        "friction 'axis' has only one",
+        "use friction 'wheel' or 'ellipse'",
     ]

@@ -324,8 +324,8 @@ def test_shared_plants_and_controllers_are_refused():
     with pytest.raises(
         InputError,
         match=(
-            "jobs 1 and 3 share one controller, a Gait; give each job its own, or a"
-            " function"
+            "jobs 1 and 3 share one controller, a Gait; give each job its own"
+            " controller, or a function"
         ),
     ):
         run_many(
@@ -345,7 +345,7 @@ def test_shared_plants_and_controllers_are_refused():
 @pytest.mark.parametrize("threads", [0, -2])
 def test_fewer_than_one_thread_is_refused(threads):
     with pytest.raises(
-        InputError, match=f"threads: {threads} is not allowed; it must be 1 or more"
+        InputError, match=f"`threads` {threads} is not allowed; it must be 1 or more"
     ):
         run_many([], threads=threads)
 
@@ -571,7 +571,7 @@ def test_batch_rejects_invalid_robots_and_settings():
     )
     for specs, words in (([], "no robot"), ([SPEC, longer], "3, 5")):
         with pytest.raises(
-            InputError, match=f"the same number of connectors, not {words}$"
+            InputError, match=f"the same number of connectors, but they have {words}$"
         ):
             TwinBatch(specs)
     with pytest.raises(
@@ -581,7 +581,8 @@ def test_batch_rejects_invalid_robots_and_settings():
         TwinBatch([SPEC, SPEC], supply_pa=[1e4, 2e4, 3e4])
     own = make_pneumatics("lag", SPEC, supply_pa=48e3, layout="3/2")
     with pytest.raises(
-        InputError, match="the twins of a batch cannot share one object; give the name"
+        InputError,
+        match="the twins of a batch cannot share one pneumatics object; give the name",
     ):
         TwinBatch([SPEC, SPEC], pneumatics=own)
     with pytest.raises(

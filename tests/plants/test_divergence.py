@@ -251,14 +251,14 @@ def test_diverged_controller_is_named_with_the_time(build, value):
             rollout(build(SPEC), Runaway(valves), 0.3)
         assert (
             str(caught.value)
-            == f"controller 'runaway' diverged at t = {AT} s: it commands the valve"
+            == f"controller 'runaway' diverged at t = {AT} s: the commanded valve"
             f" state {value:g}"
         )
         assert_kept(caught.value, AT)
 
 
 def test_integer_commands_can_diverge():
-    with pytest.raises(DivergedError, match=r"it commands the valve state 1e\+15"):
+    with pytest.raises(DivergedError, match=r"the commanded valve state 1e\+15"):
         rollout(AnalyticalSnake(SPEC), Runaway(np.full((4, 2), 10**15)), 0.3)
 
 
@@ -282,7 +282,7 @@ def test_script_may_have_float_states(build):
 @pytest.mark.parametrize(
     ("valves", "words"),
     [
-        (np.full((3, 2), np.int8(1)), r"valves have shape \(3, 2\)"),
+        (np.full((3, 2), np.int8(1)), r"the valves have the shape \(3, 2\)"),
         (np.zeros((4, 2)), "valve state 0.0 is not possible with layout 3/2"),
         (np.full((4, 2), 2), "valve state 2 is not possible"),
         (np.full((4, 2), "open"), "valve state open is not possible"),
@@ -341,7 +341,7 @@ def test_policy_diverging_for_one_run_ends_that_run_only(value):
     assert isinstance(error, DivergedError)
     assert (
         str(error)
-        == f"policy diverged at t = {AT} s: it commands the valve state {value:g}"
+        == f"policy diverged at t = {AT} s: the commanded valve state {value:g}"
     )
     assert error.trajectory.time == pytest.approx(np.arange(5) / 100)
 

@@ -280,17 +280,17 @@ def test_lines_state_the_field_the_value_and_the_consequence(tmp_path, srs_twin)
     ), done.stderr
     assert {
         (
-            "limited: actuator.bend_limit_rad = 1.571 rad is approximate, bends near it"
-            " are up to 19 % too large: convert pressures with"
+            "limited: actuator.bend_limit_rad = 1.571 rad is approximate, because"
+            " bends near it are up to 19 % too large; convert pressures with"
             " equivalent_linear_pressure (models/README.md)"
         ),
         (
-            "limited: modules.sensor_gain = [1.0, 1.1, 1.0, 1.0] is left out: the"
-            " lengths of the tendons are the exact bends"
+            "limited: modules.sensor_gain = [1.0, 1.1, 1.0, 1.0] is left out, because"
+            " the lengths of the tendons are the exact bends"
         ),
         (
-            "limited: friction.mu_n = 0.57 is approximate: it acts on the static loads,"
-            " and no wheel lifts"
+            "limited: friction.mu_n = 0.57 is approximate, because it acts on the"
+            " static loads and no wheel lifts"
         ),
     } <= set(done.stderr.splitlines())
 
@@ -301,18 +301,18 @@ def test_dead_zone_is_refused_before_anything_is_written(tmp_path, srs_twin):
     done = srs_twin(*words, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert (
-        "stiff has a dead zone (actuator.onset_fraction 1, dead_zone_rad 0.3 rad)"
+        "stiff has a dead zone (`actuator.onset_fraction` 1, `dead_zone_rad` 0.3 rad)"
         in done.stderr
     )
     assert (
-        "--linear exports it for controls that you convert (models/README.md)"
+        "Export it with --linear if you convert its controls (models/README.md)"
         in done.stderr
     )
     assert not (tmp_path / "here").exists()
     done = srs_twin(*words, "--linear", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (
-        "stiff: actuator.dead_zone_rad = 0.3 rad is left out: convert pressures with"
+        "stiff: actuator.dead_zone_rad = 0.3 rad is left out; convert pressures with"
         in done.stderr
     )
 

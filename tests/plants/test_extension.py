@@ -94,7 +94,7 @@ def test_planar_robots_and_single_hinges_are_refused():
     assert spec.actuator.extension == pytest.approx(1e-7)
     with pytest.raises(
         InputError,
-        match="hinges_per_segment: 1 is not allowed for segments that lengthen",
+        match="`hinges_per_segment` 1 is not allowed for segments that lengthen",
     ):
         TwinSnake(spec, hinges_per_segment=1)
     planar = load_robot("skin_example")

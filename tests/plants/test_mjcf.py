@@ -299,6 +299,6 @@ def test_smallest_inertia_of_the_rules_is_that_of_mujoco():
 def test_time_step_above_the_damping_time_raises():
     with pytest.raises(
         InputError,
-        match=r"time step 0.004 s is too long .* c/k of 0.00214 s; it must be be",
+        match=r"time step 0.004 s is too long .* c/k of 0.00214 s. It must be be",
     ):
         robot_mjcf(robot(), ModelSettings(0.004))

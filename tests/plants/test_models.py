@@ -316,7 +316,7 @@ def test_models_command_exports_and_checks(srs_twin, tmp_path):
         "here/gen2/scene.xml\nhere/gen4/scene.xml\n",
     )
     left_out = (
-        "gen4: actuator.tau_fill_s = 0.1107 s is left out: controls are pressures,"
-        " which change at once"
+        "gen4: actuator.tau_fill_s = 0.1107 s is left out, because the controls are"
+        " pressures, which change at once"
     )
     assert left_out in done.stderr.splitlines()

@@ -139,7 +139,7 @@ def test_reference_beyond_the_range_is_rejected_or_clipped_with_a_warning():
 def test_invalid_sensor_settings_raise():
     usual = {"base": "gen4_module"}
     short = usual | {"geometry": {"segment_length_m": 0.04}}
-    at_most = "it must be at most the segment's length, 0.04 m"
+    at_most = "it must be at most the length of the segment, 0.04 m"
     for words, robot, sensor in (
         ("heights|within", usual, {"kind": "hall", "distance_mm": 1.0}),
         (at_most, short, {"kind": "hall", "distance_mm": 50.0}),
@@ -166,11 +166,12 @@ def test_pulses_shorter_than_a_tick_raise_before_the_run():
 @plants
 def test_layout_unsupported_by_the_controller_raises(kind):
     with pytest.raises(
-        InputError, match="drives valves of layout in_out; the .* plant has 3/2"
+        InputError,
+        match="needs valves of layout in_out, but the .* plant has the layout 3/2",
     ):
         rollout(bench(kind, "direct", layout="3/2"), DirectSMC(STEP), 0.01)
     with pytest.raises(
-        InputError, match="drives valves of layout 3/2; the .* plant has in_out"
+        InputError, match="needs valves of layout 3/2, but the .* plant has in_out"
     ):
         rollout(bench(kind, "iterative", layout="in_out"), IterativeSMC(STEP), 0.01)
 

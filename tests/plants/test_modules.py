@@ -483,14 +483,18 @@ def test_listed_and_random_module_values_combine():
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        ({"bias": (0.0,) * 3}, r"modules.bias has shape \(3,\); allowed: \(4,\)"),
+        (
+            {"bias": (0.0,) * 3},
+            r"modules\.bias has the shape \(3,\), but the robot needs the shape"
+            r" \(4,\)",
+        ),
         (
             {"bias": (0.0, 0.0, np.nan, 0.0)},
-            "modules.bias nan is not allowed; it must be -3.14159 to 3.14159",
+            "modules.bias nan is not allowed; it must be between -3.14159 and 3.14159",
         ),
         (
             {"tau_fill": ((1.0, 0.0),) * 4},
-            "modules.tau_fill 0 is not allowed; it must be 0.01 to 100",
+            "modules.tau_fill 0 is not allowed; it must be between 0.01 and 100",
         ),
     ],
 )
@@ -500,7 +504,9 @@ def test_invalid_modules_raise(changed, words):
 
 
 def test_modules_of_another_length_raise():
-    with pytest.raises(InputError, match="modules: 3 with 2 chambers are not"):
+    with pytest.raises(
+        InputError, match="the variation of 3 segments with 2 chambers is not"
+    ):
         replace(load_robot("gen4"), variation=Modules.nominal(3))
 
 
@@ -557,7 +563,8 @@ def test_scenario_with_modules_and_faults(tmp_path):
         (
             "[0.1, 0, 0, -0.1]",
             "[0.1, 0]",
-            "modules.bias_rad: 2 entries for 4 segments; give 4, head first",
+            "modules.bias_rad: 2 entries are given for 4 segments; give 4 entries,"
+            " beginning at the head",
         ),
         (
             "gain_spread: 0.15",

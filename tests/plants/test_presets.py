@@ -76,7 +76,9 @@ def test_explicit_setting_overrides_the_preset(twin, used):
 
 
 def test_a_law_needs_the_loaded_contact():
-    with pytest.raises(InputError, match="friction needs contact: loaded"):
+    with pytest.raises(
+        InputError, match="`friction` is allowed only with `contact: loaded`"
+    ):
         scenario({"contact": "preloaded", "friction": "wheel"})
 
 

@@ -126,11 +126,12 @@ def test_keys_of_the_other_kind_are_refused(write, change, message):
     [
         (
             {"supply": {"pressure_kpa": 50}},
-            "supply.pressure_kpa: servo_snake has servos and no supply",
+            "supply.pressure_kpa: servo_snake has servos and therefore no supply",
         ),
         (
             {"pneumatics": {"kind": "orifice"}},
-            "pneumatics.kind: servo_snake has servos, which respond like lag",
+            "pneumatics.kind: servo_snake has servos, which only the pneumatic model"
+            " `lag` represents; use `lag`",
         ),
     ],
 )

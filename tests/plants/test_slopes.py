@@ -252,7 +252,9 @@ def test_steps_may_be_far_away_or_coincide(steps):
 
 
 def test_snake_must_start_before_the_first_step():
-    with pytest.raises(InputError, match="before the first step, at x = -0.05 m"):
+    with pytest.raises(
+        InputError, match="before the first step of the floor at x = -0.05 m"
+    ):
         TwinSnake(SPEC, contact="loaded", world=World(steps=(FloorStep(-0.05, 0.002),)))
 
 

@@ -108,7 +108,7 @@ def test_directions_must_surround_the_axis():
         load_scenario(
             "spatial_sidewinding", set={"robot.chamber.directions_deg": [0, 90, 180]}
         )
-    with pytest.raises(InputFileError, match="round section"):
+    with pytest.raises(InputFileError, match="round cross-section"):
         load_scenario("spatial_sidewinding", set={"robot.geometry.width_m": 0.06})
 
 
@@ -303,7 +303,7 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
             InputError, match="does not support the spatial robot spatial_example"
         ):
             refused()
-    with pytest.raises(InputError, match="needs a spatial robot; gen2"):
+    with pytest.raises(InputError, match="needs a spatial robot, but gen2"):
         rollout(TwinSnake(planar), Gait(1.0, pitch=SIDEWINDING), 0.1)
     with pytest.raises(
         InputFileError,

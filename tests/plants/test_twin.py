@@ -266,7 +266,7 @@ def test_invalid_settings_raise():
         InputError, match=r"tick 0.02 s is not a multiple of time step 0.0015 s"
     ):
         TwinSnake(SPEC, timestep=0.0015)
-    with pytest.raises(InputError, match="hinges_per_segment: 0 is not allowed"):
+    with pytest.raises(InputError, match="`hinges_per_segment` 0 is not allowed"):
         TwinSnake(SPEC, hinges_per_segment=0)
     with pytest.raises(InputError, match="valve layout '5/2' is unknown"):
         TwinSnake(SPEC, layout="5/2")

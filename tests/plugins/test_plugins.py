@@ -306,7 +306,7 @@ def test_an_installed_package_registers_short_names(site, tmp_path):
 def test_a_file_may_not_name_modules_beside_the_installed_package(site, tmp_path):
     (tmp_path / "site" / "stranger_of_nobody.py").write_text(CONTROLLER)
     text = problems(document("stranger_of_nobody:Damped"))
-    assert "module stranger_of_nobody is not allowed" in text
+    assert "module stranger_of_nobody is not imported" in text
     assert "stranger_of_nobody" not in sys.modules
     assert site in owners() and "numpy" not in owners()
 
@@ -420,7 +420,7 @@ def test_modules_that_nobody_allowed_are_not_imported(kind, module, key):
     text = problems(data)
     assert f"{key}.kind: module {kind.partition(':')[0]} is not allowed" in text
     assert (
-        "a file alone never runs code" in text
+        "a scenario file must not run code" in text
         and "--plugin FILE.py" in text
         and PLUGINS in text
     )
@@ -543,11 +543,12 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
     )
     allow_plugin(path)
     assert (
-        f"{path.stem}:A: a scenario file cannot set the argument weights"
+        f"{path.stem}:A: the argument `weights` cannot be set in a scenario file"
         in problems(document(f"{path.stem}:A"))
     )
-    assert "the types of its arguments cannot be read (name 'Nothing'" in problems(
-        document(f"{path.stem}:B")
+    assert (
+        "the types of the constructor's arguments cannot be read (name 'Nothing'"
+        in problems(document(f"{path.stem}:B"))
     )
 
 
@@ -556,12 +557,18 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
     ("source", "message"),
     [
         ("absent.py", "no such file"),
-        ("no_module_of_this_name", "no such module; give a file that ends in .py"),
-        ("../x", "no such module"),
-        ("my-file.py", "cannot be imported; use only letters, digits and _"),
-        ("json.py", "a module json exists already"),
-        ("numpy.py", "a module numpy exists already"),
-        ("sys.py", "a module sys exists already (built in)"),
+        (
+            "no_module_of_this_name",
+            "this module does not exist; give a file whose name ends in .py",
+        ),
+        ("../x", "this module does not exist"),
+        (
+            "my-file.py",
+            "cannot be imported because of its name; use only letters, digits and _",
+        ),
+        ("json.py", "another module is already named json"),
+        ("numpy.py", "another module is already named numpy"),
+        ("sys.py", "another module is already named sys (built in)"),
     ],
 )
 def test_plugins_that_cannot_be_allowed(
@@ -581,7 +588,7 @@ def test_two_plugins_of_one_name_are_refused(plugin, tmp_path):
     (tmp_path / "other").mkdir()
     other = tmp_path / "other" / path.name
     other.write_text("")
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="is already named"):
         allow_plugin(other)
     assert list(plugins()) == [path.stem]
 

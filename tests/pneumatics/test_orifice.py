@@ -505,7 +505,7 @@ def test_settings_are_recorded_in_their_units():
     [
         (
             {"critical_ratio": 0.9},
-            "critical_ratio 0.9 is not allowed; it must be 0 to 0.8",
+            "`critical_ratio` 0.9 is not allowed; it must be between 0 and 0.8",
         ),
         (
             {"flow_limit": 0.0},
@@ -521,11 +521,11 @@ def test_settings_are_recorded_in_their_units():
         ),
         (
             {"leak_per_s": -0.1},
-            "leak_per_s -0.1 is not allowed; it must be finite and 0 or more",
+            "`leak_per_s` -0.1 is not allowed; it must be finite and at least 0",
         ),
         (
             {"valve_delay_s": -0.1},
-            "valve_delay_s -0.1 is not allowed; it must be finite and 0 or more",
+            "`valve_delay_s` -0.1 is not allowed; it must be finite and at least 0",
         ),
     ],
 )

@@ -398,6 +398,9 @@ def test_layouts_reject_impossible_states():
         pneumatics.schedule(np.array([[1, -1], [2, 1]]), 0.1)
     with pytest.raises(InputError, match="valve state nan is not possible"):
         pneumatics.schedule(np.array([[1, -1], [np.nan, 1]]), 0.1)
-    wrong = r"valves have shape \(3, 2\); allowed: \(2, 2\) or \(slots, 2, 2\)"
+    wrong = (
+        r"valves have the shape \(3, 2\), which is not allowed; it must be \(2,"
+        r" 2\) or \(slots, 2, 2\)"
+    )
     with pytest.raises(InputError, match=wrong):
         pneumatics.schedule(np.ones((3, 2)), 0.1)

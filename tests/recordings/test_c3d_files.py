@@ -277,7 +277,10 @@ def test_units_of_points_are_converted(tmp_path):
     expected = points * [[1e-3], [1e-2], [1.0]]
     assert np.abs(read_markers(tmp_path / "mixed.c3d").points - expected).max() < 1e-4
     (tmp_path / "none.c3d").write_bytes(by_hand(points, 84, units=""))
-    with pytest.raises(InputError, match="POINT:UNITS is missing; give --units"):
+    with pytest.raises(
+        InputError,
+        match="the unit of length (POINT:UNITS) is missing; give it with --units",
+    ):
         read_markers(tmp_path / "none.c3d")
     by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
     with pytest.raises(
@@ -306,7 +309,7 @@ def test_angles_are_skipped(tmp_path):
     found = read_markers(tmp_path / "a.c3d")
     assert found.labels == ("m0", "m2", "m3")
     assert (
-        "1 points with angles, forces or similar quantities skipped"
+        "1 points with angles, forces or similar quantities were skipped"
         in found.corrections
     )
 
@@ -350,7 +353,8 @@ def test_an_undecidable_analog_count_is_refused(tmp_path):
     (tmp_path / "a.c3d").write_bytes(content[:-3000])
     with pytest.raises(
         InputError,
-        match="the header states 12 analog values per frame, the parameters 5",
+        match="the header states 12 analog values per frame, but the parameters"
+        " state 5",
     ):
         read_markers(tmp_path / "a.c3d")
 
@@ -363,5 +367,6 @@ def test_an_unknown_unit_is_settled_by_the_given_one(tmp_path):
     found = read_markers(tmp_path / "a.c3d", Unstated(unit="mm"))
     assert np.abs(found.points - 1e-3 * points).max() < 1e-4
     assert any(
-        "is not a known unit: mm used, as given" in note for note in found.corrections
+        "is not a known unit, so mm is used, as given" in note
+        for note in found.corrections
     )

@@ -170,7 +170,7 @@ def test_the_command_writes_each_format(run, srs_twin, tmp_path):
     ("words", "message"),
     [
         ((), "give one of --mcap, --csv, --npz"),
-        (("--csv", "--npz"), "no single format is given"),
+        (("--csv", "--npz"), "exactly one output format is needed"),
         (
             ("--csv", "--out", "run.parquet"),
             "the name of a file for --csv must end in .csv",

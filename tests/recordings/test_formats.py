@@ -409,7 +409,7 @@ def test_vicon_positions_and_rotations_are_read(tmp_path):
     assert {"section Devices skipped", "section Joints skipped"} <= set(
         found.corrections
     )
-    assert "lengths converted from mm to m" in found.corrections
+    assert "lengths were converted from mm to m" in found.corrections
     same(read_markers(written(tmp_path, b"\r\n\r\n" + vicon(unit="m", scale=1))))
     with pytest.raises(
         InputError, match=r":5:3: unit of length 'furlong' is not known"
@@ -421,7 +421,9 @@ def test_vicon_positions_and_rotations_are_read(tmp_path):
         cut[8] = b",".join([*row[:5], b"a", *row[6:]])
         read_markers(written(tmp_path, b"\r\n".join(cut)))
     with pytest.raises(
-        InputError, match=r"no section Trajectories \(sections: Devices\)"
+        InputError,
+        match=r"the section Trajectories is missing \(the file has the sections"
+        r" Devices\)",
     ):
         read_markers(written(tmp_path, devices.encode()))
 
@@ -467,7 +469,7 @@ def test_deeplabcut_positions_are_scaled(tmp_path, animals):
     assert found.labels == (
         ("s0:head", "s0:tail", "s1:head", "s1:tail") if animals else tuple(NAMES)
     )
-    assert "y reversed, because it points down in images" in found.corrections
+    assert "y is reversed, because it points down in images" in found.corrections
     with pytest.raises(InputError, match=r"give `rate_hz` .* and `scale_m` "):
         read_markers(path)
     with pytest.raises(InputError, match=r"give `scale_m` "):
@@ -587,7 +589,7 @@ def test_declared_sizes_allocate_no_memory(tmp_path):
     content = mcap_file()
     at = content.index(b"zstd") - 4 - 4 - 8
     with pytest.raises(
-        InputError, match="unpack to 4398046511104 MB; at most 16 MB are read"
+        InputError, match="have 4398046511104 MB, but at most 16 MB are allowed"
     ):
         read_markers(
             written(
@@ -630,9 +632,7 @@ def test_compression_bombs_are_refused_before_unpacking(
     monkeypatch.setattr(bags, "unpacked", None)  # not one chunk is
     with pytest.raises(
         InputError,
-        match=(
-            r"its chunks unpack to \d+ MB; at most \d+ MB are read of a file of \d+ kB"
-        ),
+        match=(r"unpacked chunks have \d+ MB, but at most \d+ MB .* a file of \d+ kB"),
     ):
         read_markers(path)
 
@@ -750,7 +750,8 @@ def test_a_missing_column_is_reported_at_the_header(tmp_path):
     names = "time,a_x,a_y,b_x,b_y,b_z"
     rows = "0,1,2,3,4,5\n0.1,1,2,3,4,5\n"
     with pytest.raises(
-        InputError, match=r"m\.csv:1: a_z is missing, although other markers have one"
+        InputError,
+        match=r"m\.csv:1: the column a_z is missing, although other markers have",
     ):
         read_markers(written(tmp_path, f"{names}\n{rows}".encode(), "m.csv"))
     whole = names.replace("a_y", "a_y,a_z") + "\n" + rows.replace("2,3", "2,0,3")
@@ -789,7 +790,7 @@ def test_a_missing_library_is_reported_with_its_installation(
     topics._definitions.cache_clear()
     with pytest.raises(
         InputError,
-        match=r"is an extra: .*uv sync --extra recordings.*srs-twin\[recordings\]",
+        match=r"install it with .*uv sync --extra recordings.*srs-twin\[recordings\]",
     ):
         read_markers(written(tmp_path, FILES[kind]()))
 
@@ -797,7 +798,7 @@ def test_a_missing_library_is_reported_with_its_installation(
 def test_size_limits_apply_to_all_formats(tmp_path, monkeypatch):
     monkeypatch.setattr("srs_twin.recordings.recorded_file.MAX_BYTES", 1 << 10)
     for content in FILES.values():
-        with pytest.raises(InputError, match="MB; at most 0 MB are read"):
+        with pytest.raises(InputError, match="MB, but at most 0 MB are allowed"):
             read_markers(written(tmp_path, content() + b"\n" * (1 << 20)), TABLE)
 
 
@@ -831,4 +832,7 @@ def test_a_unit_that_the_file_lacks_is_used(tmp_path):
     path = written(tmp_path, c3d_file(unit="", scale=1e2))
     found = read_markers(path, Unstated(unit="cm"))
     same(found, most=1e-5)
-    assert "POINT:UNITS is missing: cm used" in found.corrections
+    assert (
+        "the unit of length (POINT:UNITS) is missing, so cm is used"
+        in found.corrections
+    )

@@ -118,7 +118,7 @@ def test_markers_on_lamps_people_and_carts_are_left_out(tmp_path):
             in out
         )
         assert any(
-            "'cap' left out: 170" in each and "its height varies by" in each
+            "'cap' was left out: it is 170" in each and "its height varies by" in each
             for each in out
         )
         assert (

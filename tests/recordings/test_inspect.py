@@ -46,7 +46,7 @@ def test_facts_of_a_marker_recording(tmp_path):
     assert facts.rigid_pairs == [["snake:ahead", "snake:1"]]
     assert {each.marker for each in facts.head} == {"snake:ahead"}
     assert facts.layouts["head"] == 5 and facts.layouts["single"] == 6
-    assert "lengths converted from cm to m" in facts.notes
+    assert "lengths were converted from cm to m" in facts.notes
     near = {frozenset(each.markers): each for each in facts.distances}
     pair = near[frozenset(["snake:ahead", "snake:1"])]
     assert pair.median_mm == pytest.approx(20, abs=0.2) and pair.spread_mm < 0.5
@@ -86,11 +86,11 @@ def test_a_wrong_unit_of_length_is_noted(tmp_path):
     names = [f"{name}_{axis}" for name in "abcde" for axis in "xy"]
     path.write_text(csv_text(["t", *names], rows, 6))
     assert any(
-        "lengths in mm? Give --units" in each
+        "if the lengths are in mm, give --units mm" in each
         for each in inspect_file(path, NO_MAP, None)[0].notes
     )
     facts, _ = inspect_file(path, RecordingMap(units="mm"), SPEC)
-    assert not any("Give --units" in each for each in facts.notes)
+    assert not any("give --units mm" in each for each in facts.notes)
     assert facts.robot.reads and facts.robot.layout == "single"
     assert facts.robot.length_mm == pytest.approx(
         [1e3 * SPEC.geometry.segment_length] * 4, rel=0.02
@@ -182,7 +182,10 @@ def test_inspect_command(tmp_path, monkeypatch, capsys):
     assert "one rigid part" in capsys.readouterr().out
     assert (tmp_path / "seen.png").read_bytes().startswith(b"\x89PNG")
     run(["inspect", "take.csv", "--write-map", "map.yaml"], 2)
-    assert "map.yaml already exists; give --overwrite" in capsys.readouterr().err
+    assert (
+        "map.yaml already exists; replace it with --overwrite"
+        in capsys.readouterr().err
+    )
     run(["inspect", "cut.csv", "take.csv", "--json"], 2)
     said = capsys.readouterr()
     assert [each["file"] for each in json.loads(said.out)] == [

@@ -56,7 +56,7 @@ def outcome(points):
     notes = map_to_floor(points + [0.0, 0.0, 1.0], "auto", "z").corrections
     if any(note.startswith("levelled by") for note in notes):
         return "levelled"
-    return "noted" if any("not levelled" in note for note in notes) else "level"
+    return "noted" if any("was not removed" in note for note in notes) else "level"
 
 
 @pytest.mark.default_cases(2)

@@ -179,7 +179,7 @@ def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, 
 def test_unknown_and_ambiguous_units_are_refused(tmp_path, header):
     path = log(tmp_path, f"time,{header},P2")
     with pytest.raises(
-        InputError, match="the unit of column .* is not known .*give it in the map"
+        InputError, match="the unit of the column .* is not known .*give it in the map"
     ):
         read_valves(
             path, MODULE, mapped(pressure_kpa_plus_1=header, pressure_kpa_minus_1="P2")
@@ -219,7 +219,8 @@ def test_map_gives_the_unit_that_the_header_lacks(tmp_path, unit, key, factor):
 def test_pressure_without_a_stated_unit_is_refused(tmp_path, kind):
     given = mapped(**{f"{kind}_plus_1": "P1", f"{kind}_kpa_minus_1": "P2"})
     with pytest.raises(
-        InputError, match=r"log.csv:1:2: the unit of column 'P1' is not known .*give it"
+        InputError,
+        match=r"log.csv:1:2: the unit of the column 'P1' is not known .*give it",
     ):
         read_valves(log(tmp_path, "time,P1,P2"), MODULE, given)
 
@@ -231,7 +232,8 @@ def test_conflict_of_header_and_map_names_both_units(tmp_path):
     )
     with pytest.raises(
         InputError,
-        match=r":1:2: column 'P1 \(bar\)' is in bar by its name, in kPa by the map",
+        match=r":1:2: the unit of the column 'P1 \(bar\)' is bar according to its"
+        r" name, but kPa according to the map",
     ):
         read_valves(path, MODULE, given)
     path.write_text("x_1 (cm),y_1 (cm),time\n" + "1,2,0\n" * 3)
@@ -261,13 +263,13 @@ def test_chambers_called_pa_and_pb_have_no_unit(tmp_path):
     [
         (
             {"pressure_plus_1": {"column": "P1", "unit": "mpa"}},
-            "unit 'mpa' is not known; allowed: Pa, kPa, bar",
+            "unit 'mpa' is not known; allowed are Pa, kPa, bar",
         ),
         ({"pressure_mpa_plus_1": "P1"}, "unit 'mpa' is not known"),
-        ({"valve_bar_plus_1": "P1"}, "unit 'bar' is not known; allowed: none"),
+        ({"valve_bar_plus_1": "P1"}, "unit 'bar' is not known; allowed are none"),
         (
             {"time": {"column": "t", "unit": "kPa"}},
-            "unit 'kPa' is not known; allowed: s, ms",
+            "unit 'kPa' is not known; allowed are s, ms",
         ),
         ({"ambient_kpa": "P1"}, "the value must be a number"),
         ({"pressure_plus_1": {"column": "P1", "units": "bar"}}, "units"),
@@ -325,7 +327,9 @@ def test_unit_of_the_time_in_a_map(tmp_path):
     path = log(tmp_path, header, time=np.array([0.0, 10, 20, 30]))
     found = read_valves(path, MODULE, mapped(time={"column": "clk", "unit": "ms"}))
     assert found.time == pytest.approx([0, 0.01, 0.02, 0.03])
-    with pytest.raises(InputError, match="is in ms by its name, in us by the map"):
+    with pytest.raises(
+        InputError, match="is ms according to its name, but us according to the map"
+    ):
         read_valves(
             log(tmp_path, header.replace("clk", "clk_ms")),
             MODULE,
@@ -441,7 +445,8 @@ def test_absolute_pressures_are_noted_and_converted(tmp_path):
     path.write_text(path.read_text().replace(",0\n", ",101.3\n"))
     keys = {"pressure_minus_1": "P2 (kPa)"}
     hint = (
-        r"the smallest pressure is 101.3 kPa: they look absolute: .*ambient_kpa: 101.3"
+        r"the smallest pressure is 101.3 kPa. The pressures look absolute;"
+        r" .*ambient_kpa: 101.3"
     )
     assert any(
         hint[:30] in note
@@ -450,7 +455,9 @@ def test_absolute_pressures_are_noted_and_converted(tmp_path):
     found = read_valves(path, MODULE, mapped(**keys, ambient_kpa=101.3))
     assert found.values[:, 0, 0] == pytest.approx(3e4 * RAW, abs=1e-6)
     assert found.values[:, 0, 1] == pytest.approx(0, abs=1e-6)
-    assert "absolute pressures: 101.3 kPa subtracted" in found.corrections
+    assert (
+        "the pressures are absolute, so 101.3 kPa were subtracted" in found.corrections
+    )
 
 
 def test_log_of_a_microcontroller(tmp_path):
@@ -512,7 +519,9 @@ def test_signals_of_a_bag_have_the_unit_of_the_map(tmp_path):
         found = read_valves(path, spec, given)
         assert found.values[:, 0, 0] == pytest.approx(factor * RAW)
     given = mapped(pressure_plus_1="/p.data[0]", pressure_minus_1="/p.data[1]")
-    with pytest.raises(InputError, match=r"unit of column '/p.data\[0\]' is not known"):
+    with pytest.raises(
+        InputError, match=r"unit of the column '/p.data\[0\]' is not known"
+    ):
         read_valves(path, spec, given)
 
 

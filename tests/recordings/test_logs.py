@@ -333,7 +333,7 @@ def test_shuffled_repeated_and_missing_rows_are_corrected(tmp_path):
     said = "; ".join(found.summary.corrections)
     assert (
         "sorted" in said
-        and "2 rows repeat the time" in said
+        and "2 rows were left out, because" in said
         and "3 frames are missing in the file" in said
     )
     assert (
@@ -353,7 +353,7 @@ def test_a_truncated_last_line_is_left_out_with_a_note(tmp_path, cut):
     path.write_text(text[: -2 - cut], newline="")
     found = read_motion(path, SPEC)
     assert found.summary.frames_read == len(motion()) - 1
-    assert any("may be cut: left out" in each for each in found.summary.corrections)
+    assert any("may be cut off" in each for each in found.summary.corrections)
     near(found.trajectory.stack("bend"), motion().stack("bend")[:-1], 1e-4)
 
 
@@ -372,7 +372,8 @@ def test_plain_csv_in_a_wrong_unit_is_refused(tmp_path):
     path.write_text(plain_csv(motion(), "m", 1e3).replace("_m", ""))
     with pytest.raises(
         InputError,
-        match=r"the markers are 5.* mm apart, .* 55 mm apart; are the lengths in mm\?",
+        match=r"the markers are 5.* mm apart, .* 55 mm apart; check the unit,"
+        r" because the lengths seem to be in mm",
     ):
         read_motion(path, SPEC)
 
@@ -383,7 +384,9 @@ def test_another_robot_is_refused(tmp_path):
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion()))
     with pytest.raises(
-        InputError, match=r"the connectors of gen4 .* mm apart; is it this robot\?"
+        InputError,
+        match=r"the connectors of gen4 .* mm apart; check that the recording belongs"
+        r" to this robot",
     ):
         read_motion(path, load_robot("gen4"))
 

@@ -103,7 +103,7 @@ def test_tables_of_pandas_are_read(tmp_path, clock, separator, decimal, index):
     }
     if clock in since:
         assert found.epoch_ns == since[clock]
-    assert any("time since 1970 in" in note for note in found.corrections) == (
+    assert any("the times are in" in note for note in found.corrections) == (
         "epoch" in clock or "date" in clock
     )
 
@@ -137,7 +137,9 @@ def test_times_since_1970_keep_their_resolution(tmp_path, unit):
         == (steps_ns - steps_ns[0]).tolist()
     )
     note = next(each for each in found.corrections if "1970" in each)
-    assert note == f"time since 1970 in {unit}: 1700000000.123456789 s subtracted"
+    assert note == (
+        f"the times are in {unit} since 1970; 1700000000.123456789 s were subtracted"
+    )
 
 
 def text(separator=",", point=".", header=True, comments="", end="\n", bom=""):
@@ -211,24 +213,29 @@ def test_layouts_are_detected_or_given(tmp_path, content, dialect):
     [
         (
             text(header=False),
-            ":1: 16 numbers but no names of columns; give --columns time,x_1,y_1,…",
+            ":1: the columns have no names, because the first line contains 16"
+            " numbers; give --columns time,x_1,y_1,…",
         ),
         (
             text(";", ",", header=False),
-            ":1: 16 numbers but no names of columns; give --columns",
+            ":1: the columns have no names, because the first line contains 16"
+            " numbers; give --columns",
         ),
-        (text(comments="# a\n", header=False), ":2: 16 numbers but no names"),
+        (
+            text(comments="# a\n", header=False),
+            ":2: the columns have no names, because the first line contains 16 numbers",
+        ),
         (text(",", ","), ":2: 32 cells, but the header has 16"),
         (
             text(";", ".").replace("0.030000", "1,030.5"),
-            "may be decimal marks or separate thousands: give --decimal",
+            "may be decimal marks or thousands separators; give --decimal",
         ),
         (
             "time;x_1;y_1\n" + "1,500;2,250;3,125\n" * 20,
-            "may be decimal marks or separate thousands: give --decimal",
+            "may be decimal marks or thousands separators; give --decimal",
         ),
         ("time,x_1,y_1\n1,5;2,5;3,5\n", ":2: 4 cells, but the header has 3"),
-        (text().replace("c2_x", "c1_x"), "c1_x: two columns have this name"),
+        (text().replace("c2_x", "c1_x"), "two columns have the name 'c1_x'"),
         (
             text().replace("0.030000", '"0,030000"'),
             (
@@ -264,7 +271,9 @@ def test_layout_options_of_the_command(tmp_path, monkeypatch, capsys):
         main(words)
     said = capsys.readouterr().out
     assert left.value.code == 0 and "60 frames, 100 Hz" in said
-    assert "note: cells separated by semicolons, decimal commas" in said
+    assert (
+        "note: the cells are separated by semicolons, and decimal marks are commas"
+    ) in said
     (tmp_path / "map.yaml").write_text(
         f"columns: [{', '.join(COLUMNS)}]\nseparator: ';'\ndecimal: ','\n"
     )
@@ -279,8 +288,8 @@ def test_given_names_apply_only_to_files_without_names(tmp_path):
     found = read_valves(path, MODULE, read_map({"columns": ["time", "x_1", "y_1"]}))
     assert found.values[0, 0].tolist() == [1, -1]
     assert (
-        "the file names its columns: the names of --columns or of the map are not used"
-        in found.corrections
+        "the file names its columns, so the names of --columns or of the map are not"
+        " used" in found.corrections
     )
     path.write_text("0;1;0\n1,5;0;1\n")
     found = read_valves(
@@ -456,5 +465,7 @@ def test_positions_in_pixels_need_a_scale(tmp_path):
     path.write_text("time,a_x,a_y,b_x,b_y\n" + rows)
     found = read_markers(path, Unstated(unit="px", scale_m=0.001))
     assert found.points[0].tolist() == [[0.01, 0.02], [0.11, 0.02]]
-    with pytest.raises(InputError, match=r"video\.csv: units px need scale_m"):
+    with pytest.raises(
+        InputError, match=r"video\.csv: the unit px needs the size of a pixel in m"
+    ):
         read_markers(path, Unstated(unit="px"))

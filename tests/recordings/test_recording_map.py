@@ -74,7 +74,7 @@ def test_markers_are_assigned_by_a_map(tmp_path):
         np.abs(found.trajectory.stack("length") - truth.stack("length")).mean() < 1e-3
     )
     assert any("segments stretch" in each for each in found.summary.corrections)
-    assert "1 markers ignored according to the map" in found.summary.corrections
+    assert "1 markers are ignored according to the map" in found.summary.corrections
 
 
 @pytest.mark.slow
@@ -143,9 +143,9 @@ def test_insufficient_markers_are_refused_and_the_remedy_works(tmp_path):
     [
         (
             {"markers": {"m0": {"connector": 1, "middle": 1}}},
-            "markers.m0: give either connector or middle",
+            "markers.m0: give either `connector` or `middle`",
         ),
-        ({"markers": {"m0": {}}}, "give either connector or middle"),
+        ({"markers": {"m0": {}}}, "give either `connector` or `middle`"),
         ({"markers": {"m0": {"connector": 0}}}, "markers.m0"),
         (
             {"units": "inch"},
@@ -153,7 +153,7 @@ def test_insufficient_markers_are_refused_and_the_remedy_works(tmp_path):
         ),
         (
             {"log": {"valve_1": "a"}},
-            "log.valve_1: this is not a key of a log; allowed: time, carrier_hz",
+            "log.valve_1: this is not a key of a log; allowed are time, carrier_hz",
         ),
         ({"log": {"carrier_hz": "30"}}, "log.carrier_hz: the value must be a number"),
         ({"marker": {}}, "marker: unknown key; did you mean markers?"),
@@ -225,7 +225,9 @@ def test_duties_are_converted_to_valve_states(tmp_path):
         ["time", *names],
         np.column_stack([0.2 * np.arange(11), duty]),
     )
-    with pytest.raises(InputError, match="duties need their carrier frequency"):
+    with pytest.raises(
+        InputError, match="the carrier frequency of the duties is missing"
+    ):
         read_valves(path, SPEC)
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 50.0}))
     assert found.kind == "valve"

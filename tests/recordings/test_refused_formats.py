@@ -90,7 +90,7 @@ REFUSED = {
     ),
     "cut.bag": (lambda: b"#ROSBAG V2.0\nabc", "the ROS 1 bag file is damaged"),
     "cut.db3": (lambda: b"SQLite format 3\0abc", "the ROS 2 bag file is damaged"),
-    "cut.trc": (lambda: b"PathFileType\t4\n", "the header is cut"),
+    "cut.trc": (lambda: b"PathFileType\t4\n", "the header is incomplete"),
     "cut.c3d": (
         lambda: b"\x02P" + bytes(600),
         "the C3D file is damaged|the C3D file has no points",

@@ -228,12 +228,12 @@ def test_sweep_and_run_agree_on_recorded_pressures(perfect):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"recording": None}, "controller: kind: replay has nothing to replay"),
+        ({"recording": None}, "controller: `kind: replay` needs a recording"),
         (
             {"controller": {"kind": "gait", "frequency_hz": 2.0}},
-            "recording: nobody replays it",
+            "recording: the recording is not used",
         ),
-        ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording's"),
+        ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording"),
         (
             {"recording": {"motion": "none.csv"}},
             r"recording.motion: none.csv: no such file",
@@ -306,7 +306,7 @@ def test_chamber_models_are_refused_with_recorded_pressures(perfect):
         "offset_s": -5.0,
     }
     with pytest.raises(
-        InputFileError, match="pneumatics: the recording holds pressures"
+        InputFileError, match="pneumatics: the recorded pressures replace this section"
     ):
         replayed(perfect, recording=recording, pneumatics={"leak_per_s": 1.0})
 
@@ -315,7 +315,8 @@ def test_a_measured_metric_needs_a_recording():
     expect = [{"metric": "measured_shape_rms_m", "plant": "twin", "below": 0.01}]
     with pytest.raises(
         InputFileError,
-        match=r"expect\[0\].metric: measured_shape_rms_m needs the section recording",
+        match=r"expect\[0\].metric: the metric `measured_shape_rms_m` compares with"
+        r" a recording",
     ):
         parse_scenario(
             {
@@ -441,7 +442,7 @@ def test_a_replay_of_pressures_can_be_repeated_from_another_folder(
         (["w.csv", "--expect", "e.yaml"], "e.yaml:1:19: expect[0].metric"),
         (
             ["w.csv", "--check"],
-            "--check: there are no expectations; give --expect FILE.yaml",
+            "--check needs expectations; give them with --expect FILE.yaml",
         ),
         (["w.csv", "--fit", "none.yaml"], "none.yaml: no such file"),
         (["w.csv", "--offset", "1e6"], "frames in common"),

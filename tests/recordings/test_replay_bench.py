@@ -188,7 +188,7 @@ def test_a_bend_log_can_be_used_for_actuator_fits(bench):
     response = Response.from_recording(take, "sensor", SUPPLY)
     assert response.bend.shape == (2001, 1) and np.isfinite(response.bend).all()
     with pytest.raises(
-        InputError, match="sensor: bends alone do not tell where a robot crawled"
+        InputError, match="sensor: bends alone do not determine where a robot crawls"
     ):
         gait_run(take, "sensor", SUPPLY)
 
@@ -214,12 +214,16 @@ def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("bend_1,air\n1,1\n", "x.csv:1: no column 'time'; a bend log has time,bend_1"),
+        (
+            "bend_1,air\n1,1\n",
+            "x.csv:1: the column 'time' is missing; a bend log has the columns"
+            " time,bend_1",
+        ),
         (
             "time,bend_1,bend_2\n0,0,0\n",
             "x.csv:1:3: bend_2: gen4_module has 1 segments",
         ),
-        ("time,bend_1_turns\n0,0\n", "unit 'turns' is not known; allowed: rad, deg"),
+        ("time,bend_1_turns\n0,0\n", "unit 'turns' is not known; allowed are rad, deg"),
         (
             "time,bend_1\n0,0\n0.1,47.9\n",
             r"x.csv:3:2: bend_1: a bend of 47.9 rad is not allowed.*bend_1_deg",
@@ -278,12 +282,12 @@ def test_bench_velocities_are_the_slopes_of_the_positions(bench):
     [
         (
             {"bench": False},
-            r"recording.motion: bends alone do not tell .*, or bench: true",
+            r"recording.motion: bends alone do not determine .*, or set `bench: true`",
         ),
-        ({"start": {"x_m": 1.0}}, "start: a module on a bench starts at its clamp"),
+        ({"start": {"x_m": 1.0}}, "start: a robot on a bench is clamped"),
         (
             {"plants": {"analytical": {"friction": "wheel"}}},
-            "there is no floor on a bench",
+            "touches no floor",
         ),
         ({"motion": "none.csv"}, r"recording.motion: .*none.csv: no such file"),
         ({"valves": "sensor.csv"}, r"recording.valves: .*one of valve_plus_1,…"),
@@ -347,11 +351,12 @@ def test_bench_replay_command(bench, srs_twin, tmp_path):
     refused = srs_twin(*words, "--bench", "--friction-law", "axis", cwd=tmp_path)
     assert (
         refused.returncode == 2
-        and "--friction-law: remove this option; on a bench there is no floor"
+        and "--friction-law is not allowed, because a robot on a bench touches no floor;"
+        " remove this option"
         in refused.stderr
     )
     floor = srs_twin(*words, "-q", cwd=tmp_path)
-    assert floor.returncode == 2 and "bends alone do not tell" in floor.stderr
+    assert floor.returncode == 2 and "bends alone do not determine" in floor.stderr
 
 
 def test_both_plants_are_clamped_at_the_same_point():

@@ -85,8 +85,12 @@ def test_trc_with_an_offset_start_and_a_rounded_rate(tmp_path):
     ("old", "new", "words"),
     [
         ("\tmm\t", "\tfurlong\t", ":3: unit of length 'furlong' is not known"),
-        ("Frame#\tTime", "Frames\tTime", ":4: the header is cut"),
-        ("m2", "m2\t\t\tm3", ":7: 11 cells for 4 markers; rows must have 14 cells"),
+        ("Frame#\tTime", "Frames\tTime", ":4: the header is incomplete"),
+        (
+            "m2",
+            "m2\t\t\tm3",
+            ":7: the row has 11 cells for 4 markers; each row must have 14 cells",
+        ),
         ("100\t100", "0\t0", "frame rate '0' is not allowed"),
     ],
 )

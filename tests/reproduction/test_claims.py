@@ -226,8 +226,12 @@ ROW = """\
             "use: guess",
             "4:8: [0].use: must be one of fit, holdout, law, shape",
         ),
-        ("  rule: near\n", "", "a rule is needed: near, below, above or ordering"),
-        ("  tol: 0.1\n", "", "near needs either tol or abs"),
+        (
+            "  rule: near\n",
+            "",
+            "`rule` is missing; it must be near, below, above or ordering",
+        ),
+        ("  tol: 0.1\n", "", "the rule near needs either `tol` or `abs`"),
         (
             "gen2_straight",
             "gen2_strait",
@@ -238,12 +242,12 @@ ROW = """\
             "trace.tail_drif",
             "unknown trace 'tail_drif'; did you mean tail_drift?",
         ),
-        ("  value: 0.2\n", "", "near needs a value"),
+        ("  value: 0.2\n", "", "the rule near needs a `value`"),
         ("  measure:", "  mesure:", "unknown key; did you mean measure?"),
         (
             "scenario: gen2_straight",
             "scenario: x, computation: y",
-            "give exactly one of scenario, sweep and computation",
+            "give exactly one of the keys `scenario`, `sweep` and `computation`",
         ),
         ("value: 0.2", "value: .nan", "must be a number"),
         ("- id: one", f"{ROW}- id: one", "the row one is listed 2 times; list it once"),
@@ -251,22 +255,22 @@ ROW = """\
         (
             '  could_fail: "Yes: a slower robot misses"\n',
             "",
-            "could_fail is needed: 'Yes: …' or 'No: …'",
+            "`could_fail` must be given either here ('Yes: …' or 'No: …')",
         ),
         (
             "Yes: a slower",
             "Perhaps a slower",
-            "could_fail must start with 'Yes: ' or 'No: '",
+            "`could_fail` must begin with 'Yes: ' or 'No: '",
         ),
         (
             "  tolerance: ours\n",
             "",
-            "tolerance is needed for every holdout, and not allowed for other uses",
+            "`tolerance` is required for each holdout and not allowed for other uses",
         ),
         (
             "use: holdout",
             "use: shape",
-            "needed for every holdout, and not allowed for other uses",
+            "required for each holdout and not allowed for other uses",
         ),
         (
             "tolerance: ours",
@@ -276,7 +280,7 @@ ROW = """\
         (
             "use: holdout",
             "limitation: fitted_robot\n  use: law",
-            "tolerance is needed for every holdout",
+            "`tolerance` is required for each holdout",
         ),
         (
             '"Yes: a slower robot misses"\n  tolerance: ours',

@@ -55,7 +55,8 @@ def test_without_lead_a_light_segment_follows_the_pressures_with_its_damping_tim
 def test_without_lead_the_chambers_need_time(damping):
     changes = CHANGES | {"robot.bending.damping_time_s": damping}
     with pytest.raises(
-        InputError, match="is not allowed with lead: false; it must be below 0.11284"
+        InputError,
+        match="is not allowed together with `lead: false`; it must be below 0.11284",
     ):
         load_scenario("gen2_straight", set=changes)
 

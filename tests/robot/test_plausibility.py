@@ -55,14 +55,16 @@ MISTAKES = [
         {"mass.connectors_kg": 30.0},
         True,
         (
-            "mass.connectors_kg.value: 30 kg in 0.055 m by 0.04 m is a density of"
-            " 3.4e+05 kg/m³; 30 g would be 0.03 kg"
+            "mass.connectors_kg.value: 30 kg is implausible for a part of 0.055 m by"
+            " 0.04 m, because its density would be 3.4e+05 kg/m³; 30 g would be 0.03"
+            " kg"
         ),
     ),
     (
         {"mass.wheel_kg": 1.5},
         True,
-        "two wheels of 1.5 kg are too much for the lightest connector, 0.03 kg",
+        "two wheels of 1.5 kg are too heavy for the lightest connector, which has"
+        " 0.03 kg",
     ),
     (
         {"supply.nominal_kpa": 0.483},
@@ -76,7 +78,7 @@ MISTAKES = [
     (
         {"supply.pulsed_limit_kpa": 0.69},
         True,
-        "48.3 kPa is above pulsed_limit_kpa, 0.69 kPa; 0.69 bar would be 69 kPa",
+        "48.3 kPa is above `pulsed_limit_kpa`, which is 0.69 kPa; 0.69 bar would be 69 kPa",
     ),
     (
         {"actuator.tau_vent_s": 60.0},
@@ -198,9 +200,8 @@ def test_scenario_warns_about_its_robot_file_and_its_own_numbers(tmp_path, monke
     ]
     assert warned[0].startswith("mine.yaml:")
     assert (
-        warned[1]
-        == "walk.yaml:2:24: supply.pressure_kpa: 0.4 kPa is far below the nominal 48.3"
-        " kPa of gen2; 0.4 bar would be 40 kPa"
+        warned[1] == "walk.yaml:2:24: supply.pressure_kpa: 0.4 kPa is far below the"
+        " nominal pressure 48.3 kPa of gen2; 0.4 bar would be 40 kPa"
     )
     override = (
         "robot: {base: gen2, geometry: {wheel_radius_m: 0.8}, mass: {connectors_kg:"
@@ -221,7 +222,7 @@ def test_scenario_warns_about_its_robot_file_and_its_own_numbers(tmp_path, monke
         (
             "--length 40",
             (
-                "--length 40 is in m; scaled from generation 2, it would be 0.22 m; 40"
+                "--length 40 is in m, which is unusual for this robot; scaled from the generation 2 robot, it would be 0.22 m; 40"
                 " cm would be 0.4 m"
             ),
         ),
@@ -229,7 +230,7 @@ def test_scenario_warns_about_its_robot_file_and_its_own_numbers(tmp_path, monke
         (
             "--mass 500",
             (
-                "--mass 500 is in kg; scaled from generation 2, it would be 0.15 kg;"
+                "--mass 500 is in kg, which is unusual for this robot; scaled from the generation 2 robot, it would be 0.15 kg;"
                 " 500 g would be 0.5 kg"
             ),
         ),

@@ -63,7 +63,7 @@ def test_numbers_of_a_skin_reach_the_robot():
 def test_missing_numbers_of_a_skin_are_named(problems):
     forward = next(line for line in TEXT.splitlines() if line.startswith("  forward"))
     (line,) = problems(TEXT.replace(forward + "\n", ""))
-    assert "contact.forward: missing; a robot with contact skin needs it" in line
+    assert "contact.forward: missing; a robot with contact skin needs this key" in line
     assert (
         f":{number_line(TEXT, 'contact')}:" in line
         or f":{number_line(TEXT, 'contact') + 1}:" in line
@@ -74,8 +74,8 @@ def test_keys_of_wheels_are_refused_for_a_skin(problems):
     added = "  half_track_m: {value: 0.01, unit: m, status: measured, source: ruler}\n"
     (line,) = problems(TEXT.replace("geometry:\n", f"geometry:\n{added}"))
     assert line.endswith(
-        "geometry.half_track_m: a robot with contact skin has no half_track_m;"
-        " remove it"
+        "geometry.half_track_m: a robot with contact skin cannot have `half_track_m`;"
+        " remove this key"
     )
     assert f":{number_line(TEXT, 'geometry') + 1}:17: " in line
 
@@ -83,7 +83,7 @@ def test_keys_of_wheels_are_refused_for_a_skin(problems):
 def test_keys_of_a_skin_are_refused_for_wheels(problems):
     (line,) = problems(WHEELED + "contact: {kind: wheels, law: cosine}\n")
     assert line.endswith(
-        "contact.law: a robot with contact wheels has no law; remove it"
+        "contact.law: a robot with contact wheels cannot have `law`; remove this key"
     )
 
 
@@ -93,7 +93,8 @@ def test_missing_keys_of_wheels_are_named(problems):
     )
     (line,) = problems(WHEELED.replace(record + "\n", ""))
     assert (
-        "geometry.wheel_radius_m: missing; a robot with contact wheels needs it" in line
+        "geometry.wheel_radius_m: missing; a robot with contact wheels needs this key"
+        in line
     )
 
 
@@ -109,8 +110,8 @@ def test_wrong_number_of_masses_is_refused(problems):
         TEXT.replace("segments_kg: {value: 0.025", "segments_kg: {value: [0.1, 0.2]")
     )
     assert (
-        "mass.segments_kg.value: 2 masses for 8 segments; give 8, or one number for all"
-        in line
+        "mass.segments_kg.value: 2 masses are given for 8 segments; give 8 masses, or"
+        " one number for all of them" in line
     )
 
 
@@ -160,7 +161,8 @@ DATA = {
         ),
         (
             {"analytical": {"inertia": "lumped"}},
-            "plants.analytical.inertia: the mass of a body with skin",
+            "plants.analytical.inertia: inertia 'lumped' is not allowed for a robot"
+            " with skin",
         ),
         (
             {"analytical": {"model": "simplified"}},

@@ -192,22 +192,23 @@ TAIL = {"axle_m": 0.06, "com_m": 0.07, "com_height_m": 0.02, "gyration_m": 0.02}
                 "mass.connectors_kg.value": [0.1, 0.2],
                 "mass.connectors_kg.uncertain": None,
             },
-            "2 masses for 5 connectors; give 5, or one number for all",
+            "2 masses are given for 5 connectors; give 5 masses, or one number for all of them",
         ),
         (
             {"mass.wheel_kg.value": 0.02},
             (
-                "two wheels of 0.02 kg are too much for the lightest connector, 0.03"
-                " kg; 0.0135 kg each at most"
+                "two wheels of 0.02 kg are too heavy for the lightest connector,"
+                " which has 0.03 kg; one wheel may have at most 0.0135 kg"
             ),
         ),
         (
             {"tail": {key: METRES | {"value": value} for key, value in TAIL.items()}},
-            "0.07 m is behind the second axle at 0.06 m; the assembly would tip over",
+            "the centre of mass at 0.07 m is behind the second axle at 0.06 m, so the"
+            " tail would tip over; move it in front of this axle",
         ),
         (
             {"supply.nominal_kpa.value": 80.0},
-            "80 kPa is above pulsed_limit_kpa, 68.9476 kPa",
+            "80 kPa is above `pulsed_limit_kpa`, which is 68.9476 kPa",
         ),
     ],
 )
@@ -226,7 +227,7 @@ def test_number_of_connectors_is_free(write, count):
 @pytest.mark.parametrize(
     ("part", "changes", "words"),
     [
-        ("geometry", {"connectors": 1}, "a snake has 2 or more"),
+        ("geometry", {"connectors": 1}, "a snake needs 2 or more"),
         (
             "geometry",
             {"segment_length": 0.0},
@@ -235,16 +236,20 @@ def test_number_of_connectors_is_free(write, count):
         (
             "friction",
             {"mu_n": -1.0},
-            "mu_n: -1.0 is not allowed; it must be finite and 0 or more",
+            "mu_n: -1.0 is not allowed; it must be finite and at least 0",
         ),
         ("bending", {"stiffness": math.inf}, "it must be finite and above 0"),
-        ("mass", {"wheel": 0.02}, "two wheels of 0.02 kg are too much"),
+        ("mass", {"wheel": 0.02}, "two wheels of 0.02 kg are too heavy"),
         (
             "mass",
             {"connectors": (0.03, -0.03, 0.03, 0.03, 0.03)},
             "mass of connector 2: -0.03 is not allowed",
         ),
-        ("mass", {"connectors": (0.03, 0.03)}, "2 masses for 5 connectors; give 5"),
+        (
+            "mass",
+            {"connectors": (0.03, 0.03)},
+            "2 masses are given for 5 connectors; give 5 masses",
+        ),
     ],
 )
 def test_invalid_parameters_of_a_spec_are_rejected(part, changes, words):

@@ -237,7 +237,7 @@ def test_a_wall_is_thirty_cells(tmp_path, levels, more, cells, suffix):
     )
 
 
-ALLOWED = "at most 8 bits a channel, without transparency, is allowed"
+ALLOWED = "at most 8 bits per channel and without transparency"
 RETIRED = {
     "grey of 16 bits.png": Image.fromarray(WALL.astype(np.uint16)),
     "grey of 16 bits.pgm": Image.fromarray(WALL.astype(np.uint16)),
@@ -290,18 +290,18 @@ HOSTILE = {
     "device": (lambda path: path.symlink_to("/dev/zero"), "not a regular file"),
     "megapixels": (
         lambda path: sparse(path, 13_400, 13_400),
-        "1 to 25,000,000 pixels are allowed",
+        "must have between 1 and 25,000,000 pixels",
     ),
     "gigapixels": (
         lambda path: sparse(path, 2**31 - 1, 2**31 - 1),
-        "1 to 25,000,000 pixels are allowed",
+        "must have between 1 and 25,000,000 pixels",
     ),
     "none": (lambda path: sparse(path, 0, 5), ALLOWED),
     "large pgm": (
         lambda path: path.write_bytes(b"P5 100000 100000 255\n"),
-        "1 to 25,000,000 pixels are allowed",
+        "must have between 1 and 25,000,000 pixels",
     ),
-    "two headers": (two_headers, "1 to 25,000,000 pixels are allowed"),
+    "two headers": (two_headers, "must have between 1 and 25,000,000 pixels"),
     "empty": (lambda path: path.write_bytes(b""), ALLOWED),
     "signature": (lambda path: path.write_bytes(b"\x89PNG\r\n\x1a\n"), ALLOWED),
     "cut": (
@@ -375,7 +375,8 @@ def test_checkerboard_is_rejected(tmp_path, monkeypatch, capsys):
     assert end.value.code == 2
     said = capsys.readouterr().err
     assert (
-        "wall.yaml:1:8: image: 500,000 rectangles" in said
+        "wall.yaml:1:8: image: the occupied cells of the map need 500,000 rectangles"
+        in said
         and "20,000 are allowed; remove specks" in said
     )
 

@@ -145,7 +145,7 @@ def test_a_pgm_of_text_is_read_and_negate_turns_it_round(tmp_path):
         (
             "free_thresh: 0.196",
             "free_thresh: 0.65",
-            "room.yaml:6:14: free_thresh: must be below occupied_thresh",
+            "room.yaml:6:14: free_thresh: must be below `occupied_thresh`",
         ),
         (
             "free_thresh: 0.196",
@@ -201,7 +201,8 @@ def test_a_list_of_circles(tmp_path):
     for text, words in (
         (
             "x_m,y_m\n1,2\n",
-            ":1: columns x_m, y_m, radius_m are required; radius_m is missing",
+            ":1: the column 'radius_m' is missing; the columns x_m, y_m, radius_m are"
+            " required",
         ),
         (
             "x_m,y_m,radius_m\n1,2,0\n",

@@ -178,7 +178,9 @@ def test_stored_intervals_belong_to_the_shipped_scenarios():
 
 
 def test_the_list_of_changes_cannot_be_set():
-    with pytest.raises(InputError, match="srs_twin writes the list `changes` itself"):
+    with pytest.raises(
+        InputError, match="the list `changes` is written by srs_twin itself"
+    ):
         gen2(changes=[])
 
 

@@ -72,10 +72,10 @@ def test_plants_touch_pegs_with_the_stated_friction():
         ({"jitter_m": 0.06}, "the spacing must be above 0.15 m"),
         ({"y_m": 0.065}, "overlaps the body at the start by"),
         ({"rows": 100, "columns": 11}, "1100 pegs are too many"),
-        ({"plants": {"analytical": {}}}, "set model: compliant and contact: true"),
+        ({"plants": {"analytical": {}}}, "set `model: compliant` and `contact: true`"),
         (
             {"plants": {"analytical": {"contact": True}}},
-            "touches no obstacles; use 'compliant'",
+            "touch obstacles, because its bends are prescribed; use model 'compliant'",
         ),
         ({"spacing": 0.1}, "did you mean spacing_m?"),
     ],

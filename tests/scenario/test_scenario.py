@@ -105,7 +105,7 @@ def test_units_are_converted_to_si():
     )
     assert s.world.goal and (s.world.goal.heading, s.world.goal.radius) == (None, 0.05)
     idle, ignored = s.warnings
-    assert "goal and bounds have no effect" in idle and ignored == IGNORED_OBSTACLES
+    assert "`goal` and `bounds` have no effect" in idle and ignored == IGNORED_OBSTACLES
     plant = s.build_plant("analytical")
     assert (plant.tick, plant.timestep) == (0.01, 0.002)
     assert plant.spec.geometry.rigid_gap == 0 and s.robot.geometry.rigid_gap == 0.018
@@ -206,9 +206,10 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
         ({"base": "gen5"}, "robot.base: unknown robot 'gen5'"),
         (
             {"base": 5},
-            "robot.base: must be a robot's name, a path, or a block of keys with base",
+            "robot.base: must be a robot's name, a path, or a block of keys with"
+            " `base`",
         ),
-        (5, "robot: must be a robot's name, a path, or a block of keys with base"),
+        (5, "robot: must be a robot's name, a path, or a block of keys with `base`"),
         (None, "robot: must be a robot's name, a path"),
         ("no/such.yaml", "robot: no/such.yaml: no such file"),
         (
@@ -233,11 +234,12 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
         ),
         (
             {"base": "gen2", "mass": {"connectors_kg": [1, 2]}},
-            "robot.mass.connectors_kg: 2 masses for 5 connectors",
+            "robot.mass.connectors_kg: 2 masses are given for 5 connectors",
         ),
         (
             {"base": "gen3", "geometry": {"connectors": 6}},
-            "mass.connectors_kg.value: 5 masses for 6 connectors; give 6",
+            "mass.connectors_kg.value: 5 masses are given for 6 connectors; give 6"
+            " masses",
         ),
         ({"title": "x"}, "robot.name: missing"),
     ],
@@ -362,13 +364,14 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
         (
             {"critical_ratio": 0.3},
             (
-                "pneumatics: critical_ratio requires kind: orifice; set that, or remove"
-                " critical_ratio"
+                "pneumatics: `critical_ratio` is allowed only with `kind: orifice`;"
+                " set `kind: orifice`, or remove `critical_ratio`"
             ),
         ),
         (
             {"kind": "orifice", "line_volume_ml": 5.0},
-            "pneumatics: line_volume_ml requires flow_limit_l_per_min",
+            "pneumatics: `line_volume_ml` needs a limited supply; set"
+            " `flow_limit_l_per_min`",
         ),
         (
             {"kind": "orifice", "flow_limit_l_per_min": 0},
@@ -395,10 +398,10 @@ def test_invalid_pneumatics_are_rejected(given, words):
 def test_a_pressure_above_the_limit_is_refused_with_its_source():
     (line,) = refusal(supply={"pressure_kpa": 80})
     assert (
-        line
-        == "supply.pressure_kpa: 80 kPa is above the limit of gen2 in pulses of a gait,"
-        " 68.9476 kPa (Sections 1.3 and 2.3.1: runs 'under 10 psi', 'typically below"
-        " 10 psi'); lower it, or set allow_overpressure: true"
+        line == "supply.pressure_kpa: 80 kPa is above the limit of gen2 in pulses of"
+        " a gait, which is 68.9476 kPa (Sections 1.3 and 2.3.1: runs 'under"
+        " 10 psi', 'typically below 10 psi'); lower the pressure, or set"
+        " `allow_overpressure: true`"
     )
 
 
@@ -494,7 +497,7 @@ def test_proposed_recording_rate_suits_both_plants(record_hz, ticks):
     proposed = {
         found[1]
         for line in lines
-        if (found := re.search(r"record_hz: (\S+) is possible", line))
+        if (found := re.search(r"use `record_hz: (\S+)`", line))
     }
     (rate,) = proposed
     assert scenario(
@@ -505,7 +508,7 @@ def test_proposed_recording_rate_suits_both_plants(record_hz, ticks):
 def test_no_recording_rate_is_proposed_for_incompatible_ticks():
     both = {"analytical": {"tick_s": 0.9999}, "twin": {"tick_s": 0.02}}
     (line,) = refusal(plants=both, duration_s=199.98)
-    assert "no rate suits the plants' ticks; change tick_s" in line
+    assert "no rate fits the ticks of the plants; change `tick_s`" in line
 
 
 @pytest.mark.default_cases(2)
@@ -639,15 +642,16 @@ def test_expectations_of_the_comparison():
         ({"metric": "com_speed_rel"}, "expect[0]: com_speed_rel needs of: comparison"),
         (
             {"plant": None, "of": "comparison"},
-            "expect[0]: com_speed_m_s needs plant: analytical or plant: twin",
+            "expect[0]: the metric `com_speed_m_s` needs `plant: analytical` or"
+            " `plant: twin`",
         ),
         (
             {"of": "comparison"},
-            "expect[0]: give either plant (analytical or twin) or of: comparison",
+            "expect[0]: an expectation concerns one plant or the comparison",
         ),
         (
             {"plant": None},
-            "expect[0]: give either plant (analytical or twin) or of: comparison",
+            "expect[0]: an expectation concerns one plant or the comparison",
         ),
         (
             {"plant": "both"},
@@ -655,24 +659,27 @@ def test_expectations_of_the_comparison():
         ),
         (
             {"above": 0},
-            "expect[0]: give exactly one of near, below, above and published",
+            "expect[0]: an expectation needs exactly one of the keys `near`, `below`,"
+            " `above` and `published`",
         ),
         (
             {"below": None},
-            "expect[0]: give exactly one of near, below, above and published",
+            "expect[0]: an expectation needs exactly one of the keys `near`, `below`,"
+            " `above` and `published`",
         ),
-        ({"abs": 1}, "expect[0]: near needs a tolerance, either rel or abs"),
+        ({"abs": 1}, "expect[0]: a tolerance is needed with `near`"),
         (
             {"below": None, "near": 1},
-            "expect[0]: near needs a tolerance, either rel or abs",
+            "expect[0]: a tolerance is needed with `near`",
         ),
         (
             {"below": None, "near": 1, "rel": 0.1, "abs": 1},
-            "expect[0]: near needs a tolerance, either rel or abs",
+            "expect[0]: a tolerance is needed with `near`",
         ),
         (
             {"below": None, "near": 0, "rel": 0.1},
-            "expect[0]: near: 0 needs an absolute tolerance; use abs instead of rel",
+            "expect[0]: `near: 0` cannot have a relative tolerance; give `abs`"
+            " instead of `rel`",
         ),
     ],
 )
@@ -693,8 +700,8 @@ def test_expectations_need_their_plants_to_run():
         ],
     )
     assert found == [
-        "expect[0].plant: twin does not run here; add it to plants",
-        "expect[1].of: a comparison needs both plants; add the other to plants",
+        "expect[0].plant: the plant `twin` does not run here; add it to `plants`",
+        "expect[1].of: a comparison needs both plants; add the other one to `plants`",
     ]
 
 

@@ -96,21 +96,24 @@ def test_run_from_a_trajectory_continues_it(plant, tmp_path):
     [
         (
             {"bend_rad": [0.1]},
-            "start: bend_rad has 1 entries; the robot has 4 segments",
+            "start: `bend_rad` has 1 entries, but the robot has 4 segments",
         ),
         (
             {"pressure_kpa": [[900.0, 0.0]] * SEGMENTS},
-            "start: pressure_kpa 900 is above the supply pressure",
+            "start: `pressure_kpa` 900 is above the supply pressure",
         ),
         (
             {"from": "nowhere", "time_s": 1.0},
             "start: nowhere: the folder contains no trajectory of the analytical plant",
         ),
-        ({"from": "nowhere"}, "start.from: needs the time in that run; set time_s"),
-        ({"time_s": 1.0}, "start.time_s: needs a run; set from"),
+        (
+            {"from": "nowhere"},
+            "start.from: the time in the earlier run is missing; set `time_s`",
+        ),
+        ({"time_s": 1.0}, "start.time_s: this key needs an earlier run; set `from`"),
         (
             {"from": "nowhere", "time_s": 1.0, "x_m": 0.0},
-            "start.x_m: is set by the run in from",
+            "start.x_m: the run named by `from` already sets this key",
         ),
         ({"velocity_m_s": [1.0]}, "start.velocity_m_s"),
         ({"yaw_rate_rad_s": math.inf}, "start.yaw_rate_rad_s"),
@@ -127,7 +130,8 @@ def test_time_outside_the_trajectory_is_rejected(tmp_path):
     for plant in PLANTS:
         run(scenario({}), plant).to_parquet(tmp_path / f"{plant}.parquet")
     with pytest.raises(
-        InputError, match=r"time_s 3 is outside .*analytical.parquet, 0 to 1 s"
+        InputError,
+        match=r"`time_s` 3 is outside .*analytical.parquet, which covers 0 to 1 s",
     ):
         scenario({"from": str(tmp_path), "time_s": 3.0})
 

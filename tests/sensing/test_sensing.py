@@ -176,7 +176,8 @@ def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
         assert b == pytest.approx(sign * b[::-1], abs=1e-18)
     with pytest.raises(
         InputError,
-        match=r"cannot be calibrated over ±1.5708 rad: a line explains 0\.0%",
+        match=r"cannot be calibrated over ±1\.5708 rad, because a line explains only"
+        r" 0\.0%",
     ):
         calibrate(HallSensor.trimmed(flat("up")))
 
@@ -584,7 +585,7 @@ def test_sensors_are_selected_by_name():
     ("options", "words"),
     [
         ({"kind": "halll"}, "unknown sensor 'halll'; did you mean hall?"),
-        ({"kind": "ideal", "bits": 8}, "this sensor has no options; leave out bits"),
+        ({"kind": "ideal", "bits": 8}, "this sensor has no options; remove bits"),
         ({"bit": 8}, "unknown option of sensor 'hall' 'bit'; did you mean bits?"),
         ({"orientation": "upp"}, "unknown magnet orientation 'upp'; did you mean up?"),
         (
@@ -611,7 +612,7 @@ def test_sensors_are_selected_by_name():
         ({"gain": 0.0}, "gain 0.0 is not allowed; it must be finite and above 0"),
         (
             {"noise": -1e-6},
-            "noise -1e-06 is not allowed; it must be finite and 0 V or more",
+            "`noise` -1e-06 is not allowed; it must be finite and at least 0 V",
         ),
         (
             {"gain_error": -1.0},
@@ -622,7 +623,7 @@ def test_sensors_are_selected_by_name():
             "bias inf is not allowed; it must be finite and a voltage",
         ),
         ({"sensitivity": 0.0}, "sensitivity 0.0 is not allowed"),
-        ({"bits": 0}, "bits 0 is not allowed; it must be 1 to 32, or none"),
+        ({"bits": 0}, "`bits` 0 is not allowed; it must be between 1 and 32, or None"),
         (
             {"rails": (5.0, 0.0)},
             "rails 5.0 to 0.0 V is not allowed; it must be a finite range",
@@ -630,14 +631,18 @@ def test_sensors_are_selected_by_name():
         (
             {"offset": 5.0},
             (
-                "offset 5.0 is not allowed; it must be finite and between the rails, 0"
-                " and 5 V"
+                "`offset` 5.0 is not allowed; it must be finite and between the rails"
+                " 0 and 5 V"
             ),
         ),
-        ({"offset": 0.1}, "no gain suits this sensor: the element's output changes by"),
+        (
+            {"offset": 0.1},
+            "no gain is suitable for this sensor. The output of the element changes by",
+        ),
         (
             {"gain": 1e-9, "offset": 2.501},
-            "voltages from 2.50244 to 2.50244 V do not give a line",
+            "a calibration line cannot be fitted to voltages between 2.50244 and"
+            " 2.50244 V",
         ),
         ({"span": -1.0, "gain": 500.0}, "calibration span -1.0 rad is not allowed"),
     ],
@@ -662,8 +667,12 @@ def test_invalid_sensor_options_raise(options, words):
             [0.0, 1.0, 2.0],
             "voltages and angles of a calibration must be finite",
         ),
-        ([1.0, 1.0, 1.0], [0.0, 1.0, 2.0], "voltages from 1 to 1 V do not give a line"),
-        ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles must ascend"),
+        (
+            [1.0, 1.0, 1.0],
+            [0.0, 1.0, 2.0],
+            "a calibration line cannot be fitted to voltages between 1 and 1 V",
+        ),
+        ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles must increase"),
     ],
 )
 def test_invalid_calibration_pairs_raise(voltage, angle, words):

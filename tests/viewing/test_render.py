@@ -102,11 +102,12 @@ def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
     [
         (
             ("--strobe", "--from", "30"),
-            "--from 30 --to 3 contains no part of the run, which lasts from 0 to 3 s",
+            "the interval --from 30 --to 3 is outside the run, which lasts from 0 to"
+            " 3 s",
         ),
         (
             ("--strobe", "--from", "2", "--to", "1"),
-            "--from 2 --to 1 contains no part of the run",
+            "the interval --from 2 --to 1 is outside the run",
         ),
         (
             ("--image", "t=1", "--to", "1"),
@@ -377,15 +378,15 @@ def test_scale_bar_has_the_stated_length(runs, opengl_here):
 REFUSED = {
     "ghost on a strobe": (
         ("--strobe", "--ghost"),
-        "--ghost is only possible with --video or --image",
+        "--ghost is possible only with --video or --image",
     ),
     "ghost of none": (
         ("--image", "1", "--ghost"),
-        "the run contains no analytical model; omit --ghost",
+        "the run contains no analytical model; remove --ghost",
     ),
     "nothing asked": (
         (),
-        "give exactly one of --video FILE.mp4, --image t=2.5 and --strobe",
+        "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is needed",
     ),
     "two things asked": (("--strobe", "--image", "1"), "give exactly one of"),
     "out with a video": (
@@ -394,14 +395,17 @@ REFUSED = {
     ),
     "not a moment": (
         ("--image", "t=two"),
-        "--image t=two: not a time; give seconds, such as t=2.5",
+        "--image t=two is not a time; give seconds, for example t=2.5",
     ),
     "moment beyond": (
         ("--image", "t=20"),
         "t = 20 s is outside the run, which lasts from 0 to 3 s",
     ),
     "moment of none": (("--image", "nan"), "t = nan s is outside the run"),
-    "odd size": (("--strobe", "--size", "321x180"), "both even and from 64 to 4096"),
+    "odd size": (
+        ("--strobe", "--size", "321x180"),
+        "both even and between 64 and 4096",
+    ),
     "size of words": (
         ("--strobe", "--size", "big"),
         "--size big: give width and height in pixels",
@@ -424,7 +428,7 @@ def test_missing_run_is_refused(runs, srs_twin, tmp_path):
     done = srs_twin("render", "nowhere", "--strobe", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and "nowhere: there is no finished run (looked for" in done.stderr
+        and "nowhere: no finished run exists there (looked for" in done.stderr
     )
     alone = tmp_path / "alone"
     run_scenario(shortened("gen2_straight", 0.2), alone, plants=["analytical"])
@@ -514,7 +518,7 @@ def test_failing_opengl_backend_is_named(runs, srs_twin_process, tmp_path):
     )
     assert done.returncode == 2
     assert (
-        "OpenGL backend in MUJOCO_GL does not work (vulkan: unknown backend"
+        "OpenGL backend in MUJOCO_GL does not work (vulkan: the backend is unknown"
         in done.stderr
     )
 
@@ -528,8 +532,8 @@ def test_without_opengl_the_error_names_packages(monkeypatch):
     assert (
         str(caught.value)
         == "no OpenGL backend renders off screen (egl: no libegl; osmesa: no"
-        " libosmesa); on Debian and Ubuntu: apt-get install libegl1 libgl1-mesa-dri;"
-        " or apt-get install libosmesa6"
+        " libosmesa); on Debian and Ubuntu, install one with apt-get install"
+        " libegl1 libgl1-mesa-dri; or apt-get install libosmesa6"
     )
 
 

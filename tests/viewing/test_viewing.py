@@ -737,7 +737,8 @@ def test_twin_and_report_need_neither_rerun_nor_pyplot_nor_glfw(monkeypatch):
 
 def test_viewer_errors_name_alternatives(tmp_path, recording, monkeypatch):
     with pytest.raises(
-        InputError, match="no such recording; `srs-twin run SCENARIO` writes one"
+        InputError,
+        match="this recording does not exist; `srs-twin run SCENARIO` writes one",
     ):
         open_recording(tmp_path / "none.rrd")
     monkeypatch.setattr(sys, "platform", "linux")
@@ -772,7 +773,7 @@ def test_a_broken_recording_is_not_verified(tmp_path, recording):
     (tmp_path / "junk.rrd").write_bytes(b"junk")
     with pytest.raises(
         InputError,
-        match=r"junk\.rrd: incomplete or damaged recording \(0 files verified",
+        match=r"junk\.rrd: the recording is incomplete or damaged \(0 files verified",
     ):
         verify_recording(tmp_path / "junk.rrd")
 

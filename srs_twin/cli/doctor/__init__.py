@@ -44,7 +44,7 @@ def doctor(
         _show(checks)
     if failed:
         names = ", ".join(check.name for check in failed)
-        raise InputError(f"runs would fail: {names}; see the remedies above")
+        raise InputError(f"runs would fail because of {names}; see the remedies above")
     if not as_json:
         typer.echo("\nall requirements of a run are met")
 

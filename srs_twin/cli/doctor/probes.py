@@ -64,8 +64,9 @@ def kernels() -> str:
     cache = kernel.entry._cache.cache_path  # noqa: SLF001 - numba names it nowhere else
     if cache is None:
         return (
-            "numba's machine code works, but is compiled again at every start; export"
-            " NUMBA_CACHE_DIR=/tmp/numba (any writable folder) avoids that"
+            "numba's machine code works, but is compiled again at every start; to"
+            " avoid this, export NUMBA_CACHE_DIR=/tmp/numba (or any other writable"
+            " folder)"
         )
     return f"numba's machine code works, cached in {cache}"
 
@@ -148,15 +149,17 @@ def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
         temporary = tempfile.TemporaryDirectory(prefix="srs-twin-doctor-")
     except OSError as error:
         raise InputError(
-            f"cannot write temporary files ({error.strerror}); set TMPDIR to a writable"
-            " folder"
+            f"temporary files cannot be written ({error.strerror}); set the"
+            " environment variable TMPDIR to a writable folder"
         ) from error
     with temporary as folder:
         for name in PROBES:
             yield _run(name, folder, time_limit_s)
         yield rerun_check(Path(folder), time_limit_s)
     if lacks_display():
-        detail = "no display: neither DISPLAY nor WAYLAND_DISPLAY is set"
+        detail = (
+            "no display was found, because neither DISPLAY nor WAYLAND_DISPLAY is set"
+        )
         yield Check(VIEWING, "window", "missing", detail, NO_WINDOW)
 
 
@@ -192,7 +195,7 @@ def _undecided(
     topic: str, name: str, time_limit_s: float, *, necessary: bool = False
 ) -> Check:
     detail = f"no result within {time_limit_s:g} s"
-    remedy = "this machine is busy or very slow: run `srs-twin doctor` again later"
+    remedy = "this machine is busy or very slow; run `srs-twin doctor` again later"
     return Check(topic, name, "undecided", detail, remedy, necessary)
 
 
@@ -223,7 +226,9 @@ def rerun_check(folder: Path, time_limit_s: float) -> Check:
         return Check(VIEWING, name, "ok", f"{program} draws its window")
     panics = re.findall(r"panicked at '?(.*?)'?$", done.stdout + done.stderr, re.M)
     reason = (*panics, describe_exit(done.returncode))[0]
-    return Check(VIEWING, name, "missing", f"cannot draw ({reason})", NO_VULKAN)
+    return Check(
+        VIEWING, name, "missing", f"the window cannot be drawn ({reason})", NO_VULKAN
+    )
 
 
 if __name__ == "__main__":

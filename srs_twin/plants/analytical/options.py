@@ -124,7 +124,7 @@ class AnalyticalOptions:
                 check_positive(name, value, unit)
         if self.cells < 1:
             raise InputError(
-                f"cells {self.cells} is not allowed; a segment needs 1 or more cells"
+                f"`cells` {self.cells} is not allowed; a segment needs 1 or more cells"
             )
 
     def friction_law_on(self, spec: RobotSpec) -> str:
@@ -154,20 +154,20 @@ class AnalyticalOptions:
         if not self.friction_torque and self.model != "simplified":
             yield Violation(
                 "friction_torque",
-                f"model '{self.model}' has a friction torque; use 'simplified' to leave"
-                " it out",
+                f"model '{self.model}' always has a friction torque; use model"
+                " 'simplified' to leave it out",
             )
         if self.base == "clamped" and self.model == "compliant":
             yield Violation(
                 "model",
-                "model 'compliant' needs base 'free'; use 'complete' or the twin when"
-                " clamped, as on a bench",
+                "model 'compliant' needs base 'free'; for a clamped robot, as on a"
+                " bench, use model 'complete' or the twin",
             )
         if self.contact and self.model != "compliant":
             yield Violation(
                 "contact",
-                f"model '{self.model}' has prescribed bends and touches no obstacles;"
-                " use 'compliant'",
+                f"model '{self.model}' cannot touch obstacles, because its bends are"
+                " prescribed; use model 'compliant'",
             )
         if spec is not None:
             yield from self._violations_of_robot(spec)
@@ -176,18 +176,19 @@ class AnalyticalOptions:
         if spec.skin is not None and self.inertia == "lumped":
             yield Violation(
                 "inertia",
-                "the mass of a body with skin is along its length, not 'lumped'; use"
-                " 'point' or 'connector'",
+                "inertia 'lumped' is not allowed for a robot with skin, because its"
+                " mass is distributed along its length; use 'point' or 'connector'",
             )
         friction_law = self.friction_law_on(spec)
         if self.load == "instantaneous" and friction_law not in TWO_POINT_LAWS:
             yield Violation(
                 "load",
-                f"friction '{friction_law}' has one contact per connector; instantaneous"
-                " loads need two: use 'wheel' or 'ellipse'",
+                "instantaneous loads need two contacts per connector, but friction"
+                f" '{friction_law}' has only one; use friction 'wheel' or 'ellipse'",
             )
         elif self.load == "instantaneous" and self.track_of(spec) == 0.0:
             yield Violation(
                 "track",
-                "instantaneous loads need two contacts side by side; track must be above 0",
+                "instantaneous loads need the distance of the two contacts of a"
+                " connector from the centre line; set `track` above 0",
             )

@@ -90,13 +90,14 @@ def make_constants(
     )
     if skin.friction_law != "ellipse":
         raise InputError(
-            "model 'quasistatic' needs a friction law with a potential, 'ellipse', not"
-            f" {skin.friction_law!r}"
+            "model 'quasistatic' supports only the friction law 'ellipse', which has"
+            f" a potential, not {skin.friction_law!r}; set `contact.law` of the robot to"
+            " ellipse"
         )
     if spec.actuator.extension:
         raise InputError(
-            "model 'quasistatic' has segments of constant length; remove"
-            " actuator.extension"
+            "model 'quasistatic' supports only segments of constant length; remove"
+            " `actuator.extension`"
         )
     place = (np.arange(skin.points) + 0.5) / skin.points * g.pitch
     half_gap = g.rigid_gap / 2

@@ -251,7 +251,8 @@ def check_one_per_run(name: str, given: Sized, runs: int) -> None:
     """
     if len(given) != runs:
         raise InputError(
-            f"{name}: {len(given)} values are given for {runs} runs; give one per run"
+            f"{name}: {len(given)} values are given for {runs} runs; give one value"
+            " per run"
         )
 
 
@@ -300,13 +301,13 @@ def _twins(
     if len(counts) != 1:
         numbers = ", ".join(map(str, counts)) or "no robot"
         raise InputError(
-            "the robots of a batch must have the same number of connectors, not"
-            f" {numbers}"
+            "the robots of a batch must have the same number of connectors, but they"
+            f" have {numbers}"
         )
     if isinstance(settings.get("pneumatics"), Pneumatics):
         raise InputError(
-            "pneumatics: the twins of a batch cannot share one object; give the name of"
-            " the pneumatic model instead, such as 'lag'"
+            "the twins of a batch cannot share one pneumatics object; give the name"
+            " of the pneumatic model instead, such as 'lag'"
         )
     keys = [
         repr(pair) if once else str(k)

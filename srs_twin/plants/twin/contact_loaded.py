@@ -211,8 +211,8 @@ class LoadedStepper(Stateful):
             InputError: always.
         """
         raise InputError(
-            "contacts can be neither copied nor pickled alone; copy the TwinSnake, or"
-            " use save()"
+            "a contact can be neither copied nor pickled alone; copy the `TwinSnake`,"
+            " or use `save()`"
         )
 
     @property

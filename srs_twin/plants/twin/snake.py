@@ -197,8 +197,9 @@ class TwinSnake(PneumaticPlant):
         )
         if foremost >= self._first_step_x:
             raise InputError(
-                "a snake must start before the first step, at x ="
-                f" {self._first_step_x:g} m; its front is at x = {foremost:.3g} m"
+                "a snake must start before the first step of the floor at x ="
+                f" {self._first_step_x:g} m, but its front is at x = {foremost:.3g} m;"
+                " start further back"
             )
         self._connector_heading = np.full(self.spec.geometry.connectors, float(pose[2]))
         return self._begin(seed, self.pneumatics.rest_trace())

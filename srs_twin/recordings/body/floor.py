@@ -110,8 +110,8 @@ def map_to_floor(
     if planar:
         if up not in ("auto", "z", "-z"):
             raise InputError(
-                f"up {up} is not allowed for a file with x and y only; use z, or -z if"
-                " y points down"
+                f"up {up} is not allowed for a file that has only x and y; use z, or"
+                " -z if y points down"
             )
         up = up.replace("auto", "z")
         points = np.concatenate([points, np.zeros_like(points[..., :1])], axis=-1)
@@ -122,8 +122,11 @@ def map_to_floor(
     mapped = np.stack([sign * points[..., axis] for axis, sign in MAPS[up]], axis=-1)
     if up != "z":
         x, y, _ = (("−" if sign < 0 else "") + "XYZ"[axis] for axis, sign in MAPS[up])
-        rotated = f"axes rotated: floor x is {x}, floor y is {y} of the file"
-        notes.append("y reversed, because up is -z" if planar else rotated)
+        rotated = (
+            f"the axes are rotated: x of the floor is {x} and y of the floor is"
+            f" {y} of the file"
+        )
+        notes.append("y is reversed, because up is -z" if planar else rotated)
     return FloorPlane(up, mapped, tuple(notes))
 
 
@@ -133,7 +136,10 @@ def _find_floor(
     visible = points[np.isfinite(points).all(axis=-1)]
     visible = visible[:: len(visible) // _SAMPLES + 1]
     if len(visible) < 3:
-        raise InputError("the file has too few marker positions to determine the floor")
+        raise InputError(
+            "the file has too few marker positions to determine the floor; record"
+            " more frames"
+        )
     centre, (spread, axes) = (
         np.median(visible, axis=0),
         _principal_axes(_displacements(points)),
@@ -148,11 +154,11 @@ def _find_floor(
             raise InputError(
                 "the vertical axis cannot be determined, because the markers spread"
                 f" {1e3 * spread[0]:.0f} mm and {1e3 * spread[1]:.0f} mm in two"
-                " directions; give --up x, y or z, or `up` in a map"
+                " directions; give it with --up x, y or z, or with `up` in a map"
             )
         note = (
-            f"up assumed to be {usual}, as usual in such files: markers do not"
-            " determine it"
+            f"up is assumed to be {usual}, as usual in such files, because the markers"
+            " do not determine it"
         )
         return usual, points, [note]
     normal = axes[:, 0] * np.sign(axes[axis, 0])
@@ -160,7 +166,8 @@ def _find_floor(
     if tilt > _MAX_AXIS_TILT:
         raise InputError(
             f"the plane of the markers is tilted by {np.degrees(tilt):.0f}° from all"
-            " axes; rotate the recording, or give --up x, y or z, or `up` in a map"
+            " axes; rotate the recording, or give the vertical axis with --up x, y or"
+            " z, or with `up` in a map"
         )
     # A calibration square on the floor defines the origin, so all markers must be above
     # the origin.
@@ -169,7 +176,7 @@ def _find_floor(
     notes = [f"up is {up}: markers stay within {1e3 * spread[0]:.1f} mm of a plane"]
     if abs(height) <= 1e-3:
         notes.append(
-            f"the markers have the height 0: {up} is assumed to point up, not down"
+            f"the markers have the height 0, so {up} is assumed to point up, not down"
         )
     levelled, tilt_notes = _levelled(points, axis, level)
     return up, levelled, notes + tilt_notes
@@ -200,11 +207,11 @@ def _levelled(
         normal[horizontal] = -removed
         normal[axis] = 1.0
         points = _rotated(points, normal, axis)
-        notes.append(f"levelled by {np.degrees(tilt):.1f}°")
+        notes.append(f"the floor was levelled by {np.degrees(tilt):.1f}°")
     if level is None and suspected > np.degrees(_MAX_TILT):
         notes.append(
-            f"a tilt of {suspected:.1f}° may as well be a lift in step with the motion:"
-            " not levelled (`level: true` in a map levels it)"
+            f"a tilt of {suspected:.1f}° was not removed, because it may also be a"
+            " lift in step with the motion; `level: true` in a map removes it"
         )
     return points, notes
 

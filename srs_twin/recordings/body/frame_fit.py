@@ -181,8 +181,8 @@ def marker_offsets(
         if len(group) > 2:
             listed = ", ".join(names[marker] for marker in group)
             raise InputError(
-                f"{len(group)} markers are at one position of the body ({listed}); at"
-                " most two are allowed"
+                f"{len(group)} markers are at one position of the body ({listed}), but"
+                " at most two are allowed"
             )
         a, b = group
         line = position[:, a] - position[:, b]
@@ -207,8 +207,8 @@ def marker_offsets(
             quarter = np.pi / 2 * np.rint(angle / (np.pi / 2))
             if abs(angle - quarter) > _MAX_PAIR_ANGLE:
                 raise InputError(
-                    f"the line from {names[a]} to {names[b]} is at"
-                    f" {np.degrees(angle):.0f}° to the body; place the two markers"
+                    f"the line from {names[a]} to {names[b]} makes an angle of"
+                    f" {np.degrees(angle):.0f}° with the body; place the two markers"
                     " along the body or across it"
                 )
             angle = quarter

@@ -110,8 +110,8 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
         if height_range[k] > _CONSTANT_HEIGHT:
             reason = varies
         else:
-            reason = "does not move with the other markers"
-        reasons[k] = f"{1e3 * np.median(heights[k]):.0f} mm high, {reason}"
+            reason = "it does not move with the other markers"
+        reasons[k] = f"it is {1e3 * np.median(heights[k]):.0f} mm high, and {reason}"
     return reasons
 
 
@@ -193,9 +193,9 @@ def _wrong_number(
     )
     return (
         f"{candidates} markers may belong to the robot, but {connectors} connectors"
-        f" have {listed}; the tracks are visible on {fractions} of the frames. Give"
-        " --layout, export without other markers, or give the place of each marker in"
-        " a map (--map)"
+        f" need {listed}; the markers are visible on {fractions} of the frames. Give"
+        " --layout, export the recording without other markers, or give the place of"
+        " each marker in a map (--map)"
     )
 
 
@@ -244,8 +244,9 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     worst = max(spread[a, b] / max(median[a, b], 1e-9) for a, b in pairs)
     if len(pairs) != connectors or worst > 0.2:
         raise InputError(
-            f"no {connectors} pairs of markers keep their distance (one changes by"
-            f" {100 * worst:.0f} %); are there two at each connector? Give --layout"
+            f"{connectors} pairs of markers with constant distances are needed, but"
+            f" the distance of one pair changes by {100 * worst:.0f} %; check that"
+            " each connector has two markers, or give --layout"
         )
     return np.array(pairs)
 
@@ -275,8 +276,8 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
     distance = distance[np.isfinite(distance).any(axis=(1, 2))]
     if not len(distance):
         raise InputError(
-            f"no frame has two visible markers; the robot needs {spec.segments + 1} or"
-            " more of them"
+            "no frame has two visible markers, but the robot needs at least"
+            f" {spec.segments + 1}"
         )
     nearest, farthest = (
         np.median(extreme(distance, axis=(1, 2))) for extreme in (np.nanmin, np.nanmax)
@@ -294,8 +295,11 @@ def unit_hint(ratio: float) -> str:
     for unit, factor in LENGTHS.items():
         for correction, preposition in ((factor, "in"), (1 / factor, "not in")):
             if factor != 1 and 0.7 < ratio * correction < 1.1:
-                return f"; are the lengths {preposition} {unit}?"
-    return "; is it this robot?"
+                return (
+                    "; check the unit, because the lengths seem to be"
+                    f" {preposition} {unit}"
+                )
+    return "; check that the recording belongs to this robot"
 
 
 def forward_distance(period: float, points: np.ndarray) -> float:

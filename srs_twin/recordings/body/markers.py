@@ -178,8 +178,8 @@ def _fit_body(
     notes = _length_notes(shape, spec, model)
     if model is LengthModel.FIXED:
         notes.append(
-            "one marker per connector: near a straight body, alternating bends are"
-            " known to 0.2 rad only"
+            "with one marker per connector, alternating bends of a nearly straight"
+            " body are known only to 0.2 rad"
         )
     return shape, station, notes
 
@@ -197,8 +197,8 @@ def _undetermined(station: np.ndarray, spec: RobotSpec) -> str:
             " each connector"
         )
     return (
-        f"markers ({listed}) do not determine the bends of {spec.segments} segments;"
-        f" {remedy}"
+        f"the markers ({listed}) do not determine the bends of {spec.segments}"
+        f" segments; {remedy}"
     )
 
 
@@ -230,16 +230,16 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
         and shape.length_std > _MAX_FIXED_STD * geometry.segment_length
     ):
         raise InputError(
-            f"the segment lengths vary by {1e3 * shape.length_std:.2g} mm (standard"
-            " deviation), so one marker per connector does not determine the bends;"
-            " put a second marker on the head"
+            "one marker per connector does not determine the bends, because the"
+            f" segment lengths vary by {1e3 * shape.length_std:.2g} mm (standard"
+            " deviation); put a second marker on the head"
         )
     deviation = median - geometry.pitch
     if np.abs(deviation).max() > _NOTED_LENGTH * geometry.pitch:
         listed = ", ".join(f"{1e3 * value:+.1f}" for value in deviation)
         notes.append(
-            f"segments are longer than those of {spec.name} by {listed} mm, head first:"
-            " used as measured"
+            f"the segments are longer than those of {spec.name} by {listed} mm, head"
+            " first; the measured lengths are used"
         )
     low, high = (
         (length - geometry.pitch) / geometry.segment_length for length in (low, high)
@@ -253,8 +253,8 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
             for a, b in zip(low, high, strict=True)
         )
         notes.append(
-            f"segments stretch ({listed} of {spec.name}, head first): lengths used as"
-            " measured"
+            f"the segments stretch ({listed} of {spec.name}, head first); the measured"
+            " lengths are used"
         )
     return notes
 
@@ -303,7 +303,10 @@ def _assignments(
             for places in options
         ]
         if head not in heads[0] + heads[1]:
-            raise InputError(f"marker '{head}' is at neither end of the body")
+            raise InputError(
+                f"the marker '{head}' is at neither end of the body; give a marker"
+                " at one of the ends"
+            )
         return [_Assignment(layout, options[head not in heads[0]], f"marker '{head}'")]
     if "head" in layout:
         return [
@@ -318,9 +321,10 @@ def _assignments(
     if abs(crawled) < required:
         ends = " or ".join(f"'{markers.name(groups[end][0])}'" for end in (0, -1))
         raise InputError(
-            "the head cannot be determined, because the body crawled"
-            f" {1e3 * abs(crawled):.3g} mm along itself, less than {1e3 * required:.3g}"
-            f" mm; give --head with the name of a marker at the head ({ends})"
+            "the head cannot be determined, because the body crawled only"
+            f" {1e3 * abs(crawled):.3g} mm along itself, less than"
+            f" {1e3 * required:.3g} mm; give --head with the name of a marker at the"
+            f" head ({ends})"
         )
     reason = f"the end towards which it crawled ({abs(crawled):.3g} m)"
     return [_Assignment(layout, options[crawled < 0], reason)]
@@ -349,8 +353,9 @@ def _best_fit(
     best, second = np.sort([*noises, np.inf, np.inf])[:2]
     if not (np.isfinite(best) and second > _CLEAR_NOISE_RATIO * best):
         raise InputError(
-            f"layout and head of the markers cannot be determined ({'; '.join(notes)});"
-            " give --layout, or --head with the name of the marker at the head"
+            "the layout and the head of the markers cannot be determined"
+            f" ({'; '.join(notes)}); give --layout, or --head with the name of the"
+            " marker at the head"
         )
     return options[int(np.argmin(noises))]
 
@@ -360,13 +365,13 @@ def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
     main = markers.main_columns
     if sorted(main) != list(range(len(places))):
         raise InputError(
-            "the markers change their columns so often that the columns cannot identify"
-            " them"
+            "the columns cannot identify the markers, because the markers change"
+            " their columns too often"
         )
     last = max(station for station, _ in places)
     if last > 2 * spec.segments:
         raise InputError(
-            f"{_station_name(last)} does not exist; {spec.name} has"
+            f"{_station_name(last)} does not exist, because {spec.name} has"
             f" {spec.geometry.connectors} connectors"
         )
     return {int(marker): places[main[marker]] for marker in np.argsort(main)}

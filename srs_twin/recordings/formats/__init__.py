@@ -128,17 +128,21 @@ def _format(path: StrPath, dialect: Dialect) -> Format:
         ):
             listed = ", ".join(FORMATS)
             raise InputError(
-                f"{name}: {description} cannot be read; {remedy}. Formats: {listed}"
+                f"{name}: {description} cannot be read; {remedy}. Readable formats are"
+                f" {listed}"
             )
     if start.problem and b"\0" not in raw:
         raise InputError(f"{name}:{start.header_lines + 1}: {start.problem}")
     description = f"its first line is '{start.first_line[:40]}'"
     if b"\0" in raw:
         description = "it is a binary file of an unknown kind"
-    listed = f"formats: {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
+    listed = (
+        f"readable formats are {', '.join(FORMATS)} (first line time,x_1,y_1,x_2,y_2,…)"
+    )
     raise UnknownFormatError(
         escape_unprintable(
-            f"{name}:1: not a known motion recording: {description}; {listed}"
+            f"{name}:1: the file is not a known motion recording, because"
+            f" {description}; {listed}"
         )
     )
 

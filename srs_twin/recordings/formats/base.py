@@ -177,7 +177,7 @@ def length_unit(
     if not (found := symbol(text, LENGTHS)):
         hint = did_you_mean(text, LENGTHS)
         allowed = ", ".join(LENGTHS)
-        problem = escape_unprintable(f"unit of length '{text[:20]}' is not known")
+        problem = escape_unprintable(f"the unit of length '{text[:20]}' is not known")
         raise file.error(f"{problem}{hint}; allowed: {allowed}", line, column)
     return found
 
@@ -188,7 +188,8 @@ def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float
         if 0 < float(given) < 1e6:
             return float(given)
     raise file.error(
-        f"frame rate '{given[:20]}' is not allowed; it must be frames per second", line
+        f"the frame rate '{given[:20]}' is not allowed; give it in frames per second",
+        line,
     )
 
 
@@ -283,7 +284,7 @@ def marker_table(
     units = [unit] if isinstance(unit, str) else unit
     notes = list(notes)
     if converted := ", ".join(sorted({*units} - {"m"})):
-        notes.append(f"lengths converted from {converted} to m")
+        notes.append(f"lengths were converted from {converted} to m")
     points = points * np.array([[LENGTHS[symbol]] for symbol in units])
     unseen = _unseen(points, rotations)
     points[unseen] = np.nan
@@ -298,7 +299,9 @@ def marker_table(
         (far, f"are over {MAX_DISTANCE:g} m away"),
     ):
         if samples.any():
-            notes.append(f"{int(samples.sum())} positions {reason}: read as missing")
+            notes.append(
+                f"{int(samples.sum())} positions {reason} and are read as missing"
+            )
     if rotations is not None:
         missing = np.isnan(points[..., :1] + rotations.sum(axis=-1, keepdims=True))
         rotations = np.where(missing, np.nan, rotations)
@@ -337,8 +340,8 @@ def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
     """Check that the file states no other unit of length, and return the table."""
     if given not in (None, table.unit):
         raise InputError(
-            f"{table.name}: lengths are in {table.unit} according to the file, but in"
-            f" {given} according to the map or --units; correct one of them"
+            f"{table.name}: the lengths are in {table.unit} according to the file, but"
+            f" in {given} according to the map or --units; correct one of them"
         )
     return table
 
@@ -355,7 +358,7 @@ def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         how = "`uv sync --extra recordings`, or `pip install 'srs-twin[recordings]'`"
         raise file.error(
-            f"{kind} needs the package {error.name}, which is an extra: {how}"
+            f"{kind} needs the optional package {error.name}; install it with {how}"
         ) from error
     except Exception as error:  # libraries raise errors of all kinds for damaged files
         message = escape_unprintable(" ".join(str(error).split()))[:120]

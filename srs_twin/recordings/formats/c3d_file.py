@@ -186,7 +186,8 @@ class C3d(Format):
         if len(chosen) < count:
             skipped = count - len(chosen)
             notes.append(
-                f"{skipped} points with angles, forces or similar quantities skipped"
+                f"{skipped} points with angles, forces or similar quantities were"
+                " skipped"
             )
         if len(samples) < frames.announced:
             notes.append(
@@ -208,17 +209,22 @@ def _units(
 ) -> tuple[list[str], list[str]]:
     stated = [unit.lower() for unit in contents.strings("POINT:UNITS") if unit]
     if not stated and not given:
-        raise file.error("POINT:UNITS is missing; give --units, or `units` in a map")
+        raise file.error(
+            "the unit of length (POINT:UNITS) is missing; give it with --units,"
+            " or with `units` in a map"
+        )
     if not stated:
-        return [given or ""] * len(chosen), [f"POINT:UNITS is missing: {given} used"]
+        return [given or ""] * len(chosen), [
+            f"the unit of length (POINT:UNITS) is missing, so {given} is used"
+        ]
     of_points = [stated[k if len(stated) >= count else 0] for k in chosen]
     unknown = sorted({unit for unit in of_points if not symbol(unit, LENGTHS)})
     notes = []
     if given and unknown:
         of_points = [given if unit in unknown else unit for unit in of_points]
         notes.append(
-            f"POINT:UNITS {', '.join(unknown)} is not a known unit: {given} used, as"
-            " given"
+            f"POINT:UNITS {', '.join(unknown)} is not a known unit, so {given} is"
+            " used, as given"
         )
     return [length_unit(file, unit) for unit in of_points], notes
 
@@ -265,8 +271,8 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     frames = room if overflow else min(announced, room)
     if not 0 < frames <= _MAX_FRAMES:
         raise file.error(
-            f"the C3D file has {frames} whole frames; it must have 1 to {_MAX_FRAMES}"
-            " (record or export it again)"
+            f"the C3D file has {frames} complete frames, but it must have between 1"
+            f" and {_MAX_FRAMES}; record or export it again"
         )
     data = data[: frames * width]
     if is_float:
@@ -312,8 +318,8 @@ def _analog_values(
     filling = [analog for analog in (by_header, by_parameters) if fills(analog)]
     if len(filling) != 1:
         raise file.error(
-            f"the header states {by_header} analog values per frame, the parameters"
-            f" {by_parameters}, and the size of the file does not decide between them;"
-            " export it again"
+            f"the header states {by_header} analog values per frame, but the"
+            f" parameters state {by_parameters}, and the size of the file does not"
+            " decide between them; export it again"
         )
     return filling[0]

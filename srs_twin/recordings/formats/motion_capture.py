@@ -64,9 +64,9 @@ class Motive(Format):
         header = dict(pairwise(lines[0]))
         version = header.get("Format Version", "")
         if not re.fullmatch(r"1\.(0|1|2)\d?", version):
-            allowed = "allowed: 1.0 to 1.29 (export again from Motive 2 or 3)"
+            allowed = "allowed are 1.0 to 1.29 (export again from Motive 2 or 3)"
             raise file.error(
-                f"Format Version '{version[:20]}' cannot be read; {allowed}", 1, 2
+                f"the format version '{version[:20]}' cannot be read; {allowed}", 1, 2
             )
         columns = _columns(file, lines)
         kind, notes = _kind_to_read(file, columns)
@@ -119,18 +119,19 @@ def _kind_to_read(file: RecordedFile, columns: _Columns) -> tuple[str, list[str]
     if kind is None:
         types = ", ".join(sorted(kinds)) or "none"
         raise file.error(
-            f"the header has no positions of markers (types with positions: {types};"
-            f" allowed: {', '.join(MOTIVE_KINDS)})",
+            "the header contains no positions of markers; export one of the types"
+            f" {', '.join(MOTIVE_KINDS)} (the file has positions of the types {types})",
             columns.header_lines,
         )
     skipped = sorted((other, count) for other, count in kinds.items() if other != kind)
     notes = [
-        f"{count} columns of positions of type {other} skipped"
+        f"{count} columns with positions of type {other} were skipped"
         for other, count in skipped
     ]
     if kind != MOTIVE_KINDS[0]:
         notes.append(
-            f"no columns of type {MOTIVE_KINDS[0]}: positions of type {kind} used"
+            f"the file has no columns of type {MOTIVE_KINDS[0]}, so positions of type"
+            f" {kind} are used"
         )
     return kind, notes
 
@@ -140,18 +141,26 @@ def _columns(file: RecordedFile, lines: list[list[str]]) -> _Columns:
     if last is None:
         count = len(lines) if lines[-1] else len(lines) - 1
         raise file.error(
-            "the header is cut: no line 'Frame,Time (Seconds),X,Y,Z,…' in it", count + 1
+            "the header is incomplete, because the line 'Frame,Time"
+            " (Seconds),X,Y,Z,…' is missing; export the file again",
+            count + 1,
         )
     axes = lines[last]
     width = len(lines[last])
     if width < 2 or not axes[1].startswith("Time"):
-        raise file.error("'Time (Seconds)' is missing after 'Frame'", last + 1, 2)
+        raise file.error(
+            "the cell 'Time (Seconds)' is missing after 'Frame'; export the file again",
+            last + 1,
+            2,
+        )
     rows = [
         (cells + [""] * width)[:width] for cells in lines[1:last] if any(cells[:width])
     ]
     if len(rows) < 2:
         raise file.error(
-            "the header is cut: it must have rows Type, Name, ID and Position", last + 1
+            "the header is incomplete; it must have the rows Type, Name, ID and"
+            " Position",
+            last + 1,
         )
     # Older versions do not name the header rows, so their order identifies the rows.
     kinds, names = (
@@ -205,15 +214,24 @@ class Vicon(Format):
         position_axes = _VICON_AXES[section]
         lines = file.head(4, above)
         if len(lines) < 4 or lines[2][:2] != ["Frame", "Sub Frame"]:
-            required = "must be followed by rate, names, 'Frame,Sub Frame,…' and units"
-            raise file.error(f"the header is cut: '{section}' {required}", above + 1)
+            required = (
+                "must be followed by the rate, the names, 'Frame,Sub Frame,…' and"
+                " the units"
+            )
+            raise file.error(
+                f"the header is incomplete: '{section}' {required}", above + 1
+            )
         rate = frame_rate(file, "".join(lines[0][:1]), above + 1)
         axes = lines[2]
         width = len(lines[2])
         names, units = ((line + [""] * width)[:width] for line in (lines[1], lines[3]))
         positions = [k for k in range(2, width - 2) if axes[k : k + 3] == position_axes]
         if not positions:
-            raise file.error(f"no columns {','.join(position_axes)}", above + 3)
+            raise file.error(
+                f"the columns {','.join(position_axes)} are missing; export them"
+                " from Nexus",
+                above + 3,
+            )
         lengths = [length_unit(file, units[k], above + 4, k + 1) for k in positions]
         rotations = _rotation_columns(axes, positions)
         rows = marker_rows(
@@ -228,7 +246,8 @@ class Vicon(Format):
         notes = rows.notes + notes
         if rotations:
             notes.append(
-                "RX, RY, RZ read as a rotation vector, or with RW as a quaternion"
+                "RX, RY and RZ are read as a rotation vector, or together with RW as"
+                " a quaternion"
             )
         firsts = [rotations[k].start if k in rotations else k for k in positions]
         labels = [
@@ -280,12 +299,14 @@ def _vicon_section(file: RecordedFile) -> tuple[str, int, list[str]]:
     if section is None:
         titles = ", ".join(dict.fromkeys(title for title, _ in sections))
         raise file.error(
-            f"no section Trajectories (sections: {titles}); export trajectories from"
-            " Nexus"
+            "the section Trajectories is missing (the file has the sections"
+            f" {titles}); export trajectories from Nexus"
         )
     begin = start_of_section[section]
     skipped = [
-        f"section {title} skipped" for title, start in sections if start != begin
+        f"the section {title} was skipped"
+        for title, start in sections
+        if start != begin
     ]
     return section, file.raw.count(b"\n", 0, begin) + 1, skipped
 
@@ -348,7 +369,8 @@ class Qualisys(Format):
         names = list(takewhile(bool, fields.get("MARKER_NAMES", [])))
         if not names or len(row) < 3:
             raise file.error(
-                "the header is cut: MARKER_NAMES and rows of numbers are missing",
+                "the header is incomplete, because MARKER_NAMES or the rows of"
+                " numbers are missing; export the file again",
                 header + 1,
             )
         width = len(row)
@@ -356,10 +378,11 @@ class Qualisys(Format):
         # A row may begin with the frame number and the time, and may end with a tab.
         if not 0 <= width - count <= 3:
             required = (
-                f"rows must have {count} cells, or {count + 2} with Frame and Time"
+                f"each row must have {count} cells, or {count + 2} with Frame and Time"
             )
             raise file.error(
-                f"{width} cells for {len(names)} markers; {required}", header + 1
+                f"the row has {width} cells for {len(names)} markers; {required}",
+                header + 1,
             )
         first = 2 if width - count >= 2 else 0
         given = fields.get("FREQUENCY", [""])[0]
@@ -376,7 +399,7 @@ class Qualisys(Format):
         )
         # In Qualisys files, 0,0,0 denotes a missing marker even in a single frame.
         points[(points == 0).all(axis=-1)] = np.nan
-        notes.append("0,0,0 read as missing")
+        notes.append("positions 0,0,0 are read as missing")
         table = marker_table(file, self.name, time, points, names, notes, unit="mm")
         frames = announced(fields.get("NO_OF_FRAMES", [""])[0])
         return replace(table, header_frames=frames)

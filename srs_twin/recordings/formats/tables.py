@@ -51,8 +51,8 @@ class Trc(Format):
         lines = file.head(_AXES_LINE + 2)
         if len(lines) <= _AXES_LINE or lines[3][:1] != ["Frame#"]:
             raise file.error(
-                "the header is cut: line 4 must have 'Frame#', 'Time' and names of"
-                " markers",
+                "the header is incomplete; line 4 must have 'Frame#', 'Time' and the"
+                " names of the markers",
                 4,
             )
         header = _AXES_LINE + (not any(lines[_AXES_LINE]))
@@ -64,8 +64,8 @@ class Trc(Format):
         # A row may end with additional tabs.
         if not names or width < required or any(row[required:]):
             raise file.error(
-                f"{width} cells for {len(names)} markers; rows must have {required}"
-                " cells",
+                f"the row has {width} cells for {len(names)} markers; each row must"
+                f" have {required} cells",
                 header + 1,
             )
         stated = fields.get("DataRate")
@@ -109,8 +109,8 @@ class Tum(Format):
         times = file.times(0, "s")
         if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1) > _MAX_NORM_ERROR).any():
             raise file.error(
-                "eight numbers per line are read as time, x, y, z and a quaternion, but"
-                " its norm is not 1"
+                "eight numbers per line are read as time, x, y, z and a quaternion,"
+                " but the norm of the quaternion is not 1"
             )
         table = marker_table(
             file,
@@ -152,8 +152,8 @@ class DeepLabCut(Format):
         lines = {cells[0]: cells for cells in file.head(4) if cells}
         if not {"bodyparts", "coords"} <= lines.keys():
             raise file.error(
-                "the header is cut: it must have rows scorer, (individuals,) bodyparts"
-                " and coords",
+                "the header is incomplete; it must have the rows scorer,"
+                " (individuals,) bodyparts and coords",
                 2,
             )
         coords = lines["coords"]
@@ -162,7 +162,9 @@ class DeepLabCut(Format):
         top = 4 if animals else 3
         width = len(coords)
         if width < 4 or coords[1:] != ["x", "y", "likelihood"] * (width // 3):
-            raise file.error("each body part must have the columns x,y,likelihood", top)
+            raise file.error(
+                "each body part must have the columns x, y and likelihood", top
+            )
         if len(parts) != width or (animals and len(animals) != width):
             raise file.error(f"the rows of the header must have {width} cells", top)
         places = range(1, width, 3)
@@ -175,10 +177,10 @@ class DeepLabCut(Format):
         notes += [
             (
                 f"{int(unlikely.sum())} samples with a likelihood below"
-                f" {MIN_LIKELIHOOD} read as missing"
+                f" {MIN_LIKELIHOOD} are read as missing"
             ),
-            "y reversed, because it points down in images",
-            f"coordinates multiplied by {factor:g} to m",
+            "y is reversed, because it points down in images",
+            f"the coordinates are multiplied by {factor:g} to convert them to m",
         ]
         table = marker_table(file, self.name, time, points, names, notes)
         return replace(table, unit=unstated.unit or "px")
@@ -191,11 +193,11 @@ def _dlc_scale(file: RecordedFile, unstated: Unstated) -> float:
         missing.append("`rate_hz` (frames per second of the video)")
     if pixels and not unstated.scale_m:
         missing.append(
-            "`scale_m` (m per pixel; or `unit`, if the coordinates are lengths)"
+            "`scale_m` (m per pixel, or `unit` if the coordinates are lengths)"
         )
     if missing:
         raise file.error(
-            "DeepLabCut files have frames and pixels only; give"
+            "DeepLabCut files contain only frame numbers and pixels; give"
             f" {' and '.join(missing)}"
         )
     if pixels:
@@ -232,8 +234,9 @@ class PlainCsv(Format):
         markers = _marker_columns(table, numbered)
         if not clock and not unstated.rate_hz:
             raise file.error(
-                "no column 'time' (the first line must name the columns:"
-                " time,x_1,y_1,x_2,y_2,…), and no rate_hz or --rate is given",
+                "the column 'time' is missing, and no frame rate is given. The first"
+                " line must name the columns (time,x_1,y_1,x_2,y_2,…), or give the"
+                " frame rate with --rate or `rate_hz`",
                 file.header_lines or 1,
             )
         chosen = _in_given_unit(table, markers, unstated)
@@ -264,7 +267,9 @@ def _in_given_unit(
     if unit == "px":
         scale = unstated.scale_m
     if not scale:
-        raise table.file.error("units px need scale_m, the size of a pixel in m")
+        raise table.file.error(
+            "the unit px needs the size of a pixel in m; give it as `scale_m`"
+        )
     columns = [column for axes in markers.values() for column in axes]
     for column in columns:
         if unit and column.unit not in ("", unit):
@@ -282,12 +287,12 @@ def _unit_notes(used: list[CsvColumn], given: str | None) -> list[str]:
     notes = []
     units = sorted({column.unit or given or "" for column in used} - {"", "m", "s"})
     if units:
-        notes.append(f"converted from {', '.join(units)} to SI")
+        notes.append(f"values were converted from {', '.join(units)} to SI units")
     without = [column.text for column in used if not column.unit]
     if without and not given:
         notes.append(
-            f"{len(without)} columns without a unit assumed to be in s and m"
-            f" ({without[0]}, …)"
+            f"{len(without)} columns without a unit ({without[0]}, …) are assumed to"
+            " be in s and m"
         )
     return notes
 
@@ -311,20 +316,30 @@ def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn
         }
     if not markers:
         required = "columns x_1,y_1,x_2,y_2,… (head first) or NAME_x,NAME_y"
-        raise file.error(f"the file has no positions; it must have {required}", line)
+        raise file.error(
+            f"the file contains no positions; it must have {required}", line
+        )
     used = {column.place for axes in markers.values() for column in axes.values()}
     for place, name in enumerate(names):
         if file.names.count(name) > 1:
-            raise file.error(f"{name}: two columns have this name", line, place + 1)
-        if numbered and name and place not in used:
-            required = f"each marker has x and y, once, in {', '.join(LENGTHS)}"
             raise file.error(
-                f"{name} belongs to no marker: {required}", line, place + 1
+                f"two columns have the name '{name}'; rename one of them",
+                line,
+                place + 1,
+            )
+        if numbered and name and place not in used:
+            required = (
+                "each marker must have one column x and one column y, in"
+                f" {', '.join(LENGTHS)}"
+            )
+            raise file.error(
+                f"the column '{name}' belongs to no marker; {required}", line, place + 1
             )
     numbers = [_place(name)[0] for name in markers if numbered]
     if missing := {*range(1, max(numbers, default=0))} - {*numbers}:
         problem = (
-            f"x_{min(missing)} is missing; connectors are numbered from 1 at the head"
+            f"the column x_{min(missing)} is missing; connectors are numbered from 1"
+            " at the head"
         )
         raise file.error(problem, line)
     if any("z" in axes for axes in markers.values()):
@@ -334,6 +349,8 @@ def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn
     for name, axes in markers.items():
         if letters[-1] not in axes:
             raise file.error(
-                f"{name}_z is missing, although other markers have one", line
+                f"the column {name}_z is missing, although other markers have such a"
+                " column; add it, or remove all columns z",
+                line,
             )
     return {name: [axes[axis] for axis in letters] for name, axes in markers.items()}

@@ -109,9 +109,10 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
             total += size
     if total > allowed:
         raise file.error(
-            f"its chunks unpack to {total / (1 << 20):.0f} MB; at most {allowed >> 20}"
-            f" MB are read of a file of {len(file.data) / 1000:.0f} kB (record fewer"
-            " topics, or a shorter time)"
+            f"the unpacked chunks have {total / (1 << 20):.0f} MB, but at most"
+            f" {allowed >> 20} MB are allowed for a file of"
+            f" {len(file.data) / 1000:.0f} kB; record fewer topics, or for a shorter"
+            " time"
         )
 
 
@@ -128,8 +129,8 @@ def unpacked(
     limit = MAX_BYTES if size is None else size
     if limit > MAX_BYTES or compression not in ("", *_UNPACKERS):
         raise ChunkError(
-            f"a chunk has {size} bytes and the compression '{compression}'; at most"
-            f" {MAX_BYTES} bytes are read"
+            f"a chunk has {size} bytes and the compression '{compression}', but only"
+            f" known compressions and at most {MAX_BYTES} bytes are allowed"
         )
     if compression:
         module, name = _UNPACKERS[compression]
@@ -185,7 +186,8 @@ class Bag(Format):
             )
             notes = "".join(f"; {note}" for note in recorded.notes[:3])
             raise file.error(
-                f"no topic with positions; types with positions are {types}{notes}"
+                "the file has no topic with positions; such topics have the types"
+                f" {types}{notes}"
             )
         return recorded.markers
 
@@ -211,7 +213,7 @@ class Bag(Format):
             except CutError:
                 if not topics.messages:
                     raise
-                topics.notes.append("the file is cut: read up to the cut")
+                topics.notes.append("the file is cut off; it was read up to the cut")
             return topics.result()
 
 
@@ -243,8 +245,8 @@ class _Topics:
         self.messages += 1
         if self.messages > _MAX_MESSAGES:
             raise self.file.error(
-                f"the file has over {_MAX_MESSAGES} messages; record fewer topics, or a"
-                " shorter time"
+                f"the file has over {_MAX_MESSAGES} messages; record fewer topics, or"
+                " for a shorter time"
             )
         if self.messages == 1:
             self.origin = message.log_time
@@ -293,16 +295,17 @@ class _Topics:
         if self.numbers > MAX_VALUES or len(series) > MAX_COLUMNS:
             raise self.file.error(
                 f"the file has too many values; at most {MAX_VALUES} numbers of"
-                f" {MAX_COLUMNS} signals are read"
+                f" {MAX_COLUMNS} signals are allowed"
             )
 
     def result(self) -> RecordedTopics:
         self.notes += [
-            f"topic {topic} skipped: {count} messages"
+            f"the topic {topic} with {count} messages was skipped"
             for topic, count in self.skipped.items()
         ]
         self.notes += [
-            f"stamps of {topic} differ by {difference:.3g} s from the log times"
+            f"the time stamps of {topic} differ by {difference:.3g} s from the log"
+            " times"
             for topic, difference in self.clock_differences.items()
             if difference > _NOTED_DIFFERENCE_S
         ]
@@ -331,8 +334,9 @@ class _Topics:
         frames = _frames(bodies[main_topic], main_label)
         if len(frames.time) * len(series) * 7 > MAX_VALUES:
             raise self.file.error(
-                f"the file has {len(frames.time)} frames of {len(series)} bodies; at"
-                f" most {MAX_VALUES} numbers are read"
+                f"the file has {len(frames.time)} frames of {len(series)} bodies, but"
+                f" at most {MAX_VALUES} numbers are allowed; record a shorter time or"
+                " fewer bodies"
             )
         poses = np.full((len(frames.time), len(series), 7), np.nan)
         for k, ((topic, _), rows) in enumerate(series.items()):
@@ -344,12 +348,13 @@ class _Topics:
         notes = [*self.notes]
         if composed := _compose(poses, names, self.parents):
             notes.append(
-                f"{len(composed)} transforms relative to another body: composed"
+                f"{len(composed)} transforms are relative to another body and were"
+                " composed"
             )
         roots = sorted(set(self.parents.values()) - set(names))
         if len(roots) > 1:
             listed = escape_unprintable(", ".join(roots[:5]))
-            notes.append(f"bodies are in different frames: {listed}")
+            notes.append(f"the bodies are in different frames: {listed}")
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
         # A simulated clock may start at any time, so the times are shifted to start at

@@ -84,13 +84,14 @@ def estimate_offset(
     if min_count < 8:
         raise InputError(
             "the recording or the log is too short to estimate the clock offset; give"
-            " --offset"
+            " the offset with --offset"
         )
     bends = _resampled(time, measured, step)
     model = _resampled(log_time, driven, step)
     if model.std(axis=0).max() < 1e-6 or bends.std(axis=0).max() < 1e-6:
         raise InputError(
-            "nothing moves, so the clock offset cannot be estimated; give --offset"
+            "the clock offset cannot be estimated, because nothing moves; give the"
+            " offset with --offset"
         )
     loss, lags, count = _losses(bends, model, min_count)
     best = int(np.argmin(loss))
@@ -98,9 +99,10 @@ def estimate_offset(
     start_difference = time[0] - log_time[0]
     if explained < MIN_EXPLAINED:
         raise InputError(
-            f"no offset explains the bends (the best one explains {100 * explained:.0f}"
-            f" % of their variance, but {100 * MIN_EXPLAINED:.0f} % are needed); check"
-            " that the log belongs to this run and to this robot, or give --offset"
+            "no clock offset explains the bends. The best one explains"
+            f" {100 * explained:.0f} % of their variance, but"
+            f" {100 * MIN_EXPLAINED:.0f} % are needed; check that the log belongs to"
+            " this run and to this robot, or give --offset"
         )
     _check_unambiguous(loss, lags * step + start_difference, best)
     error = float("inf")
@@ -183,9 +185,9 @@ def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None
         )[:5]
         listed = ", ".join(f"{offset:.4g}" for offset in sorted(nearest))
         raise InputError(
-            f"the clock offset is ambiguous: {len(rivals) + 1} offsets fit about"
-            f" equally well ({listed} s, …), because the gait is periodic and neither"
-            " its start nor its end is recorded; give --offset, or a longer recording"
+            "the clock offset is ambiguous, because the gait is periodic and neither"
+            f" its start nor its end is recorded. {len(rivals) + 1} offsets fit about"
+            f" equally well ({listed} s, …); give --offset, or a longer recording"
         )
 
 
@@ -253,7 +255,7 @@ def join(
         f" {found.offset.seconds:.4f} s ({found.how})",
     ]
     if not covered.all():
-        notes.append(f"{int((~covered).sum())} frames outside the log left out")
+        notes.append(f"{int((~covered).sum())} frames outside the log were left out")
     notes += [f"{log.source}: {text}" for text in log.corrections]
     summary = replace(
         recording.summary,
@@ -271,9 +273,10 @@ def _covered(time: np.ndarray, log: ValveLog, offset: float) -> np.ndarray:
     covered = (time >= start - 1e-9) & (time <= end + 1e-9)
     if covered.sum() < MIN_FRAMES:
         raise InputError(
-            f"{log.source}: with an offset of {offset:g} s it covers {start:g} to"
-            f" {end:g} s and the motion {time[0]:g} to {time[-1]:g} s, with"
-            f" {int(covered.sum())} frames in common"
+            f"{log.source}: with an offset of {offset:g} s, the log covers {start:g}"
+            f" to {end:g} s and the motion {time[0]:g} to {time[-1]:g} s, so they have"
+            f" only {int(covered.sum())} frames in common; check the offset and the"
+            " files"
         )
     return np.asarray(covered)
 
@@ -299,8 +302,8 @@ def _find_offset(
             known = Offset(difference + (offset or 0.0), 0.0, 1.0, False)
             return _FoundOffset(known, how, [])
         notes.append(
-            f"{log.source}: its times since 1970 differ by {difference:.6g} s from"
-            " those of the motion and are not used"
+            f"{log.source}: the times since 1970 are not used, because they differ by"
+            f" {difference:.6g} s from the times of the motion"
         )
     if offset is not None:
         return _FoundOffset(Offset(offset or 0.0, 0.0, 1.0, False), "as given", notes)
@@ -333,8 +336,8 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     known = clock >= settled
     if known.sum() < MIN_FRAMES:
         raise InputError(
-            f"{log.source}: {span:g} s are too short to estimate the clock offset; give"
-            " --offset"
+            f"{log.source}: {span:g} s are too short to estimate the clock offset;"
+            " give the offset with --offset"
         )
     return log.time[0] + clock[known], trace.bend[known]
 

@@ -43,8 +43,8 @@ def check_times(time: np.ndarray) -> None:
     if largest > _MAX_TIME:
         raise InputError(
             f"the times reach {largest:.3g} s, so their unit is probably not s; state"
-            " the unit in the name of the column (time_ms) or in a map (time: {column:"
-            " NAME, unit: ms})"
+            " the unit in the name of the column (for example time_ms), or in a map"
+            " (time: {column: NAME, unit: ms})"
         )
 
 
@@ -52,7 +52,10 @@ def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the indices of the rows in chronological order, and notes."""
     backward = int((np.diff(time) < 0).sum())
     if backward:
-        notes = [f"rows were not in the order of time ({backward} steps back): sorted"]
+        notes = [
+            f"the rows were not in the order of time ({backward} steps back) and"
+            " were sorted"
+        ]
     else:
         notes = []
     return np.argsort(time, kind="stable"), notes
@@ -74,14 +77,15 @@ def frame_grid(time: np.ndarray) -> FrameGrid:
     kept = np.concatenate([[True], step > 1e-3 * period])
     if not kept.all():
         notes.append(
-            f"{int((~kept).sum())} rows repeat the time of another row: the first one"
-            " is kept"
+            f"{int((~kept).sum())} rows were left out, because they repeat the time of"
+            " another row"
         )
     rows = order[kept]
     ordered = ordered[kept]
     if len(rows) < MIN_FRAMES:
         raise InputError(
-            f"the recording has {len(rows)} frames; {MIN_FRAMES} or more are needed"
+            f"the recording has {len(rows)} frames, but at least {MIN_FRAMES} are"
+            " needed"
         )
     return FrameGrid(*_on_grid(ordered, rows, period, notes), period, tuple(notes))
 
@@ -93,7 +97,9 @@ def _on_grid(
     whole = np.rint(steps / period)
     if np.abs(steps - whole * period).max() > _GRID_TOLERANCE * period:
         if np.abs(steps / period - 1).max() > _GRID_TOLERANCE:
-            notes.append("frames are not evenly spaced in time: used as they are")
+            notes.append(
+                "the frames are not evenly spaced in time and are used as they are"
+            )
         return time, rows
     indices = np.append(0, np.cumsum(whole)).astype(int)
     count = int(indices[-1]) + 1
@@ -105,7 +111,8 @@ def _on_grid(
         )
     if missing := count - len(rows):
         notes.append(
-            f"{missing} frames are missing in the file: inserted without markers"
+            f"{missing} frames are missing in the file and were inserted without"
+            " markers"
         )
         every = np.full(count, -1)
         every[indices] = rows

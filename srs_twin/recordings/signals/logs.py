@@ -107,13 +107,18 @@ def read_bends(
     frequency (Hz) is None if the motion is not periodic.
     """
     table = _table(path, map, ("bend",))
-    clock = table.clock("no column 'time'; a bend log has time,bend_1,…")
+    clock = table.clock(
+        "the column 'time' is missing; a bend log has the columns time,bend_1,…"
+    )
     chosen = table.per_segment(["bend"], spec.name, spec.segments)
     time, bend, notes, epoch_ns = table.read_timed(clock, chosen)
     wrong = np.argwhere(np.abs(bend) > _MAX_BEND)
     if wrong.size:
         row, k = (int(index) for index in wrong[0])
-        allowed = f"at most {_MAX_BEND:.4g} (use the name bend_1_deg for degrees)"
+        allowed = (
+            f"it must be at most {_MAX_BEND:.4g} (for degrees, use the column name"
+            " bend_1_deg)"
+        )
         message = (
             f"{chosen[k].text}: a bend of {bend[row, k]:.4g} rad is not allowed;"
             f" {allowed}"
@@ -126,7 +131,8 @@ def read_bends(
     kept = longest_complete(frames.time, tracks, longest_gap_s)
     if kept.stop - kept.start < MIN_FRAMES:
         raise table.file.error(
-            f"no {MIN_FRAMES} successive rows have all bends; give --longest-gap"
+            f"no {MIN_FRAMES} successive rows contain all bends; allow longer gaps"
+            " with --longest-gap"
         )
     kept_time = frames.time[kept]
     unknown = int(np.isnan(bend[kept]).sum())
@@ -199,16 +205,17 @@ def read_valves(
     table = _table(path, map, ("valve", "duty", *AIR))
     file = table.file
     clock = table.clock(
-        "no column 'time'; a log has time,valve_plus_1,valve_minus_1,… or pressures"
+        "the column 'time' is missing; a log has the columns"
+        " time,valve_plus_1,valve_minus_1,… or pressures"
     )
     names = {column.name for column in table.columns if column is not clock}
     kinds = sorted({name.partition("_")[0] for name in names})
     if len(kinds) != 1:
         given = ", ".join(kinds) or "none of them"
         raise file.error(
-            "a log has one of valve_plus_1,…, duty_plus_1,…, pressure_plus_1,… or"
-            f" setpoint_plus_1,…, but this file has {given}; give other names in a map"
-            " (--map)",
+            "a log must have exactly one of valve_plus_1,…, duty_plus_1,…,"
+            f" pressure_plus_1,… and setpoint_plus_1,…, but this file has {given};"
+            " assign other names in a map (--map)",
             file.header_lines or 1,
         )
     (kind,) = kinds
@@ -249,9 +256,9 @@ def log_of_topics(
         if len(kinds) != 1 or sorted(required) != sorted(names):
             listed = ", ".join(list(topics.signals)[:12]) or "none"
             raise InputError(
-                f"the signals of the {spec.segments} segments are not known; give a map"
-                " with log: {valve_plus_1: SIGNAL, valve_minus_1: SIGNAL, …};"
-                f" signals: {listed}"
+                f"the signals of the {spec.segments} segments are not known. Assign"
+                " them in a map with log: {valve_plus_1: SIGNAL, valve_minus_1:"
+                f" SIGNAL, …}}, where SIGNAL is one of the recorded signals {listed}"
             )
         (kind,) = kinds
         chosen = [names[key] for key in required]
@@ -287,24 +294,26 @@ def _checked_values(
     """Check and return valve states, duties or gauge pressures."""
     if kind in AIR:
         if ambient:
-            notes.append(f"absolute pressures: {ambient / 1e3:g} kPa subtracted")
+            notes.append(
+                f"the pressures are absolute, so {ambient / 1e3:g} kPa were subtracted"
+            )
         elif looks_absolute(values):
             notes.append(
-                f"the smallest pressure is {np.nanmin(values) / 1e3:.4g} kPa:"
+                f"the smallest pressure is {np.nanmin(values) / 1e3:.4g} kPa."
                 f" {ABSOLUTE}"
             )
         values = values - ambient
         allowed = (values >= _MIN_PRESSURE) & (values <= _MAX_PRESSURE)
         words = (
-            f"it must be a gauge pressure from {_MIN_PRESSURE:g} to"
+            f"it must be a gauge pressure between {_MIN_PRESSURE:g} and"
             f" {_MAX_PRESSURE:g} Pa"
         )
         unit = " Pa"
     elif kind == "duty":
         allowed = (values >= 0) & (values <= 1)
         words = (
-            "a duty must be from 0 to 1; state per cent by the unit % in the name of the"
-            " column or in a map"
+            "a duty must be between 0 and 1; for per cent, give the unit % in the"
+            " name of the column or in a map"
         )
         unit = ""
     else:
@@ -335,11 +344,11 @@ def _log(
         notes += moved
         if not kept.all():
             notes.append(
-                f"{int((~kept).sum())} rows repeat the time of another row: the last"
-                " one is kept"
+                f"{int((~kept).sum())} rows were left out, because another row with"
+                " the same time follows"
             )
         if kept.sum() < 2:
-            raise InputError("the log has fewer than 2 rows; 2 or more are needed")
+            raise InputError("the log has fewer than 2 rows, but at least 2 are needed")
         time = time[order][kept]
         values = values[order][kept].reshape(kept.sum(), -1, 2)
         if kind == "setpoint":
@@ -347,13 +356,14 @@ def _log(
         elif kind == "duty":
             time, values = _switched_valves(time, values, carrier_hz)
             notes.append(
-                f"duties converted to valve states at {carrier_hz:g} Hz, with the"
-                " fill first"
+                f"the duties were converted to valve states at {carrier_hz:g} Hz,"
+                " where each period begins with filling"
             )
         elif kind == "valve" and not (values == -1).any() and (values == 0).any():
             values = np.where(values == 0, -1.0, values)
             notes.append(
-                "states are 0 and 1 only: 0 is read as venting (−1), as for 3/2 valves"
+                "the states are only 0 and 1, so 0 is read as venting (−1), as for"
+                " 3/2 valves"
             )
     return ValveLog(
         "pressure" if kind in AIR else "valve",
@@ -372,7 +382,8 @@ def _switched_valves(
     """Convert duties (0 to 1) to times (s) and valve states."""
     if carrier_hz is None:
         raise InputError(
-            "duties need their carrier frequency; give log: {carrier_hz: 30} in a map"
+            "the carrier frequency of the duties is missing; give it as log:"
+            " {carrier_hz: 30} in a map"
         )
     if (time[-1] - time[0]) * carrier_hz > _MAX_PERIODS:
         raise InputError(

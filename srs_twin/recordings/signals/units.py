@@ -164,20 +164,20 @@ def unit_of(
     missing = meaning.kind in _UNIT_REQUIRED and not (stated or default)
     if not given and (stated is None or missing):
         raise InputError(
-            f"the unit of column '{column}' is not known ({allowed}); give it in the"
-            f" map: {{column: '{column}', unit: …}}"
+            f"the unit of the column '{column}' is not known (allowed: {allowed});"
+            f" give it in the map: {{column: '{column}', unit: …}}"
         )
     if not stated:
         return given or default, ""
     if given and units[stated] != units[given]:
         raise InputError(
-            f"column '{column}' is in {stated} by its name, in {given} by the map;"
-            " correct one of them"
+            f"the unit of the column '{column}' is {stated} according to its name, but"
+            f" {given} according to the map; correct one of them"
         )
     if default and not given and units[stated] != units[default]:
         return stated, (
-            f"'{column}' read in {stated} according to its name, although the key of"
-            f" the map has {default}"
+            f"the column '{column}' is read in {stated} according to its name,"
+            f" although the key of the map has {default}"
         )
     return stated, ""
 
@@ -214,7 +214,7 @@ def looks_absolute(pressures: np.ndarray) -> bool:
 
 
 ABSOLUTE = (
-    "they look absolute: subtract the ambient pressure (log: {ambient_kpa: 101.3} in a"
-    " map)"
+    "The pressures look absolute; subtract the ambient pressure with log:"
+    " {ambient_kpa: 101.3} in a map"
 )
 """Hint for pressures that are probably absolute pressures."""

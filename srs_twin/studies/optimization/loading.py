@@ -86,10 +86,11 @@ class VariableFile(Section):
     @model_validator(mode="after")
     def _in_order(self) -> VariableFile:
         if not self.low < self.high:
-            raise ValueError(f"low {self.low:g} must be below high {self.high:g}")
+            raise ValueError(f"`low` {self.low:g} must be below `high` {self.high:g}")
         if self.scale == "log" and self.low <= 0:
             raise ValueError(
-                f"scale: log needs values above 0, but low is {self.low:g}"
+                "with `scale: log`, all values must be above 0, but `low` is"
+                f" {self.low:g}"
             )
         return self
 
@@ -127,7 +128,9 @@ class ConstraintFile(Section):
     @model_validator(mode="after")
     def _has_limit(self) -> ConstraintFile:
         if self.below is None and self.above is None:
-            raise ValueError("a constraint needs a limit; give below or above, or both")
+            raise ValueError(
+                "the constraint has no limit; give `below`, `above` or both"
+            )
         return self
 
 
@@ -172,11 +175,14 @@ class StudyFile(Section):
     def _check_combinations(self) -> StudyFile:
         for name, variable in self.variables.items():
             if variable.hold and name != SEGMENTS:
-                raise ValueError(f"hold is only for {SEGMENTS}; remove it from {name}")
+                raise ValueError(
+                    f"`hold` is allowed only for {SEGMENTS}; remove it from {name}"
+                )
         robust = any(objective.quantile is not None for objective in self.objectives)
         if robust and not (self.budget.uncertain and len(self.objectives) == 1):
             raise ValueError(
-                "quantile needs a single objective and budget.uncertain above 0"
+                "`quantile` needs a single objective and a number of robots"
+                " `budget.uncertain` above 0"
             )
         return self
 

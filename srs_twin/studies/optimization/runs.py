@@ -156,8 +156,8 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         before = store.identity()
         if before is not None and before != now and not changed:
             raise InputError(
-                f"{display_path(folder)}: its runs are of another study or another"
-                " version of the program; give --changed to keep those that still"
-                " apply, or another --out"
+                f"{display_path(folder)}: the runs in this folder belong to another"
+                " study or another version of the program; keep those that still"
+                " apply with --changed, or give another folder with --out"
             )
         store.set_identity(now)

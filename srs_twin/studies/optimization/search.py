@@ -185,7 +185,8 @@ def _cma() -> Any:
         import cma
     except ImportError as error:
         raise InputError(
-            "optimize needs cma; install it with: pip install 'srs-twin[optimize]'"
+            "the search needs the package cma; install it with: pip install"
+            " 'srs-twin[optimize]'"
         ) from error
     return cma
 
@@ -325,8 +326,11 @@ class _Search:
         ]
         if not finished:
             reasons = (run.row.reason for run in self._twin_runs if run.row.reason)
-            why = next(reasons, "the metrics have no value")
-            raise InputError(f"no run of the twin has a result: {why}")
+            why = next(reasons, "the metrics of the study have no value")
+            raise InputError(
+                "the study cannot continue, because no run of the twin has a"
+                f" result: {why}"
+            )
         violations = np.maximum(excesses(self._study, finished), 0.0).sum(axis=1)
         return [
             run

@@ -40,10 +40,10 @@ class StudyOptions:
     Options:
         --engine NAME: Engine that executes the runs: local (processes on this machine),
             ray (cluster) or warp (twins on a GPU).
-        --address HOST:PORT: Address of the Ray cluster, or name of the Warp device, for
-            example cuda:0.
-        --changed: Resume in the folder of another version of the file, and keep the
-            rows that still apply.
+        --address HOST:PORT: Address of the Ray cluster (--engine ray), or name of the
+            Warp device (--engine warp), for example cuda:0.
+        --changed: Resume in a folder that belongs to another version of the file. Rows
+            that are still valid are kept.
     """
 
     engine: str = "local"
@@ -86,11 +86,11 @@ def sweep(
     Options:
         name: Name of a shipped sweep, or path of a sweep file.
         --out DIR: Output folder. [default: runs/sweeps/SWEEP]
-        --retry-failed: Run the points that failed earlier once more.
-        --exclude FIELD=VALUE: Leave out all points in which the field has this value.
-            Can be repeated.
-        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
-            [default: from the sweep]
+        --retry-failed: Run the points again that failed in an earlier run.
+        --exclude FIELD=VALUE: Leave out all points in which FIELD has this VALUE. Can
+            be repeated.
+        --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
+            [default: the models that the sweep names]
     """
     runner = study.make_engine()
     from srs_twin.studies.sweep.execution import select_points, sweep as run_sweep

@@ -174,7 +174,9 @@ def make_engine(
     if engine != "local":
         raise UnknownNameError("engine", engine, ("local", "ray", "warp"))
     if address is not None:
-        raise InputError("--address is only for the engines ray and warp; remove it")
+        raise InputError(
+            "--address is allowed only for the engines ray and warp; remove it"
+        )
     return local(workers)
 
 
@@ -253,7 +255,8 @@ def sweep(
             kept = opened.finish()
             rows = kept.done + kept.failed
             interrupt.add_note(
-                f"{rows} of {kept.points} rows are kept; start again to resume"
+                f"{rows} of {kept.points} rows are kept; start the command again to"
+                " resume"
             )
             raise
         return opened.finish()
@@ -405,10 +408,11 @@ class OpenSweep:
         if before is not None and before.keys != now.keys:
             if not changed:
                 raise InputError(
-                    f"{display_path(self.folder)}: its rows are of another version of"
-                    f" this sweep ({_describe_difference(before, now)}); give --changed"
-                    " to keep the rows that still apply and run the others, or another"
-                    " --out"
+                    f"{display_path(self.folder)}: the rows in this folder belong to"
+                    " another version of this sweep"
+                    f" ({_describe_difference(before, now)}). Keep the rows that still"
+                    " apply and run the others with --changed, or give another folder"
+                    " with --out"
                 )
             self._store.retain(point.key for point in self.sweep.points)
         if before != now:
@@ -425,10 +429,10 @@ class OpenSweep:
 def _describe_difference(before: SweepIdentity, now: SweepIdentity) -> str:
     texts = []
     if changed := list(_value_changes(before.versions, now.versions)):
-        texts.append(f"made with other versions: {_abbreviate(changed)}")
+        texts.append(f"they were made with other versions: {_abbreviate(changed)}")
     for old, new, label in (
         (before.sources, now.sources, "the program has changed"),
-        (before.files, now.files, "contents have changed"),
+        (before.files, now.files, "the contents of files have changed"),
     ):
         if names := [name for name in new | old if old.get(name) != new.get(name)]:
             texts.append(f"{label}: {_abbreviate(names)}")
@@ -481,7 +485,7 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     batch_class = warp_batch()
     if device is None and not batch_class.accelerated():
         message = (
-            "engine 'warp' finds no accelerator; all points run on the processor"
+            "engine 'warp' finds no accelerator, so all points run on the processor"
             " (engine 'local')"
         )
         warnings.warn(message, EngineWarning, stacklevel=1)
@@ -563,9 +567,13 @@ def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]
     """Return the time step and other timing that all runs of one batch must share."""
     timing = scenario.timing
     if "twin" not in experiment.plants:
-        raise InputError("engine 'warp' runs only twins; add twin to plants")
+        raise InputError(
+            "engine 'warp' simulates only the twin; add `twin` to `plants`"
+        )
     if scenario.initial_state is not None:
-        raise InputError("engine 'warp' cannot start from a moving state")
+        raise InputError(
+            "engine 'warp' cannot start from a moving state; use another engine"
+        )
     return tuple(timing[name] for name in ("duration", "seed", "record_hz"))
 
 

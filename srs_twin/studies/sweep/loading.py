@@ -257,15 +257,17 @@ class _Loader:
             own_plant = parse_path(field)[1:2]
             if field.partition(".")[0] in NOT_PHYSICS:
                 text = (
-                    "is a name or expectation without effect on the simulation;"
-                    " remove it"
+                    "this field only names or judges the results and has no effect on"
+                    " the simulation; remove it"
                 )
             elif field == "duration_s" and self._file.periods is not None:
-                text = "is set by periods as well; remove one of them"
+                text = "`periods` also sets the duration; remove one of them"
             elif section == "fixed" and field in self._file.vary:
-                text = "is varied as well; remove one of them"
+                text = "this field is also varied; remove it here or under `vary`"
             elif field.startswith("plants.") and idle.intersection(own_plant):
-                text = f"{own_plant[0]} does not run here; add it to plants"
+                text = (
+                    f"the plant `{own_plant[0]}` does not run here; add it to `plants`"
+                )
             else:
                 continue
             self._document.report((section, field), text, at_key=True)
@@ -275,13 +277,16 @@ class _Loader:
             return
         if "planner" not in self._scenario:
             text = (
-                "is empty, but the scenario has no planner: there is nothing to do;"
-                " name a plant"
+                "no plant is named and the scenario has no planner, so there is"
+                " nothing to do; name a plant"
             )
             self._document.report(("plants",), text)
         for key in ("periods", "trajectories"):
             if getattr(self._file, key):
-                text = "no plant runs with plants: []; remove it"
+                text = (
+                    "this key has no effect, because no plant runs with `plants:"
+                    " []`; remove it"
+                )
                 self._document.report((key,), text, at_key=True)
 
     def _check_metrics(self) -> None:
@@ -306,14 +311,17 @@ class _Loader:
     def _not_varied(self, field: str) -> str:
         varied = list(self._file.vary)
         hint = did_you_mean(field, varied) or f"; varied: {format_names(varied)}"
-        return f"'{field}' is not varied{hint}"
+        return f"the field '{field}' is not varied{hint}"
 
     def _check_metric(self, loc: Loc, metric: str, known: list[str]) -> None:
         if metric in known:
             return
         text = str(UnknownNameError("metric", metric, known, METRICS_LISTED))
         if metric in COMPARISON_UNITS and len(self._plants) == 1:
-            text = f"{metric} compares both plants; only {self._plants[0]} runs here"
+            text = (
+                f"the metric `{metric}` compares both plants, but only"
+                f" {self._plants[0]} runs here; add the other plant to `plants`"
+            )
         self._document.report(loc, text)
 
     def _robots(self) -> dict[str, Any]:

@@ -78,11 +78,13 @@ class RangeFile(Section):
     def _ascending(self) -> RangeFile:
         if not self.start < self.stop:
             raise ValueError(
-                f"from must be below to, but {self.start:g} is not below {self.stop:g}"
+                f"`from` must be below `to`, but {self.start:g} is not below"
+                f" {self.stop:g}"
             )
         if self.scale == "log" and self.start <= 0:
             raise ValueError(
-                f"scale: log needs values above 0, but from is {self.start:g}"
+                "with `scale: log`, all values must be above 0, but `from` is"
+                f" {self.start:g}"
             )
         return self
 
@@ -115,16 +117,18 @@ class SamplingFile(Section):
             for name in ("count", "seed"):
                 if getattr(self, name) is not None:
                     raise ValueError(
-                        f"{name} is only for latin_hypercube and sobol, not for"
-                        f" {self.kind}"
+                        f"`{name}` is allowed only for latin_hypercube and sobol, not"
+                        f" for {self.kind}"
                     )
         elif self.count is None:
-            raise ValueError(f"{self.kind} needs the number of points; set count")
+            raise ValueError(
+                f"the sampling {self.kind} needs the number of points; set `count`"
+            )
         elif self.kind == "sobol" and self.count & (self.count - 1):
             below = 1 << (self.count.bit_length() - 1)
             raise ValueError(
-                f"count {self.count} is not allowed for sobol; use a power of 2, such"
-                f" as {below} or {2 * below}"
+                f"`count` {self.count} is not allowed for sobol; use a power of 2,"
+                f" such as {below} or {2 * below}"
             )
         return self
 
@@ -365,14 +369,15 @@ def sample(vary: Varied, sampling: SamplingFile) -> list[tuple[Value, ...]]:
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{name} {length}" for name, length in lengths.items())
             raise InputError(
-                "sampling: list needs the same number of values of each field, but"
-                f" there are {counts}"
+                "`sampling: list` needs the same number of values of each field, but"
+                f" the fields have {counts}"
             )
         return list(zip(*lists, strict=True))
     count = math.prod(len(values) for values in lists)
     if count > MAX_POINTS:
         raise InputError(
-            f"the grid has {count} points; at most {MAX_POINTS} are allowed"
+            f"the grid has {count} points, but at most {MAX_POINTS} are allowed; use"
+            " fewer values"
         )
     return list(product(*lists))
 
@@ -382,7 +387,7 @@ def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
         return list(values)
     if values.count is None:
         raise InputError(
-            f"{name}: the range has no count; give count, or set sampling to"
+            f"{name}: the range has no `count`; give `count`, or set `sampling` to"
             " latin_hypercube or sobol"
         )
     spaced = np.geomspace if values.scale == "log" else np.linspace

@@ -78,7 +78,10 @@ _OPENING = (
     ),
     "COMMIT",
 )
-_DISK_FULL = "cannot be written ({}); finished rows are kept, start again to resume"
+_DISK_FULL = (
+    "the file cannot be written ({}). Finished rows are kept; start the command"
+    " again to resume"
+)
 _NOT_A_STORE = (
     "the file does not contain the rows of a sweep ({}); give another folder with --out"
 )
@@ -110,7 +113,8 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(
-                f"{display_path(folder)}: cannot be created ({error.strerror})"
+                f"{display_path(folder)}: the folder cannot be created"
+                f" ({error.strerror})"
             ) from error
         try:
             self.database = sqlite3.connect(self._path, timeout=0, isolation_level=None)
@@ -231,7 +235,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
     def _input_error(self, error: Exception) -> InputError:
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-        text = _MESSAGES.get(code, "cannot be used ({}); give another --out")
+        text = _MESSAGES.get(
+            code, "the file cannot be used ({}); give another folder with --out"
+        )
         return InputError(f"{display_path(self._path)}: {text.format(error)}")
 
 

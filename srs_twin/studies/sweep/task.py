@@ -133,7 +133,8 @@ def _plan_metrics(scenario: Scenario) -> dict[str, object]:
     planner = scenario.planner
     if planner is None:
         raise InputError(
-            "there is no planner; give planner, and controller.kind: follow"
+            "the scenario has no planner; add the section `planner`, and set"
+            " `controller.kind: follow`"
         )
     if planner.file.kind not in _warmed_planners:
         # The first plan includes imports and compilation, which must not count as

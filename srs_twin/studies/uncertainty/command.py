@@ -55,11 +55,12 @@ def uncertainty(
 
     Options:
         --out DIR: Output folder. [default: runs/uncertainty/SCENARIO]
-        --plants LIST: Models to simulate: analytical, twin or analytical,twin.
-            [default: from the scenario]
+        --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
+            [default: the models that the scenario names]
         --samples N: Number of random robots drawn from the distributions of the
             parameters.
-        --twin N: Number of runs of the twin if the compliant model runs all samples.
+        --twin N: Number of runs of the twin, if the compliant model simulates all
+            samples and the twin only some of them.
         --exclude NAME: Parameter that keeps its value from the robot file, for example
             friction.drag_n. Can be repeated.
         --model-form FIELD=A,B: Scenario field with its possible values, which are equally

@@ -162,27 +162,28 @@ class MetricUncertainty:
         texts = []
         if self.count < MIN_BOUNDING_SAMPLES:
             texts.append(
-                f"{self.count} samples do not bound the 95 % interval; with a"
-                f" probability of {100 * (1 - _TAIL) ** self.count:.0f} % none of them"
-                " is beyond its true lower end, and likewise for the upper end"
-                f" ({MIN_BOUNDING_SAMPLES} samples make that {100 * _TAIL:g} %)"
+                f"{self.count} samples do not bound the 95 % interval. With a"
+                f" probability of {100 * (1 - _TAIL) ** self.count:.0f} %, no sample"
+                " lies beyond its true lower end, and likewise for the upper end;"
+                f" {MIN_BOUNDING_SAMPLES} samples reduce this probability to"
+                f" {100 * _TAIL:g} %"
             )
         errors = self.errors[2:] / (high - low)
         if errors.max() > _MAX_END_ERROR:
             width_error = 2 * math.sqrt(2) * _MAX_END_ERROR
             texts.append(
-                "standard errors of the ends of the 95 % interval are"
+                "the standard errors of the ends of the 95 % interval are"
                 f" {' and '.join(f'{100 * error:.0f} %' for error in errors)} of its"
-                f" width; above {100 * _MAX_END_ERROR:.0f} % the width is uncertain by"
-                f" more than {100 * width_error:.0f} %"
+                f" width; above {100 * _MAX_END_ERROR:.0f} %, the width is uncertain"
+                f" by more than {100 * width_error:.0f} %"
             )
         if self.indices is not None:
             error = min(float(self.indices.half_width[1].max()), 1.0)
             if error > _MAX_INDEX_ERROR:
                 texts.append(
                     f"total indices have errors of up to ±{100 * error:.0f} %; above"
-                    f" ±{100 * _MAX_INDEX_ERROR:.0f} % causes that differ by less than"
-                    f" {100 * math.sqrt(2) * _MAX_INDEX_ERROR:.0f} % cannot be"
+                    f" ±{100 * _MAX_INDEX_ERROR:.0f} %, causes that differ by less"
+                    f" than {100 * math.sqrt(2) * _MAX_INDEX_ERROR:.0f} % cannot be"
                     " distinguished"
                 )
         return texts

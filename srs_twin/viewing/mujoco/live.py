@@ -282,7 +282,9 @@ class MujocoWindow:
                 show_right_ui=False,
             )
         except RuntimeError as error:
-            raise InputError(f"cannot open MuJoCo's viewer: {error}") from error
+            raise InputError(
+                f"the viewer of MuJoCo cannot be opened: {error}"
+            ) from error
         self._skins = Skins(model, snake.twin.spec.segments)
         make_obstacles_translucent(model)
         self._drawn: list[FloorLine] = []
@@ -331,9 +333,9 @@ def require_display() -> None:
     """Check that a window can be opened."""
     if lacks_display():
         raise InputError(
-            "no display found (neither DISPLAY nor WAYLAND_DISPLAY is set); run this"
-            " command on a machine with a screen, or use `srs-twin run SCENARIO`, which"
-            " needs no display"
+            "no display was found, because neither DISPLAY nor WAYLAND_DISPLAY is"
+            " set; run this command on a machine with a screen, or use `srs-twin run"
+            " SCENARIO`, which needs no display"
         )
     import warnings
 
@@ -348,6 +350,6 @@ def require_display() -> None:
             reason = str(caught[-1].message)
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         raise InputError(
-            f"the display {display} does not respond ({reason}); set DISPLAY to one"
-            " that does"
+            f"the display {display} does not respond ({reason}); set DISPLAY to a"
+            " display that responds"
         )

@@ -72,12 +72,12 @@ def usable_opengl() -> str:
             f"apt-get install {packages}" for packages in PACKAGES.values()
         )
         raise InputError(
-            f"no OpenGL backend renders off screen ({reasons}); on Debian and Ubuntu:"
-            f" {remedy}"
+            f"no OpenGL backend renders off screen ({reasons}); on Debian and Ubuntu,"
+            f" install one with {remedy}"
         )
     raise InputError(
-        f"the OpenGL backend in MUJOCO_GL does not work ({reasons}); unset the variable"
-        f" to choose {' or '.join(PACKAGES)} automatically"
+        f"the OpenGL backend in MUJOCO_GL does not work ({reasons}); unset this"
+        f" variable to choose {' or '.join(PACKAGES)} automatically"
     )
 
 
@@ -89,7 +89,7 @@ def new_context(name: str, width: int, height: int) -> Any:
 def _test(name: str) -> str:
     """Return why an OpenGL backend does not work, or an empty string if it works."""
     if name not in _MODULES:
-        return f"unknown backend; allowed are {', '.join(_MODULES)}"
+        return f"the backend is unknown; allowed are {', '.join(_MODULES)}"
     command = [sys.executable, "-m", __spec__.name, name]
     environment = {**os.environ, "MUJOCO_GL": name}
     try:
@@ -103,12 +103,12 @@ def _test(name: str) -> str:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"no image within {_TIMEOUT_S:g} s"
+        return f"it drew no image within {_TIMEOUT_S:g} s"
     if done.returncode == 0:
         return ""
     lines = [line for line in done.stderr.splitlines() if line[:1].strip()]
     errors = [line for line in lines if "Error" in line]
-    reasons = [*errors, *lines, f"ended with code {done.returncode}"]
+    reasons = [*errors, *lines, f"it ended with code {done.returncode}"]
     return reasons[0]
 
 

@@ -74,8 +74,8 @@ class Stage:
         """Build the scene of a trajectory that has ``qpos`` columns."""
         if not run.has("qpos") or not len(run):
             raise InputError(
-                "nothing to draw: the run has no positions of the twin (columns"
-                " qpos_1…)"
+                "there is nothing to draw, because the run has no positions of the"
+                " twin (columns qpos_1…)"
             )
         self.run = run
         self.bench = scenario.file.bench

@@ -205,7 +205,7 @@ def live_view(
     address = f"rerun+http://{HOST}:{port}/proxy"
     if window and lacks_display():
         raise InputError(
-            "no display found for the viewer; use --web to serve it to a browser"
+            "no display was found for the viewer; use --web to show it in a browser"
         )
     viewer = running_rerun("--port", str(port)) if window else nullcontext()
     page = serve_recordings((), data_port=port) if web else nullcontext(("", None))

@@ -374,14 +374,16 @@ class _StoredRun:
                         -1, 3
                     )
         raise InputError(
-            f"{self.name}: not a recording of srs-twin ({entity} has no {component})"
+            f"{self.name}: the file is not a recording of srs-twin, because {entity}"
+            f" has no {component}"
         )
 
     def layout(self) -> Layout:
         snakes = self.snakes
         if not snakes:
             raise InputError(
-                f"{self.name}: not a recording of srs-twin (it contains no snake)"
+                f"{self.name}: the file is not a recording of srs-twin, because it"
+                " contains no snake"
             )
         followed = "twin" if "twin" in snakes else snakes[0]
         connectors = self.points(f"/world/{followed}/connectors", "Boxes3D:centers")[

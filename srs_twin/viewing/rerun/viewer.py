@@ -69,10 +69,11 @@ def open_recording(path: str | Path) -> None:
     program = rerun_executable()
     if lacks_display():
         raise InputError(
-            "no display found for the viewer (neither DISPLAY nor WAYLAND_DISPLAY is"
-            f" set); open {recording.parent / 'report.html'} in a browser, serve the"
-            f" recording with `srs-twin view {recording} --web`, or copy {recording} to"
-            f" a machine with a screen and run 'rerun {recording.name}' there"
+            "no display was found for the viewer, because neither DISPLAY nor"
+            f" WAYLAND_DISPLAY is set. Open {recording.parent / 'report.html'} in a"
+            f" browser, serve the recording with `srs-twin view {recording} --web`, or"
+            f" copy {recording} to a machine with a screen and run 'rerun"
+            f" {recording.name}' there"
         )
     # The default address would accept connections from the network.
     exit_code = subprocess.run(
@@ -94,7 +95,7 @@ def verify_recording(path: str | Path) -> None:
     if "1 file verified" not in done.stdout + done.stderr:
         lines = (done.stderr or done.stdout).strip().splitlines()
         raise InputError(
-            f"{path}: incomplete or damaged recording"
+            f"{path}: the recording is incomplete or damaged"
             f" ({lines[-1] if lines else 'no output of rerun'})"
         )
 
@@ -103,7 +104,7 @@ def _recording(path: str | Path) -> Path:
     recording = Path(path)
     if not recording.is_file():
         raise InputError(
-            f"{path}: no such recording; `srs-twin run SCENARIO` writes one"
+            f"{path}: this recording does not exist; `srs-twin run SCENARIO` writes one"
         )
     return recording
 
@@ -204,7 +205,7 @@ def serve_recordings(
         )
     except (OSError, OverflowError) as error:
         raise InputError(
-            f"cannot use port {port} ({error}); omit --port to use a free one"
+            f"the port {port} cannot be used ({error}); omit --port to use a free one"
         ) from error
     with (
         server,

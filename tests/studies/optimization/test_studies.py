@@ -471,7 +471,7 @@ def test_an_interrupted_search_resumes_with_the_same_result(tmp_path):
     path.write_text(
         path.read_text("utf-8").replace("gen2_straight", "gen2_turn"), "utf-8"
     )
-    with pytest.raises(InputError, match="of another study"):
+    with pytest.raises(InputError, match="belong to another study"):
         run_search(load_study(path), tmp_path / "out")
 
 
@@ -496,7 +496,11 @@ def test_the_number_of_segments_keeps_total_length_and_mass(tmp_path):
     ("old", "new", "message"),
     [
         ("frequency_hz", "frequncy_hz", "unknown key; did you mean frequency_hz?"),
-        ("low: 0.5, high: 3.0", "low: 3.0, high: 0.5", "low 3 must be below high 0.5"),
+        (
+            "low: 0.5, high: 3.0",
+            "low: 3.0, high: 0.5",
+            "`low` 3 must be below `high` 0.5",
+        ),
         ("low: 0.5, high: 3.0", "low: -1, high: 3.0", "controller.frequency_hz"),
         ("com_speed_m_s", "com_sped_m_s", "did you mean com_speed_m_s"),
         ("maximize", "maximise", "did you mean maximize"),

@@ -87,7 +87,7 @@ def test_results_do_not_depend_on_engine_or_number_of_workers(
         (("small.yaml", "--engine", "rai"), "unknown engine 'rai'; did you mean ray?"),
         (
             ("small.yaml", "--address", "x:1"),
-            "--address is only for the engines ray and warp",
+            "--address is allowed only for the engines ray and warp",
         ),
         (
             ("small.yaml", "--engine", "ray", "--address", "x:1", "--workers", "2"),
@@ -156,7 +156,8 @@ def test_ctrl_c_keeps_finished_rows(srs_twin, tmp_path):
     process.send_signal(signal.SIGINT)
     _, message = process.communicate(timeout=300)
     assert (
-        process.returncode == 130 and "rows are kept; start again to resume" in message
+        process.returncode == 130
+        and "rows are kept; start the command again to resume" in message
     )
     assert "Traceback" not in message
     stored = pq.read_table(tmp_path / "out" / "results.parquet").num_rows

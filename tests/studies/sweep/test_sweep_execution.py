@@ -134,7 +134,7 @@ def test_an_edited_sweep_is_refused_without_changed(tmp_path):
     execute(before, tmp_path / "out")
     after = load_sweep(write(tmp_path, SMALL.replace("count: 4", "count: 7")))
     refusal = (
-        r"of another version of this sweep \(the values have changed\); give --changed"
+        r"belong to another version of this sweep \(the values have changed\)\. Keep"
     )
     with pytest.raises(InputError, match=refusal), open_sweep(after, tmp_path / "out"):
         pass

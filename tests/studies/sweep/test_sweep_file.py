@@ -153,14 +153,15 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "from: 41",
             "from: 61",
-            "6:24: vary.supply.pressure_kpa: from must be below to, but 61 is not belo",
+            "6:24: vary.supply.pressure_kpa: `from` must be below `to`, but 61 is not"
+            " belo",
         ),
         (
             ", count: 4",
             "",
             (
-                "5:3: vary: supply.pressure_kpa: the range has no count; give count, or"
-                " set sampling to latin_hypercube or sobol"
+                "5:3: vary: supply.pressure_kpa: the range has no `count`; give"
+                " `count`, or set `sampling` to latin_hypercube or sobol"
             ),
         ),
         (
@@ -176,7 +177,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "plants: [analytical]",
             "plants: []",
-            "2:9: plants: is empty, but the scenario has no planner",
+            "2:9: plants: no plant is named and the scenario has no planner",
         ),
         (
             "duration_s: 2",
@@ -191,17 +192,17 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "duration_s: 2",
             "title: x",
-            "3:9: fixed.title: is a name or expectation without effect",
+            "3:9: fixed.title: this field only names or judges the results",
         ),
         (
             "duration_s: 2}",
             "supply.pressure_kpa: 45}",
-            "3:9: fixed.supply.pressure_kpa: is varied as",
+            "3:9: fixed.supply.pressure_kpa: this field is also varied",
         ),
         (
             "fixed:",
             "periods: 5\nfixed:",
-            "4:9: fixed.duration_s: is set by periods as well",
+            "4:9: fixed.duration_s: `periods` also sets the duration",
         ),
         (
             "fixed:",
@@ -224,7 +225,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "fixed:",
             "sampling: {kind: list}\nfixed:",
-            "6:3: vary: sampling: list needs the same number of",
+            "6:3: vary: `sampling: list` needs the same number of",
         ),
         (
             "fixed:",
@@ -239,7 +240,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "fixed:",
             "sampling: {seed: 3}\nfixed:",
-            "3:11: sampling: seed is only for latin_hypercube",
+            "3:11: sampling: `seed` is allowed only for latin_hypercube",
         ),
         (
             "count: 4}",

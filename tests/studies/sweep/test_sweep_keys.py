@@ -70,7 +70,7 @@ def test_an_edited_footprint_repeats_only_its_rows(tmp_path, monkeypatch):
     (tmp_path / "one.yaml").write_text(
         shipped.replace("5.23599", "3.5")
     )  # it turns less tightly
-    refusal = r"contents have changed: one\.yaml\); give --changed"
+    refusal = r"contents of files have changed: one\.yaml\)\. Keep the rows"
     with (
         pytest.raises(InputError, match=refusal),
         open_sweep(load_sweep(sweep), tmp_path / "out"),

@@ -105,7 +105,7 @@ def test_invalid_exclusions_are_refused(exclude, says, tmp_path, srs_twin):
     [
         (
             "scenario: gen2_straight\nplants: []\nvary: {seed: [0, 1]}\n",
-            "plants: is empty, but the scenario has no planner",
+            "plants: no plant is named and the scenario has no planner",
         ),
         (WORLDS + "metrics: [com_speed_m_s]\n", "unknown metric 'com_speed_m_s'"),
         (WORLDS + "metrics: [path_rms_m]\n", "unknown metric 'path_rms_m'"),

@@ -138,8 +138,8 @@ def test_a_full_disk_keeps_the_earlier_rows(tmp_path, pages):
         with pytest.raises(
             InputError,
             match=(
-                r"cannot be written \(database or disk is full\); finished rows are"
-                r" kept"
+                r"the file cannot be written \(database or disk is full\)\. Finished"
+                r" rows are kept"
             ),
         ):
             for k in range(10_000):
@@ -190,7 +190,7 @@ except InputError as error:
         check=False,
     )
     assert run.returncode == 1 and run.stderr.startswith(
-        "refused: rows.sqlite: cannot be written"
+        "refused: rows.sqlite: the file cannot be written"
     ), run.stderr
     stored = [int(line) for line in run.stdout.split()]
     with RowStore(tmp_path) as store:

@@ -204,11 +204,11 @@ def test_few_samples_give_a_warning_with_the_reason_of_each_limit():
     skewed = result_of(study_of(4, 16), lambda u: np.exp(u @ WEIGHTS))
     text = " ".join(skewed.warnings)
     assert (
-        "16 samples do not bound the 95 % interval; with a probability of 67 %" in text
+        "16 samples do not bound the 95 % interval. With a probability of 67 %" in text
     )
-    assert "above 5 % the width is uncertain by more than 14 %" in text
+    assert "above 5 %, the width is uncertain by more than 14 %" in text
     assert (
-        "above ±10 % causes that differ by less than 14 % cannot be distinguished"
+        "above ±10 %, causes that differ by less than 14 % cannot be distinguished"
         in text
     )
 

@@ -96,18 +96,21 @@ def test_samples_have_the_correlation_of_the_file():
 @pytest.mark.parametrize(
     ("spread", "message"),
     [
-        ({"kind": "normal", "factor": 2.0}, "normal needs sd, but factor is given"),
+        (
+            {"kind": "normal", "factor": 2.0},
+            "the distribution `normal` needs sd, but factor is given",
+        ),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.04},
-            "low 0.05 must be below high 0.04",
+            "`low` 0.05 must be below `high` 0.04",
         ),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.06},
-            "the number itself, 0.043, is outside 0.05 to 0.06",
+            "the number 0.043 lies outside its own range from 0.05 to 0.06",
         ),
         (
             {"kind": "uniform", "low": -1.0, "high": 0.06},
-            "-1 to 0.06 exceeds the allowed 0 to 10",
+            "the range from -1 to 0.06 is not allowed; it must lie between 0 and 10",
         ),
         ({"kind": "normel", "sd": 1.0}, "normal"),
     ],
@@ -405,8 +408,8 @@ def test_expectations_use_stored_intervals_until_the_scenario_changes(
     short(controller={"kind": "gait", "frequency_hz": 2.0, "offset": 0.1})
     stale = srs_twin("run", str(path), "--check", cwd=tmp_path)
     for item, why in (
-        (moved, "the stored interval is for"),
-        (stale, "for another robot or scenario"),
+        (moved, "the stored interval was computed for the value "),
+        (stale, "to another robot or scenario"),
     ):
         assert item.returncode == 0
         assert (

@@ -37,13 +37,13 @@ from srs_twin.robot.spec import RobotSpec
 SCENE = "scene.xml"
 SCENE_MJX = "scene_mjx.xml"
 
-_LOADS = "is approximate: it acts on the static loads, and no wheel lifts"
-_PRESSURES = "is left out: controls are pressures, which change at once"
-_VOLUMES = "is left out: controls are pressures, which take no air"
+_LOADS = "is approximate, because it acts on the static loads and no wheel lifts"
+_PRESSURES = "is left out, because the controls are pressures, which change at once"
+_VOLUMES = "is left out, because the controls are pressures, which take no air"
 _CONVERT = "convert pressures with equivalent_linear_pressure (models/README.md)"
-_ONSET = f"is left out: {_CONVERT}"
-_LIMIT = f"is approximate, bends near it are up to 19 % too large: {_CONVERT}"
-_SENSORS = "is left out: the lengths of the tendons are the exact bends"
+_ONSET = f"is left out; {_CONVERT}"
+_LIMIT = f"is approximate, because bends near it are up to 19 % too large; {_CONVERT}"
+_SENSORS = "is left out, because the lengths of the tendons are the exact bends"
 _DRAWN = "is a single draw, with modules.seed (default 0)"
 
 _DEPARTURES = {
@@ -129,11 +129,11 @@ def robot_files(
         )
     if spec.actuator.onset_fraction > 0.0 and not linear:
         raise InputError(
-            f"{spec.name} has a dead zone (actuator.onset_fraction"
-            f" {spec.actuator.onset_fraction:g}, dead_zone_rad {spec.actuator.dead_zone:g} rad),"
-            " but the actuators of an MJCF file are linear, and the model would move"
-            " as if it had none; --linear exports it for controls that you convert"
-            " (models/README.md)"
+            f"{spec.name} has a dead zone (`actuator.onset_fraction`"
+            f" {spec.actuator.onset_fraction:g}, `dead_zone_rad`"
+            f" {spec.actuator.dead_zone:g} rad), but the actuators of an MJCF file are"
+            " linear, so the exported model would move as if it had no dead zone."
+            " Export it with --linear if you convert its controls (models/README.md)"
         )
     # A single segment cannot crawl, so the exported segment is clamped.
     bench = spec.segments == 1

@@ -122,8 +122,8 @@ class PreloadedContact:
         _check_positive(self, "slip_time", "axle_time", "slip_speed")
         if not 0.0 <= self.preload_ratio < math.inf:
             raise InputError(
-                f"preload {self.preload} is not allowed; it must be finite and 0 or"
-                " more"
+                f"`preload` {self.preload} is not allowed; it must be finite and at"
+                " least 0"
             )
 
     def for_robot(self, spec: RobotSpec) -> PreloadedContact:
@@ -303,7 +303,7 @@ def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
     """
     if hinges < 1:
         raise InputError(
-            f"hinges_per_segment: {hinges} is not allowed; a segment needs 1 or more"
+            f"`hinges_per_segment` {hinges} is not allowed; a segment needs 1 or more"
         )
     edge = 1 / (2 * (hinges + 1)) if hinges > 1 else 0.5
     return gap / 2 + length * np.linspace(edge, 1 - edge, hinges)

@@ -41,11 +41,16 @@ def violations(
 ) -> Iterator[Violation]:
     """Yield all violations, whose parameters are arguments of `TwinSnake`."""
     if world.objects and settings.base != "free":
-        yield Violation("objects", "movable objects need a free snake")
+        yield Violation(
+            "objects",
+            "movable objects are allowed only if the snake is free; remove the"
+            " objects, or do not clamp the snake",
+        )
     if world.objects and world.steps:
         yield Violation(
             "objects",
-            "objects need a plane floor; remove the steps of the floor or the objects",
+            "movable objects need a plane floor; remove the steps of the floor or the"
+            " objects",
         )
     if spec.is_spatial and settings.numerics.constant_curvature:
         feature = "numerics 'constant_curvature'"
@@ -53,24 +58,25 @@ def violations(
     if spec.actuator.extension and settings.hinges_per_segment < 2:
         yield Violation(
             "hinges_per_segment",
-            "hinges_per_segment: 1 is not allowed for segments that lengthen; use 2 or"
-            " more",
+            "`hinges_per_segment` 1 is not allowed for segments that lengthen; use 2"
+            " or more",
         )
     shortest = min(spec.bending.damping_time, spec.bending.out_of_plane_damping_time)
     if not settings.timestep < MAX_STEP_RATIO * shortest:
         yield Violation(
             "timestep",
-            f"time step {settings.timestep:g} s is too long for segments with a damping"
-            f" time c/k of {shortest:g} s; it must be below {MAX_STEP_RATIO:g} times"
-            " that (bending.damping_time, bending.out_of_plane_damping_time)",
+            f"time step {settings.timestep:g} s is too long for segments with a"
+            f" damping time c/k of {shortest:g} s. It must be below {MAX_STEP_RATIO:g}"
+            " times this damping time (`bending.damping_time`,"
+            " `bending.out_of_plane_damping_time`)",
         )
     smallest = _smallest_inertia(spec, settings)
     if not smallest > LEAST_INERTIA:
         yield Violation(
             "spec",
-            f"a body of {spec.name} has a moment of inertia of {smallest:.2g} kg·m²;"
-            f" MuJoCo needs more than {LEAST_INERTIA:g} kg·m², so the robot is too"
-            " small for the twin",
+            f"the robot {spec.name} is too small for the twin, because the moment of"
+            f" inertia of one of its bodies is {smallest:.2g} kg·m², but MuJoCo needs"
+            f" more than {LEAST_INERTIA:g} kg·m²",
         )
 
 
