@@ -213,7 +213,6 @@ def _layout(
     spec = content.spec
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
     _, coms = _coms(trajectories)
-    from_middle = coms - coms.mean(axis=0)
     # The axis includes zero, because a truncated axis exaggerates differences.
     speeds = np.concatenate(
         [[0.0, 1e-3], *(_speed(run)[1] for run in trajectories.values())]
@@ -227,7 +226,7 @@ def _layout(
         start=coms[:, 0].mean(axis=0),
         heading=float(followed["heading"][0]),
         body_length=spec.geometry.body_length,
-        separation=2 * float(np.linalg.norm(from_middle, axis=-1).max()),
+        separation=_separation(coms),
         period=gait_period(followed),
         compared=content.comparison is not None,
         measured=list(dict.fromkeys(quantities)),
@@ -246,6 +245,11 @@ def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarra
         for run in runs
     ]
     return time, np.array(coms).transpose(0, 2, 1)
+
+
+def _separation(coms: np.ndarray) -> float:
+    """Return twice the maximum distance of a plant from the mean of all plants."""
+    return 2 * float(np.linalg.norm(coms - coms.mean(axis=0), axis=-1).max())
 
 
 def _send_camera_target(
