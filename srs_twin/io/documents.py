@@ -476,7 +476,7 @@ class _Reader:
             key = self._text(event, keep="")
             key_loc = (*loc, key)
             if key == "<<" and event.implicit[0]:
-                self._refuse("YAML merge keys (<<) are not allowed; write the keys out")
+                self._refuse("merge keys (<<) are not allowed; write the keys out")
             elif key in mapping:
                 line = self.document.keys[key_loc][0]
                 self._refuse(
@@ -493,17 +493,15 @@ class _Reader:
             self.fail(self.last, f"the file has more than {MAX_NODES} keys and values")
         if isinstance(event, yaml.AliasEvent):
             self._refuse(
-                f"YAML aliases (*{event.anchor}) are not allowed; write the value out"
+                f"aliases (*{event.anchor}) are not allowed; write the value out"
             )
             return
         if event.anchor is not None:
             self._refuse(
-                f"YAML anchors (&{event.anchor}) are not allowed; write each value out"
+                f"anchors (&{event.anchor}) are not allowed; write each value out"
             )
         if event.tag is not None:
-            self._refuse(
-                f"YAML tags ({event.tag}) are not allowed; write the plain value"
-            )
+            self._refuse(f"tags ({event.tag}) are not allowed; write the plain value")
 
     def _text(self, event: yaml.Event, *, keep: str) -> str:
         text = escape_unprintable(event.value, keep=keep)

@@ -291,7 +291,7 @@ POSITIONS = [
     (
         "twin: {wheels: rolling}",
         "twin:",
-        "8:3: plants: twin is empty; write 'twin: {}' for",
+        "8:3: plants: the section `twin` is empty; write `twin: {}` to",
     ),
     (
         "kind: gait",
