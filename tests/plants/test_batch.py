@@ -598,11 +598,13 @@ def test_batch_rejects_wrong_numbers_of_arguments():
     ):
         batch.reset(poses=POSES[:1])
     with pytest.raises(
-        InputError, match="valves: 3 values are given for 2 runs; give one value per run"
+        InputError,
+        match="valves: 3 values are given for 2 runs; give one value per run",
     ):
         batch.step(np.stack([vented(SPEC)] * 3))
     with pytest.raises(
-        InputError, match="schedules: 0 values are given for 2 runs; give one value per run"
+        InputError,
+        match="schedules: 0 values are given for 2 runs; give one value per run",
     ):
         batch.play([], 1)
     impossible = np.stack([vented(SPEC), 0 * vented(SPEC)])
