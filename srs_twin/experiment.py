@@ -48,7 +48,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.plants import PLANTS
-from srs_twin.scenario.provenance import judged_digest, versions
+from srs_twin.scenario.provenance import judged_provenance, versions
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.content import RunContent, end_event
@@ -420,7 +420,7 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
             " it"
         )
         return {"stale": reason}
-    if digest != judged_digest(scenario.document):
+    if digest != judged_provenance(scenario.document).key:
         reason = f"{shown} is for another robot or scenario; {renew} renews it"
         return {"stale": reason}
     return {

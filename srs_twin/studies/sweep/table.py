@@ -15,6 +15,7 @@ import numpy as np
 from srs_twin.comparison.metrics import COMPARISON_UNITS
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.files import atomic_write
+from srs_twin.scenario.provenance import versions
 from srs_twin.studies.sweep.points import Sweep, is_number
 from srs_twin.studies.sweep.task import PLAN, Row
 from srs_twin.viewing.plots.labels import field_label, metric_label
@@ -126,7 +127,7 @@ class SweepTable:
         columns = {
             name: pa.array(values, types[name]) for name, values in self.columns.items()
         }
-        about = json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})
+        about = json.dumps({"title": sweep.title, "versions": versions()})
         write_table(path, pa.table(columns, metadata={"srs_twin.sweep": about}))
 
     def ranges(self) -> dict[str, tuple[float, float, float]]:
