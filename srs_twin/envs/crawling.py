@@ -268,7 +268,7 @@ class CrawlEpisode(ObservedEpisode):
             **self._costs(),
         }
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self) -> dict[str, object]:
         return super()._info() | {
             "heading_rad": float(self.state.heading),
             "goal_x_m": self.goal.x,

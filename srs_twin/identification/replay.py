@@ -38,7 +38,7 @@ def replay_scenario(
     motion: StrPath,
     robot: StrPath,
     *,
-    recording: Mapping[str, Any] = MappingProxyType({}),
+    recording: Mapping[str, object] = MappingProxyType({}),
     set: Overrides = (),
     fits: Sequence[StrPath] = (),
     expect: StrPath | None = None,
@@ -116,11 +116,11 @@ def _duration(
 
 def _plants(
     names: Sequence[str] | None, model: str, law: str | None, bench: bool
-) -> dict[str, Any]:
+) -> dict[str, object]:
     if bench and law is not None:
         raise InputError("--law: remove this option; on a bench there is no floor")
     floor = {} if bench else {"friction": law or "wheel"}
-    settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}
+    settings: dict[str, object] = {"analytical": {"model": model, **floor}, "twin": {}}
     return {name: settings[name] for name in names or settings}
 
 

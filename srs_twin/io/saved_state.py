@@ -64,7 +64,7 @@ class DeepCopied:
     def __copy__(self) -> Self:
         return copy.deepcopy(self)
 
-    def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[Any, ...]:
+    def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[object, ...]:
         """Return the class and the attributes, for `copy` and `pickle`."""
         for name, value in vars(self).items():
             if (kind := _why_not_copyable(value)) is not None:

@@ -119,9 +119,9 @@ def _with_changes(
 def changed_base(
     experiment: Experiment,
     scenario: Scenario,
-    written: Mapping[str, Any],
+    written: Mapping[str, object],
     locs: Iterable[Loc],
-) -> list[dict[str, Any]]:
+) -> list[dict[str, object]]:
     """Return the fields of an experiment that differ from its file."""
     fixed = written.get("fixed")
     original = replace(experiment, base=scenario.document)

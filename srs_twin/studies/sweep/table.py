@@ -98,7 +98,7 @@ class SweepTable:
         """
         rows = sorted(rows, key=lambda row: row.key)
         changes = {point.key: point.changes for point in sweep.points}
-        columns: dict[str, list[Any]] = {"key": [row.key for row in rows]}
+        columns: dict[str, list[object]] = {"key": [row.key for row in rows]}
         for name in sweep.fields:
             columns[name] = _of_one_type([changes[row.key][name] for row in rows])
         for name in ("status", "reason", "exit_code"):
@@ -304,7 +304,7 @@ def _field(name: str, column: Sequence[object]) -> ColumnValues:
     return ColumnValues(field_label(name), indices.astype(float), tuple(names.tolist()))
 
 
-def _numbers(column: Sequence[Any]) -> np.ndarray:
+def _numbers(column: Sequence[object]) -> np.ndarray:
     numbers = np.array(column, dtype=float)
     return np.where(np.isfinite(numbers), numbers, np.nan)
 
