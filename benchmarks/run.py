@@ -20,7 +20,7 @@ import time
 from collections.abc import Sequence
 from datetime import UTC, date, datetime
 
-from common.freshness import changes, digests
+from common.freshness import digests
 from common.grid import table
 from common.results import (
     TOLERANCE,
@@ -35,7 +35,7 @@ from common.results import (
 )
 from common.studies import OUT, STUDIES, script_of, title_of
 
-SHOWN_CHANGES = 5
+from srs_twin.io.provenance import Provenance
 
 
 def output_of(name: str, arguments: Sequence[str]) -> str:
@@ -75,7 +75,7 @@ def run(name: str) -> None:
     reduced: list[Table] = []
     if study.reduced is not None:
         reduced = _reduced(name)
-    if changes(code, digests_of(name)):
+    if code != digests_of(name):
         raise RuntimeError("the code changed during the run")
     save_result(
         Result(
@@ -136,12 +136,11 @@ def stale() -> dict[str, str]:
             reasons[name] = "never run"
         elif tuple(result.arguments) != STUDIES[name].arguments:
             reasons[name] = "another default size"
-        elif found := changes(result.digests, digests_of(name)):
-            more = len(found) - SHOWN_CHANGES
-            reasons[name] = f"changed: {', '.join(found[:SHOWN_CHANGES])}" + (
-                f" and {more} more" if more > 0 else ""
-            )
-    return reasons
+        else:
+            before = Provenance({}, sources=result.digests)
+            now = Provenance({}, sources=digests_of(name))
+            reasons[name] = now.difference(before)
+    return {name: reason for name, reason in reasons.items() if reason}
 
 
 def listing(today: date) -> str:

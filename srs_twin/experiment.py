@@ -48,7 +48,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.plants import PLANTS
-from srs_twin.scenario.provenance import judged_digest, versions
+from srs_twin.scenario.provenance import judged_provenance, versions
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.content import RunContent, end_event
@@ -210,7 +210,7 @@ class PreparedRun:
         cause = None
         if main_cause is not None and not (done.diverged or attribution):
             cause = main_cause(scenario, done.trajectories)
-        metrics: dict[str, Any] = {}
+        metrics: dict[str, object] = {}
         # All files are replaced at once, so that the files of an earlier run remain
         # intact after an interruption or on a full disk.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
@@ -291,8 +291,8 @@ class PreparedRun:
         spec = [plant.spec for plant, _ in self.pairs.values()][-1]
         return metrics, RunContent(spec, drawn, comparison, differences, scenario.world)
 
-    def _contact_entries(self, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
-        entries: dict[str, Any] = {}
+    def _contact_entries(self, runs: Mapping[str, Trajectory]) -> dict[str, object]:
+        entries: dict[str, object] = {}
         ignoring = [kind for kind, run in runs.items() if ignores_obstacles(run)]
         if ignoring:
             entries["ignores_obstacles"] = ignoring
@@ -422,7 +422,7 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
             " again"
         )
         return {"stale": reason}
-    if digest != judged_digest(scenario.document):
+    if digest != judged_provenance(scenario.document).key:
         reason = (
             f"{shown} belongs to another robot or scenario; the command {renew}"
             " computes the interval again"
@@ -437,7 +437,7 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
     }
 
 
-def _notable(trajectory: Trajectory) -> list[dict[str, Any]]:
+def _notable(trajectory: Trajectory) -> list[dict[str, object]]:
     faults = [event for event in trajectory.events if event.kind == "fault"]
     return [
         asdict(event)

@@ -24,7 +24,7 @@ from srs_twin.io.files import shipped_names
 from srs_twin.scenario.provenance import (
     code_digest,
     code_digests,
-    judged_digest,
+    judged_provenance,
     run_sources,
 )
 
@@ -63,7 +63,7 @@ def digests(script: Path, inputs: Iterable[str] = ()) -> dict[str, str]:
     for name in texts & set(shipped_names("scenario")):
         document = load_scenario(name).document
         modules |= run_sources(document, "srs_twin.experiment").keys()
-        result[f"scenario {name}"] = judged_digest(document)
+        result[f"scenario {name}"] = judged_provenance(document).key
     for name in texts & set(shipped_names("robot")):
         text = repr(load_robot(name))
         result[f"robot {name}"] = hashlib.sha256(text.encode()).hexdigest()
@@ -76,15 +76,6 @@ def digests(script: Path, inputs: Iterable[str] = ()) -> dict[str, str]:
     result |= code_digests(modules)
     result.pop("srs_twin", None)
     return {name: result[name][:LENGTH] for name in sorted(result)}
-
-
-def changes(stored: dict[str, str], current: dict[str, str]) -> list[str]:
-    """Return the names whose digests differ or that only one side has."""
-    return sorted(
-        name
-        for name in stored.keys() | current.keys()
-        if stored.get(name) != current.get(name)
-    )
 
 
 def _imports(tree: ast.Module) -> Iterator[str]:

@@ -233,7 +233,7 @@ _SERVO_SOURCES = {
 """Sources of the values of a robot with servo joints."""
 
 
-def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, Any]:
+def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, object]:
     from srs_twin.robot.spec import GRAVITY
 
     count, length, mass, supply, bend = size
@@ -399,7 +399,7 @@ def _write(
     return path
 
 
-def _filled(template: str, values: dict[str, Any]) -> str:
+def _filled(template: str, values: dict[str, object]) -> str:
     text = files("srs_twin.cli").joinpath("templates", template).read_text("utf-8")
     texts = {
         key: f"{value:.4g}" if isinstance(value, float) else value

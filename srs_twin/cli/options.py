@@ -243,7 +243,7 @@ def expand_option_groups(
     return run
 
 
-def _with_option(annotation: Any, declaration: str, text: str) -> Any:
+def _with_option(annotation: object, declaration: str, text: str) -> object:
     (info,) = getattr(annotation, "__metadata__", (None,))
     if declaration.startswith("-"):
         settings = info._asdict() if info else {}

@@ -143,7 +143,7 @@ def _not_measured(metric: str, runs: Mapping[str, Trajectory]) -> str:
 
 
 def _tracking(
-    metric: str, values: Mapping[str, Any], run: Trajectory
+    metric: str, values: Mapping[str, object], run: Trajectory
 ) -> Undefined | None:
     if values.get("error_rms_rad") is None:
         return Undefined("the run follows no reference")

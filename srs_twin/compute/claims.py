@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from functools import wraps
 from threading import get_ident
 from types import FunctionType
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from srs_twin.errors import InputError
 from srs_twin.io.saved_state import DeepCopied
@@ -40,7 +40,7 @@ class Claimable(DeepCopied):
         "__reduce_ex__",
     )
 
-    def __init_subclass__(cls, **options: Any) -> None:
+    def __init_subclass__(cls, **options: object) -> None:
         super().__init_subclass__(**options)
         for name in cls.claiming_methods:
             method = getattr(cls, name, None)
@@ -48,11 +48,11 @@ class Claimable(DeepCopied):
                 setattr(cls, name, _claiming(method))
 
 
-def _claiming(method: Callable[..., Any]) -> Callable[..., Any]:
+def _claiming(method: Callable[..., object]) -> Callable[..., object]:
     """Return a method that claims its object while it runs, faster than `claim`."""
 
     @wraps(method)
-    def claiming(self: object, *arguments: Any, **options: Any) -> Any:
+    def claiming(self: object, *arguments: object, **options: object) -> object:
         key = id(self)
         thread = get_ident()
         if _HOLDERS.get(key) == thread:

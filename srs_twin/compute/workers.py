@@ -426,7 +426,7 @@ def _worker_main(pipe: Connection, program: bytes, plugins: str) -> None:
             )
 
 
-def _call_and_pickle(call: Callable[[], Any]) -> bytes:
+def _call_and_pickle(call: Callable[[], object]) -> bytes:
     try:
         return pickle.dumps((call(), None))
     except Exception as error:  # any error is reported, and the worker continues

@@ -394,7 +394,7 @@ class GraspEpisode(ObservedEpisode):
             **self._costs(),
         }
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self) -> dict[str, object]:
         x, y = self._object_place()
         return super()._info() | {
             "object_x_m": x,

@@ -48,7 +48,7 @@ from srs_twin.envs.task import (
 )
 from srs_twin.envs.variation import Robot
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import short_digest
+from srs_twin.io.provenance import short_digest
 from srs_twin.planning.camera import Camera
 from srs_twin.planning.collision import obstacle_at
 from srs_twin.plants.base import SnakeState
@@ -269,7 +269,7 @@ class CrawlEpisode(ObservedEpisode):
             **self._costs(),
         }
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self) -> dict[str, object]:
         return super()._info() | {
             "heading_rad": float(self.state.heading),
             "goal_x_m": self.goal.x,

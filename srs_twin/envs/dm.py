@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from typing import Any
 
 import numpy as np
 
@@ -161,7 +160,7 @@ class SnakeEnvironment(Claimable, control.Environment):  # type: ignore[misc]  #
     """dm_env environment of a task."""
 
 
-def load(task: str, *, seed: int | None = None, **settings: Any) -> SnakeEnvironment:
+def load(task: str, *, seed: int | None = None, **settings: object) -> SnakeEnvironment:
     """Return a task as a dm_env environment.
 
     Args:

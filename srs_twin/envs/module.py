@@ -162,7 +162,7 @@ class ModuleEpisode(Episode):
             )
         }
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self) -> dict[str, object]:
         plus, minus = map(float, self.state.pressure[0])
         return super()._info() | {
             "bend_rad": float(self.state.bend[0]),

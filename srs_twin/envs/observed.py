@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from srs_twin.control.base import MAX_READING_RAD, SensorReadings
 from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals, Task
@@ -91,7 +91,7 @@ class ObservedEpisode(Episode):
         self._air = float(self.state.pneumatic_energy)
         return {"time_s": self._task.step_s, "air_j": self._air - before}
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self) -> dict[str, object]:
         x, y = map(float, self.state.com)
         return super()._info() | {"com_x_m": x, "com_y_m": y}
 

@@ -39,7 +39,7 @@ class EpisodeRenderer:
         self._canvas: Any = None
         self._model: mujoco.MjModel | None = None
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return EpisodeRenderer, self.size  # A copy creates its own OpenGL context.
 
     def render(self, episode: Episode) -> np.ndarray:

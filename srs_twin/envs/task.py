@@ -527,7 +527,7 @@ class Episode(Stateful, ABC):
         If the episode is over, this method sets `ending`.
         """
 
-    def _info(self) -> dict[str, Any]:
+    def _info(self) -> dict[str, object]:
         """Return diagnostics, keyed by names that end in the unit."""
         return {
             "time_s": float(self.state.time),

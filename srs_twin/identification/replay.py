@@ -38,7 +38,7 @@ def replay_scenario(
     motion: StrPath,
     robot: StrPath,
     *,
-    recording: Mapping[str, Any] = MappingProxyType({}),
+    recording: Mapping[str, object] = MappingProxyType({}),
     set: Overrides = (),
     fits: Sequence[StrPath] = (),
     expect: StrPath | None = None,
@@ -116,14 +116,14 @@ def _duration(
 
 def _plants(
     names: Sequence[str] | None, model: str, friction_law: str | None, bench: bool
-) -> dict[str, Any]:
+) -> dict[str, object]:
     if bench and friction_law is not None:
         raise InputError(
             "--friction-law is not allowed, because a robot on a bench touches no floor;"
             " remove this option"
         )
     floor = {} if bench else {"friction": friction_law or "wheel"}
-    settings: dict[str, Any] = {"analytical": {"model": model, **floor}, "twin": {}}
+    settings: dict[str, object] = {"analytical": {"model": model, **floor}, "twin": {}}
     return {name: settings[name] for name in names or settings}
 
 

@@ -20,7 +20,6 @@ True
 from __future__ import annotations
 
 import copy
-import hashlib
 import importlib
 import json
 from collections import deque
@@ -37,6 +36,7 @@ import numpy as np
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import atomic_write, display_path
+from srs_twin.io.provenance import Provenance
 from srs_twin.io.untrusted import read_arrays
 
 VERSION = 3
@@ -64,7 +64,7 @@ class DeepCopied:
     def __copy__(self) -> Self:
         return copy.deepcopy(self)
 
-    def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[Any, ...]:
+    def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[object, ...]:
         """Return the class and the attributes, for `copy` and `pickle`."""
         for name, value in vars(self).items():
             if (kind := _why_not_copyable(value)) is not None:
@@ -196,20 +196,10 @@ class SavedState:
             InputError: the settings differ, or the state has another version.
         """
         _check_version(label, self.version)
-        saved, current = (
-            json.loads(json.dumps(settings)) for settings in (self.owner, owner)
-        )
-        keys = sorted(saved.keys() | current.keys())
-        differing = [key for key in keys if saved.get(key) != current.get(key)]
-        if differing:
-            listed = [
-                f"{key} {saved.get(key)!r} instead of {current.get(key)!r}"
-                for key in differing[:3]
-            ]
-            if len(differing) > 3:
-                listed.append(f"and {len(differing) - 3} more")
+        saved = Provenance(dict(self.owner))
+        if difference := Provenance(dict(owner)).difference(saved):
             raise InputError(
-                f"{label}: the saved state has other settings: {', '.join(listed)}"
+                f"{label}: the saved state has other settings: {difference}"
             )
 
     def write(self, path: Path) -> None:
@@ -266,11 +256,6 @@ def _check_version(label: str, version: object) -> None:
             f"{label}: the saved state has version {version}, but this program reads"
             f" only version {VERSION}"
         )
-
-
-def short_digest(*values: object) -> str:
-    """Return 16 hexadecimal digits of the SHA-256 digest of the `repr` of values."""
-    return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
 
 def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:

@@ -391,7 +391,7 @@ def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
     return ""
 
 
-def _describe_choices(choices: list[Any], brief: bool) -> str:
+def _describe_choices(choices: list[object], brief: bool) -> str:
     names = [c if isinstance(c, str) else json.dumps(c) for c in choices]
     if len(names) == 1:
         return names[0]

@@ -245,7 +245,7 @@ def _number(given: object, key: str, low: float, high: float) -> float:
 
 
 def _numbers(
-    document: Mapping[str, Any], key: str, count: int, kind: str
+    document: Mapping[str, object], key: str, count: int, kind: str
 ) -> list[float]:
     given = document.get(key)
     if not isinstance(given, list) or len(given) != count:

@@ -17,7 +17,8 @@ from time import monotonic
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.saved_state import SavedState, Stateful, check_kind, short_digest
+from srs_twin.io.provenance import short_digest
+from srs_twin.io.saved_state import SavedState, Stateful, check_kind
 from srs_twin.live.clocks import ReorderBuffer, TimedMessage
 from srs_twin.live.commands import KEPT_S, SLOT_S, CommandHistory, CommandPeriod
 from srs_twin.live.ensemble import EnsembleFilter

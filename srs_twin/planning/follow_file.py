@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -169,7 +169,7 @@ class FollowFile(ControllerSection):
             }
         )
 
-    def layouts(self, products: Mapping[str, Any]) -> tuple[str, ...]:
+    def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
         """See `ControllerSection.layouts`."""
         return self.gait.layouts(products)
 

@@ -104,7 +104,7 @@ def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figu
     return figure
 
 
-def _metadata(problem: Problem) -> dict[str, Any]:
+def _metadata(problem: Problem) -> dict[str, object]:
     return {"world": asdict(problem.world), "goal": asdict(problem.goal)}
 
 

@@ -22,7 +22,8 @@ from srs_twin.compute.arrays import (
 )
 from srs_twin.compute.claims import Claimable
 from srs_twin.errors import DivergedError, InputError, count_steps, format_exact
-from srs_twin.io.saved_state import SavedState, Stateful, short_digest
+from srs_twin.io.provenance import short_digest
+from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.pneumatics import Pneumatics, Schedule, make_pneumatics
 from srs_twin.robot.rules import Violation
 from srs_twin.robot.spec import RobotSpec

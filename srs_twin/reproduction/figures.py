@@ -141,7 +141,7 @@ def _sweep(store: RunStore, entry: FigureEntry) -> Figure:
     sweep = sweep_of(runs.name)
     points = points_of(runs)
     rows = [store.row(job.key) for job in store.jobs(runs)]
-    columns: dict[str, list[Any]] = {
+    columns: dict[str, list[object]] = {
         "status": ["done" if row else "failed" for row in rows]
     }
     for name in sweep.fields:

@@ -6,7 +6,6 @@ result is stored as soon as the run is finished.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import time
@@ -20,12 +19,13 @@ from typing import Any
 from srs_twin.compute.workers import run_tasks, start_server
 from srs_twin.errors import SrsError
 from srs_twin.io.files import check_output_folder, shipped_folder
+from srs_twin.io.provenance import Provenance
 from srs_twin.reproduction.claims import COMPUTATIONS, Plain, RunRequest, Set
 from srs_twin.scenario.loading import load_scenario
-from srs_twin.scenario.provenance import digest_of, run_key, source_digests, versions
+from srs_twin.scenario.provenance import file_digest, source_digests, versions
 from srs_twin.studies.sweep.execution import Progress, quiet
 from srs_twin.studies.sweep.loading import load_sweep
-from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
+from srs_twin.studies.sweep.points import Experiment, Point, Sweep
 from srs_twin.studies.sweep.store import RowStore
 from srs_twin.studies.sweep.task import DONE, Row, failed_row, run_point
 from srs_twin.trajectory import Trajectory
@@ -102,7 +102,7 @@ def _equal(one: Plain, other: Plain) -> bool:
 def _data_digests() -> dict[str, str]:
     folders = map(shipped_folder, ("robot", "footprint"))
     files = sorted(path for folder in folders for path in folder.glob("*.yaml"))
-    return {path.stem: hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+    return {path.stem: file_digest(str(path)) for path in files}
 
 
 HTML = "reproduce.html"
@@ -157,14 +157,15 @@ class RunStore:
 
     def _make_jobs(self, request: RunRequest) -> Iterator[ReproductionJob]:
         if request.kind == "computation":
-            key = digest_of(
-                computation=request.name,
-                arguments=request.set,
-                versions=versions(),
+            run = Provenance(
+                {"computation": request.name, "arguments": request.set},
+                files=_data_digests(),
                 sources=source_digests("srs_twin.reproduction.computations"),
-                data=_data_digests(),
+                versions=versions(),
             )
-            yield ReproductionJob(key, computation=request.name, arguments=request.set)
+            yield ReproductionJob(
+                run.key, computation=request.name, arguments=request.set
+            )
             return
         is_sweep = request.kind == "sweep"
         settings: list[Mapping[str, Plain]] = [{}]
@@ -179,7 +180,7 @@ class RunStore:
                 document = self._change(document)
             plants = experiment.plants
             complete = Experiment(document, plants, trajectories=not is_sweep)
-            yield ReproductionJob(run_key(document, plants, RUNNER), complete)
+            yield ReproductionJob(complete.provenance(document).key, complete)
 
     def run(
         self,

@@ -179,7 +179,6 @@ class Baseline:
     """Stored outcomes with which later reproductions are compared."""
 
     outcomes: Mapping[str, Mapping[str, ClaimOutcome]]
-    versions: Mapping[str, str]
 
     def changes(self, rows: Sequence[JudgedClaim]) -> list[str]:
         """Return one line for each changed verdict, even if the verdict has improved.
@@ -212,9 +211,7 @@ def load_baseline(path: Path | None = None) -> Baseline:
     file = path or baseline_file()
     try:
         document = read_json(file)
-        return Baseline(
-            _OUTCOMES.validate_python(document["rows"]), dict(document["versions"])
-        )
+        return Baseline(_OUTCOMES.validate_python(document["rows"]))
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"{display_path(file)}: the file is not a baseline; --write-baseline"

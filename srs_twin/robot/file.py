@@ -521,7 +521,9 @@ def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
     return load_robot_file(robot).spec()
 
 
-def resolve_robot(document: Document, robot: Any, *, prefix: Loc) -> RobotFile | None:
+def resolve_robot(
+    document: Document, robot: object, *, prefix: Loc
+) -> RobotFile | None:
     """Return the robot of a scenario, or None if the scenario has problems.
 
     Problems and implausible numbers are reported to the document.

@@ -115,7 +115,7 @@ def changed_fields(
 
 def with_plants(
     changes: Changes, named: Sequence[str], run: Sequence[str]
-) -> list[dict[str, Any]]:
+) -> list[dict[str, object]]:
     """Return changes, with an additional entry if other plants run."""
     rest = [dict(change) for change in changes if change["field"] != PLANTS]
     if set(named) == set(run):

@@ -1,16 +1,14 @@
-"""Provenance of a run, which is all data that determine the results.
+"""Provenance of the run of a scenario.
 
 The provenance consists of the scenario, the files that the scenario reads, the source
 code, the package versions and the arithmetic of the processor. Names, displays and
-expectations are not part of the provenance. A result is stored under the SHA-256 of the
-provenance.
+expectations are not part of the provenance.
 """
 
 from __future__ import annotations
 
 import ast
 import hashlib
-import json
 import math
 import os
 import platform
@@ -37,6 +35,7 @@ from srs_twin.extensions import (
     plugins,
     registered,
 )
+from srs_twin.io.provenance import Provenance
 from srs_twin.scenario.fields import input_files
 from srs_twin.scenario.parts import PARTS
 
@@ -101,20 +100,20 @@ def arithmetic() -> str:
     return "-".join((processor, *blas_kernels(), digest))
 
 
-def run_key(document: Mapping[str, object], plants: Iterable[str], runner: str) -> str:
-    """Return the key under which the result of a run is stored.
+def run_provenance(
+    document: Mapping[str, object], plants: Iterable[str], runner: str
+) -> Provenance:
+    """Return the provenance of a run.
 
     Args:
         document: scenario as plain data.
         plants: plants that run. The sequence is empty if only a plan is computed.
         runner: dotted name of the module that runs the scenario.
     """
-    return digest_of(
-        scenario={
-            key: value for key, value in document.items() if key not in NOT_PHYSICS
-        },
-        plants=list(plants),
-        files=list(file_digests(document).values()),
+    scenario = {key: value for key, value in document.items() if key not in NOT_PHYSICS}
+    return Provenance(
+        {"scenario": scenario, "plants": list(plants)},
+        files=file_digests(document),
         sources=run_sources(document, runner),
         versions=versions(),
     )
@@ -155,32 +154,28 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
     digests: dict[str, str] = {}
     for package in {module.partition(".")[0] for module in modules} - {"", "__main__"}:
         spec = find_spec(package)
-        digests[package] = _sha256(str(spec and spec.origin))
+        digests[package] = file_digest(str(spec and spec.origin))
         for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
             files = {
                 path.relative_to(folder.parent): str(path)
                 for path in folder.rglob("*.py")
             }
-            digests |= {str(name): _sha256(path) for name, path in files.items()}
+            digests |= {str(name): file_digest(path) for name, path in files.items()}
         if package in owners():
             digests[f"{package}, version"] = owners()[package].version
     return digests
 
 
-def judged_digest(document: Mapping[str, object]) -> str:
-    """Return a digest that changes when stored intervals are no longer valid.
+def judged_provenance(document: Mapping[str, object]) -> Provenance:
+    """Return the provenance that decides whether stored intervals are valid.
 
-    The digest depends on the robot and the input files. Code, duration and seed are
-    excluded, because their effects are visible in the value of a result. Explanatory
-    texts are excluded too, so that intervals remain valid if a source is reworded.
+    It consists of the robot and the input files. Code, duration and seed are excluded,
+    because their effects are visible in the value of a result. Explanatory texts are
+    excluded too, so that intervals remain valid if a source is reworded.
     """
     skipped = (*NOT_PHYSICS, "duration_s", "seed")
-    return digest_of(
-        scenario=_without_words(
-            {key: value for key, value in document.items() if key not in skipped}
-        ),
-        files=list(file_digests(document).values()),
-    )
+    judged = {key: value for key, value in document.items() if key not in skipped}
+    return Provenance({"scenario": _without_words(judged)}, file_digests(document))
 
 
 def _without_words(data: object) -> object:
@@ -195,11 +190,6 @@ def _without_words(data: object) -> object:
     return data
 
 
-def digest_of(**data: object) -> str:
-    """Return the hexadecimal SHA-256 of plain data."""
-    return hashlib.sha256(json.dumps(data, sort_keys=True).encode()).hexdigest()
-
-
 def file_digests(document: Mapping[str, object]) -> dict[str, str]:
     """Return the hexadecimal SHA-256 of the input files of a run, keyed by path.
 
@@ -207,7 +197,7 @@ def file_digests(document: Mapping[str, object]) -> dict[str, str]:
     the scenario document contains the robot. The digest of an unreadable file is an
     empty string.
     """
-    return {path: _sha256(path) for path in _files(document)}
+    return {path: file_digest(path) for path in _files(document)}
 
 
 def _files(document: Mapping[str, Any]) -> Iterator[str]:
@@ -227,7 +217,8 @@ def _files(document: Mapping[str, Any]) -> Iterator[str]:
     yield from input_files(document)
 
 
-def _sha256(path: str) -> str:
+def file_digest(path: str) -> str:
+    """Return the hexadecimal SHA-256 of a file, or an empty string if it is unreadable."""
     try:
         status = os.stat(path)
         return _sha256_of(path, status.st_mtime_ns, status.st_ctime_ns, status.st_size)

@@ -31,7 +31,7 @@ _HALL_OPTIONS = {field.name for field in fields(HallSensor)} - {"strip"}
 
 
 def make_sensor(
-    kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **options: Any
+    kind: str | Sensor, spec: RobotSpec, *, span: float = SPAN, **options: object
 ) -> Sensor:
     """Create the curvature sensors of a robot.
 

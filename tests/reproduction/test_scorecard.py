@@ -23,7 +23,7 @@ def with_verdict(baseline, names, verdict):
         )
         for name, row in baseline.outcomes.items()
     }
-    return Baseline(outcomes, baseline.versions)
+    return Baseline(outcomes)
 
 
 def test_every_claim_belongs_to_one_capability():

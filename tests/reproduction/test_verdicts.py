@@ -189,7 +189,7 @@ def test_changed_verdicts_are_listed_better_or_worse(before, now, tmp_path):
 
 
 def test_a_new_row_is_not_a_change():
-    assert Baseline({}, {}).changes(rows(twin="missed")) == []
+    assert Baseline({}).changes(rows(twin="missed")) == []
 
 
 @pytest.mark.default_cases(2)

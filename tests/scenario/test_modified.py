@@ -16,7 +16,7 @@ from srs_twin.io.files import data_root
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.modified import affects, marked
-from srs_twin.scenario.provenance import judged_digest, run_key
+from srs_twin.scenario.provenance import judged_provenance, run_provenance
 from srs_twin.studies.optimization.loading import load_study
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.points import RUNNER
@@ -147,21 +147,26 @@ def test_keys_of_runs_do_not_depend_on_how_a_value_was_set():
     written = parse_scenario(data, name="other").document
     was_set = gen2(**SLOW).document
     assert "changes" in was_set and "changes" not in written
-    assert run_key(was_set, ["twin"], RUNNER) == run_key(written, ["twin"], RUNNER)
-    assert judged_digest(was_set) == judged_digest(written)
+    assert (
+        run_provenance(was_set, ["twin"], RUNNER).key
+        == run_provenance(written, ["twin"], RUNNER).key
+    )
+    assert judged_provenance(was_set).key == judged_provenance(written).key
 
 
 def test_reworded_source_keeps_an_interval_and_another_value_does_not():
     document = gen2().document
-    digest = judged_digest(document)
+    digest = judged_provenance(document).key
     friction = document["robot"]["friction"]["mu_n"]
     wider = {**friction["uncertain"], "high": 0.6}
     assert (
-        judged_digest(_with_mu_n(document, source="reworded", status="estimated"))
+        judged_provenance(
+            _with_mu_n(document, source="reworded", status="estimated")
+        ).key
         == digest
     )
     for change in ({"value": friction["value"] + 0.01}, {"uncertain": wider}):
-        assert judged_digest(_with_mu_n(document, **change)) != digest
+        assert judged_provenance(_with_mu_n(document, **change)).key != digest
 
 
 def _with_mu_n(document, **change):
@@ -174,7 +179,9 @@ def _with_mu_n(document, **change):
 def test_stored_intervals_belong_to_the_shipped_scenarios():
     for path in sorted((data_root() / "calibration/intervals").glob("*.json")):
         stored = json.loads(path.read_text("utf-8"))["digest"]
-        assert stored == judged_digest(load_scenario(path.stem).document), path.stem
+        assert stored == judged_provenance(load_scenario(path.stem).document).key, (
+            path.stem
+        )
 
 
 def test_the_list_of_changes_cannot_be_set():

@@ -15,7 +15,7 @@ import numpy as np
 from srs_twin.compute.arrays import check_positive, concatenate_records
 from srs_twin.errors import DivergedError
 from srs_twin.io.arguments import checked
-from srs_twin.io.saved_state import short_digest
+from srs_twin.io.provenance import short_digest
 from srs_twin.plants.analytical import kernels
 from srs_twin.plants.analytical.bodies import (
     Body,

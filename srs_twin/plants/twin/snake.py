@@ -11,7 +11,7 @@ import numpy as np
 from srs_twin.compute.arrays import concatenate_records
 from srs_twin.errors import DivergedError, InputError, check_choice, count_steps
 from srs_twin.io.arguments import checked
-from srs_twin.io.saved_state import short_digest
+from srs_twin.io.provenance import short_digest
 from srs_twin.plants.base import (
     BASES,
     TICK_S,

@@ -7,21 +7,19 @@ the store.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from srs_twin.errors import InputError
-from srs_twin.io.files import check_output_folder, display_path
-from srs_twin.scenario.provenance import run_key, run_sources, versions
+from srs_twin.io.files import check_output_folder
+from srs_twin.io.provenance import Provenance
 from srs_twin.studies.optimization.loading import OptimizationStudy
 from srs_twin.studies.sweep.execution import Engine
-from srs_twin.studies.sweep.points import RUNNER, Changes, Point
-from srs_twin.studies.sweep.store import RowStore, SweepIdentity
+from srs_twin.studies.sweep.points import Changes
+from srs_twin.studies.sweep.store import RowStore
 from srs_twin.studies.sweep.task import DONE, Row
 
 PLANTS = {"compliant": "analytical", "twin": "twin"}
@@ -87,7 +85,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
                 for part in study.experiments
             }
             for part, store in self._stores.items():
-                self._check_identity(folder / part, part, store, changed=changed)
+                store.claim(self._provenance(part), changed=changed)
                 self._rows |= {row.key: row for row in store.rows()}
             self._opened = opened.pop_all()
 
@@ -116,11 +114,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
         """Return the rows of scenarios after the missing rows have been computed."""
         experiment = self._study.experiments[part]
-        plant = PLANTS[part]
-        points = [
-            Point(run_key(experiment.document(change), (plant,), RUNNER), change)
-            for change in changes
-        ]
+        points = [experiment.point(change) for change in changes]
         missing = list({p.key: p for p in points if p.key not in self._rows}.values())
 
         def on_row(row: Row) -> None:
@@ -141,23 +135,8 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         self.requested = []
         self._requested_by_key = {}
 
-    def _check_identity(
-        self, folder: Path, part: str, store: RowStore, *, changed: bool
-    ) -> None:
+    def _provenance(self, part: str) -> Provenance:
         experiment = self._study.experiments[part]
-        names = list(self._study.space.variables)
-        rest: tuple[Mapping[str, object], ...] = (
-            versions(),
-            run_sources(experiment.base, RUNNER),
-        )
-        now = SweepIdentity(
-            "", *json.loads(json.dumps((experiment.base, names, *rest)))
-        )
-        before = store.identity()
-        if before is not None and before != now and not changed:
-            raise InputError(
-                f"{display_path(folder)}: the runs in this folder belong to another"
-                " study or another version of the program; keep those that still"
-                " apply with --changed, or give another folder with --out"
-            )
-        store.set_identity(now)
+        base = experiment.provenance(experiment.base)
+        variables = list(self._study.space.variables)
+        return replace(base, content=base.content | {"variables": variables})

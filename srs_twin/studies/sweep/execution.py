@@ -28,18 +28,18 @@ from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import (
     StrPath,
     check_output_folder,
-    display_path,
     folder_or_temporary,
 )
+from srs_twin.io.provenance import Provenance
 from srs_twin.plants.twin.batch import warp_batch
 from srs_twin.rollout import run_scripts
 from srs_twin.scenario.loading import parse_scenario
-from srs_twin.scenario.provenance import file_digests, run_sources
+from srs_twin.scenario.provenance import file_digests, versions
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.loading import load_sweep
-from srs_twin.studies.sweep.points import RUNNER, Experiment, Point, Sweep
+from srs_twin.studies.sweep.points import Experiment, Point, Sweep
 from srs_twin.studies.sweep.report import REPORT, Summary, write_report
-from srs_twin.studies.sweep.store import RowStore, SweepIdentity, rows_digest
+from srs_twin.studies.sweep.store import RowStore, rows_digest
 from srs_twin.studies.sweep.table import SweepTable
 from srs_twin.studies.sweep.task import DONE, FAILED, Row, run_point
 
@@ -308,7 +308,9 @@ class OpenSweep:
         self.sweep = sweep
         self.folder = folder
         self._store = store
-        self._check_identity(changed=changed)
+        store.claim(self._provenance(), changed=changed)
+        if changed:
+            store.retain(point.key for point in sweep.points)
 
     def missing(self, *, retry_failed: bool = False) -> tuple[Point, ...]:
         """Return the points without a row, and optionally the failed points."""
@@ -395,28 +397,15 @@ class OpenSweep:
             "results_sha256": summary.sha256,
             "plants": list(self.sweep.experiment.plants),
             "fields": list(self.sweep.fields),
-            "versions": dict(self.sweep.versions),
+            "versions": versions(),
         }
 
-    def _check_identity(self, *, changed: bool) -> None:
-        keys = rows_digest([Row(point.key, DONE) for point in self.sweep.points])
-        rest = (self.sweep.experiment.base, self.sweep.fields, self.sweep.versions)
-        sources = run_sources(self.sweep.experiment.base, RUNNER)
-        rest = json.loads(json.dumps((*rest, sources, self._input_files())))
-        now = SweepIdentity(keys, *rest)
-        before = self._store.identity()
-        if before is not None and before.keys != now.keys:
-            if not changed:
-                raise InputError(
-                    f"{display_path(self.folder)}: the rows in this folder belong to"
-                    " another version of this sweep"
-                    f" ({_describe_difference(before, now)}). Keep the rows that still"
-                    " apply and run the others with --changed, or give another folder"
-                    " with --out"
-                )
-            self._store.retain(point.key for point in self.sweep.points)
-        if before != now:
-            self._store.set_identity(now)
+    def _provenance(self) -> Provenance:
+        experiment = self.sweep.experiment
+        base = experiment.provenance(experiment.base)
+        points = rows_digest([Row(point.key, DONE) for point in self.sweep.points])
+        content = base.content | {"fields": list(self.sweep.fields), "points": points}
+        return replace(base, content=content, files=self._input_files())
 
     def _input_files(self) -> dict[str, str]:
         experiment = self.sweep.experiment
@@ -424,43 +413,6 @@ class OpenSweep:
         for point in self.sweep.points:
             digests |= file_digests(experiment.document(point.changes))
         return digests
-
-
-def _describe_difference(before: SweepIdentity, now: SweepIdentity) -> str:
-    texts = []
-    if changed := list(_value_changes(before.versions, now.versions)):
-        texts.append(f"they were made with other versions: {_abbreviate(changed)}")
-    for old, new, label in (
-        (before.sources, now.sources, "the program has changed"),
-        (before.files, now.files, "the contents of files have changed"),
-    ):
-        if names := [name for name in new | old if old.get(name) != new.get(name)]:
-            texts.append(f"{label}: {_abbreviate(names)}")
-    if before.fields != now.fields:
-        texts.append(f"it varied {', '.join(before.fields)}")
-    elif changed := list(_value_changes(before.scenario, now.scenario)):
-        texts.append(f"the scenario has changed: {_abbreviate(changed)}")
-    return "; ".join(texts) or "the values have changed"
-
-
-def _abbreviate(names: Sequence[str]) -> str:
-    text = ", ".join(names[:3])
-    if len(names) > 3:
-        text += f" and {len(names) - 3} more"
-    return text
-
-
-def _value_changes(before: Any, now: Any, path: str = "") -> Iterator[str]:
-    if isinstance(before, dict) and isinstance(now, dict):
-        for key in before | now:
-            inner = f"{path}.{key}".lstrip(".")
-            yield from _value_changes(before.get(key), now.get(key), inner)
-    elif before != now:
-        yield f"{path} {_value_text(before)} → {_value_text(now)}"
-
-
-def _value_text(value: object) -> str:
-    return value if isinstance(value, str) else json.dumps(value)
 
 
 _RUN_KEYS = ("title", "name", "duration_s", "seed", "record_hz", "controller", "start")

@@ -42,7 +42,7 @@ from srs_twin.scenario.modified import (
     with_plants,
 )
 from srs_twin.scenario.plants import PLANTS
-from srs_twin.scenario.provenance import NOT_PHYSICS, versions
+from srs_twin.scenario.provenance import NOT_PHYSICS
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import (
     Experiment,
@@ -119,9 +119,9 @@ def _with_changes(
 def changed_base(
     experiment: Experiment,
     scenario: Scenario,
-    written: Mapping[str, Any],
+    written: Mapping[str, object],
     locs: Iterable[Loc],
-) -> list[dict[str, Any]]:
+) -> list[dict[str, object]]:
     """Return the fields of an experiment that differ from its file."""
     fixed = written.get("fixed")
     original = replace(experiment, base=scenario.document)
@@ -236,7 +236,6 @@ class _Loader:
             values=tuple(values),
             metrics=None if file.metrics is None else tuple(file.metrics),
             plots=tuple(file.plots),
-            versions=versions(),
             document=self._document.data,
             warnings=self._warnings,
         )

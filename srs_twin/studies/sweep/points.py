@@ -14,13 +14,14 @@ from pydantic import Discriminator, Field, Tag, model_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import Loc, parse_path
+from srs_twin.io.provenance import Provenance
 from srs_twin.planning.scenario import PLANNER_FILES
 from srs_twin.robot.file import section_units
 from srs_twin.robot.sourced import replace_value
 from srs_twin.scenario.expectation import MetricName
 from srs_twin.scenario.fields import Line, PathOrName, Section, quantity
 from srs_twin.scenario.plants import PRESET, with_preset
-from srs_twin.scenario.provenance import run_key
+from srs_twin.scenario.provenance import run_provenance
 
 if TYPE_CHECKING:
     from srs_twin.scenario.modified import Changes as Changed
@@ -230,6 +231,14 @@ class Experiment:
             document["duration_s"] = _duration(document, self.plants, self.periods)
         return document
 
+    def provenance(self, document: Mapping[str, object]) -> Provenance:
+        """Return the provenance of a run with the plants of the experiment."""
+        return run_provenance(document, self.plants, RUNNER)
+
+    def point(self, changes: Changes) -> Point:
+        """Return a run with some fields changed."""
+        return Point(self.provenance(self.document(changes)).key, changes)
+
     def with_fixed(self, fixed: Mapping[str, Value | list[Value]]) -> dict[str, Any]:
         """Return the base scenario with some fields changed, as plain data."""
         document = dict(self.base)
@@ -266,7 +275,6 @@ class Sweep:
         fields: dotted names of the varied fields.
         values: values of the fields, one row per point.
         metrics: metrics that become columns, or None for all metrics.
-        versions: version of each package that affects the results.
         document: sweep file as plain data.
         changes: fields that differ from the sweep file.
     """
@@ -278,7 +286,6 @@ class Sweep:
     values: tuple[tuple[Value, ...], ...] = field(repr=False)
     metrics: tuple[str, ...] | None
     plots: tuple[Plot, ...]
-    versions: Mapping[str, str]
     document: Mapping[str, Any] = field(repr=False)
     warnings: tuple[str, ...] = ()
     changes: Changed = ()
@@ -289,10 +296,8 @@ class Sweep:
         points: dict[str, Point] = {}
         for row in self.values:
             changes = dict(zip(self.fields, row, strict=True))
-            key = run_key(
-                self.experiment.document(changes), self.experiment.plants, RUNNER
-            )
-            points.setdefault(key, Point(key, changes))
+            point = self.experiment.point(changes)
+            points.setdefault(point.key, point)
         return tuple(points.values())
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from srs_twin.io.files import write_text
+from srs_twin.scenario.provenance import versions
 from srs_twin.studies.sweep.points import Sweep, is_number
 from srs_twin.studies.sweep.table import COMPARISON, SweepTable, shown_metrics
 from srs_twin.studies.sweep.task import PLAN
@@ -179,7 +180,7 @@ def write_report(
     """Write the self-contained HTML page atomically."""
     results = summary.results
     metrics = shown_metrics(sweep)
-    versions = [("results sha256", summary.sha256), *sweep.versions.items()]
+    made_with = [("results sha256", summary.sha256), *versions().items()]
     content = render(
         "studies/sweep/report.html",
         title=sweep.title,
@@ -194,7 +195,7 @@ def write_report(
         runs=run_tables(results, metrics),
         repeats=", ".join(map(field_label, results.repeats)),
         means=mean_tables(results, metrics),
-        made_with=Table(["", ""], versions),
+        made_with=Table(["", ""], made_with),
     )
     write_text(path, content)
 

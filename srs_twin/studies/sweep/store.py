@@ -13,7 +13,6 @@ import json
 import os
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,6 +26,7 @@ from srs_twin.io.files import (
     missing_folders,
     remove_empty_folders,
 )
+from srs_twin.io.provenance import Provenance
 from srs_twin.studies.sweep.task import FAILED, PLAN_TIME, Row, failed_row
 
 FILE = "rows.sqlite"
@@ -38,24 +38,6 @@ files.
 
 
 Parsed = TypeVar("Parsed")
-
-
-@dataclass(frozen=True)
-class SweepIdentity:
-    """Identity of the sweep to which rows belong, as JSON values.
-
-    Attributes:
-        keys: hash of the keys of all points.
-        sources: hash of the source code of each module that computes rows.
-        files: hash of the contents of each file that points read.
-    """
-
-    keys: str
-    scenario: dict[str, Any]
-    fields: list[str]
-    versions: dict[str, Any]
-    sources: dict[str, str] = field(default_factory=dict)
-    files: dict[str, str] = field(default_factory=dict)
 
 
 _DAMAGE = (
@@ -97,7 +79,7 @@ _MESSAGES = {
     ),
 }
 """Error message for each SQLite error code."""
-_IDENTITY = TypeAdapter(SweepIdentity)
+_PROVENANCE = TypeAdapter(Provenance)
 _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
@@ -138,19 +120,28 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
                 self._path.unlink()
         remove_empty_folders(self._missing)
 
-    def identity(self) -> SweepIdentity | None:
-        """Return the stored identity, or None if no identity has been stored."""
-        rows = self._read("SELECT value FROM about WHERE name = 'sweep'")
-        if rows:
-            return self._parse(_IDENTITY, rows[0][0])
-        return None
+    def claim(self, now: Provenance, *, changed: bool = False) -> None:
+        """Use the folder for a study, whose provenance is stored.
 
-    def set_identity(self, identity: SweepIdentity) -> None:
-        """Store the identity of the sweep to which the rows belong."""
-        self._write(
-            "INSERT OR REPLACE INTO about VALUES ('sweep', ?)",
-            json.dumps(asdict(identity)),
-        )
+        Args:
+            now: provenance of the study.
+            changed: whether the rows may belong to another version of the study.
+
+        Raises:
+            InputError: the rows belong to another version of the study.
+        """
+        for (text,) in self._read("SELECT value FROM about WHERE name = 'sweep'"):
+            before = self._parse(_PROVENANCE, text)
+            if before.key == now.key:
+                return
+            if not changed:
+                raise InputError(
+                    f"{display_path(self._path.parent)}: the rows in this folder belong"
+                    " to another study or to another version of it"
+                    f" ({now.difference(before)}). Keep the rows that still apply and"
+                    " run the others with --changed, or give another folder with --out"
+                )
+        self._write("INSERT OR REPLACE INTO about VALUES ('sweep', ?)", now.text)
 
     def add(self, row: Row) -> None:
         """Store a row and its files, and replace an existing row with the same key."""

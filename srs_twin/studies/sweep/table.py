@@ -15,6 +15,7 @@ import numpy as np
 from srs_twin.comparison.metrics import COMPARISON_UNITS
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.files import atomic_write
+from srs_twin.scenario.provenance import versions
 from srs_twin.studies.sweep.points import Sweep, is_number
 from srs_twin.studies.sweep.task import PLAN, Row
 from srs_twin.viewing.plots.labels import field_label, metric_label
@@ -97,7 +98,7 @@ class SweepTable:
         """
         rows = sorted(rows, key=lambda row: row.key)
         changes = {point.key: point.changes for point in sweep.points}
-        columns: dict[str, list[Any]] = {"key": [row.key for row in rows]}
+        columns: dict[str, list[object]] = {"key": [row.key for row in rows]}
         for name in sweep.fields:
             columns[name] = _of_one_type([changes[row.key][name] for row in rows])
         for name in ("status", "reason", "exit_code"):
@@ -126,7 +127,7 @@ class SweepTable:
         columns = {
             name: pa.array(values, types[name]) for name, values in self.columns.items()
         }
-        about = json.dumps({"title": sweep.title, "versions": dict(sweep.versions)})
+        about = json.dumps({"title": sweep.title, "versions": versions()})
         write_table(path, pa.table(columns, metadata={"srs_twin.sweep": about}))
 
     def ranges(self) -> dict[str, tuple[float, float, float]]:
@@ -303,7 +304,7 @@ def _field(name: str, column: Sequence[object]) -> ColumnValues:
     return ColumnValues(field_label(name), indices.astype(float), tuple(names.tolist()))
 
 
-def _numbers(column: Sequence[Any]) -> np.ndarray:
+def _numbers(column: Sequence[object]) -> np.ndarray:
     numbers = np.array(column, dtype=float)
     return np.where(np.isfinite(numbers), numbers, np.nan)
 

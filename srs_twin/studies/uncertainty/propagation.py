@@ -34,7 +34,7 @@ from srs_twin.io.files import (
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.plants import PLANTS
-from srs_twin.scenario.provenance import judged_digest
+from srs_twin.scenario.provenance import judged_provenance
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.execution import (
     Engine,
@@ -400,7 +400,7 @@ class Propagation:
         check_can_be_kept(self.study.scenario)
         path = INTERVALS / f"{self.study.scenario.name}.json"
         document = {
-            "digest": judged_digest(self.study.scenario.document),
+            "digest": judged_provenance(self.study.scenario.document).key,
             **self.document(),
         }
         write_text(path, json.dumps(_rounded(document), indent=1) + "\n")

@@ -15,7 +15,6 @@ from srs_twin.identification.priors import Priors
 from srs_twin.plants.twin.mjcf.numerics import stable_step
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.plants import TwinFile
-from srs_twin.scenario.provenance import versions
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.studies.sweep.points import Experiment, Sweep, Value, sobol_points
 from srs_twin.studies.uncertainty.metric_uncertainty import RANGES
@@ -140,7 +139,6 @@ class UncertaintyStudy:
             values=tuple(map(tuple, rows)),
             metrics=None,
             plots=(),
-            versions=versions(),
             document={"scenario": self.scenario.name, "priors": self.priors.document()},
         )
 

@@ -20,7 +20,7 @@ from srs_twin.errors import InputError
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.provenance import (
     file_digests,
-    run_key,
+    run_provenance,
     run_sources,
     source_digests,
 )
@@ -70,7 +70,7 @@ def test_an_edited_footprint_repeats_only_its_rows(tmp_path, monkeypatch):
     (tmp_path / "one.yaml").write_text(
         shipped.replace("5.23599", "3.5")
     )  # it turns less tightly
-    refusal = r"contents of files have changed: one\.yaml\)\. Keep the rows"
+    refusal = r"one\.yaml changed; points changed\)\. Keep the rows"
     with (
         pytest.raises(InputError, match=refusal),
         open_sweep(load_sweep(sweep), tmp_path / "out"),
@@ -153,7 +153,7 @@ def test_an_edited_source_is_reported_and_its_rows_are_repeated(tmp_path):
     refused = run()
     assert (
         refused.returncode == 2
-        and "the program has changed: srs_twin.control.gait)" in refused.stderr
+        and "srs_twin.control.gait changed; points changed)" in refused.stderr
     )
     assert speeds() == forward
     assert run("--changed").returncode == 0
@@ -224,7 +224,7 @@ def test_all_files_and_sources_of_a_run_are_in_its_key(name):
 def test_a_plan_and_a_run_of_one_scenario_have_different_keys():
     document = load_scenario("follow_fig57").document
     keys = {
-        run_key(document, plants, RUNNER)
+        run_provenance(document, plants, RUNNER).key
         for plants in ((), ("twin",), ("analytical", "twin"))
     }
     assert len(keys) == 3

@@ -18,8 +18,9 @@ from small import SMALL, execute, write
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import load_yaml
+from srs_twin.io.provenance import Provenance
 from srs_twin.studies.sweep.loading import load_sweep
-from srs_twin.studies.sweep.store import FILE, RowStore, SweepIdentity
+from srs_twin.studies.sweep.store import FILE, RowStore
 from srs_twin.studies.sweep.task import DONE, FAILED, Row
 
 pytestmark = pytest.mark.fast
@@ -87,16 +88,16 @@ def test_the_folder_is_locked(tmp_path):
         "{}",
         b"\xff",
         4.5,
-        '{"keys": 1, "scenario": {}, "fields": [], "versions": {}}',
-        '{"keys": "a", "scenario": [], "fields": [], "versions": {}}',
-        '{"keys": "a", "scenario": {}, "fields": [1], "versions": {}}',
-        '{"keys": "a", "scenario": {}, "fields": [], "versions": 2}',
+        '{"content": 1, "files": {}, "sources": {}, "versions": {}}',
+        '{"content": {}, "files": [], "sources": {}, "versions": {}}',
+        '{"content": {}, "files": {}, "sources": {"a": 1}, "versions": {}}',
+        '{"content": {}, "files": {}, "sources": {}, "versions": 2}',
     ],
 )
 @pytest.mark.parametrize("table", ["about", "rows"])
 def test_junk_is_refused_and_not_changed(tmp_path, junk, table):
     with RowStore(tmp_path) as store:
-        store.set_identity(SweepIdentity("a", {}, [], {}))
+        store.claim(Provenance({}))
         store.add(ROWS[0])
     base = sqlite3.connect(tmp_path / FILE)
     with base:
@@ -112,13 +113,13 @@ def test_junk_is_refused_and_not_changed(tmp_path, junk, table):
             match="rows.sqlite: the file does not contain the rows of a sweep",
         ),
     ):
-        store.identity() if table == "about" else list(store.rows())
+        store.claim(Provenance({})) if table == "about" else list(store.rows())
     assert (tmp_path / FILE).read_bytes() == before
 
 
 def test_folders_of_a_store_without_rows_are_removed(tmp_path):
     with RowStore(tmp_path / "new/folder") as store:
-        store.set_identity(SweepIdentity("a", {}, [], {}))
+        store.claim(Provenance({}))
     assert not list(tmp_path.iterdir())
     for row in ROWS[:2]:
         with RowStore(tmp_path / "new") as store:
@@ -171,6 +172,7 @@ import resource, sys
 sys.dont_write_bytecode = True
 from pathlib import Path
 from srs_twin.errors import InputError
+from srs_twin.io.provenance import Provenance
 from srs_twin.studies.sweep.store import RowStore
 from srs_twin.studies.sweep.task import DONE, Row
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
@@ -203,6 +205,7 @@ except InputError as error:
 def test_kill_9_while_writing_loses_no_row(tmp_path, count):
     code = """
 from pathlib import Path
+from srs_twin.io.provenance import Provenance
 from srs_twin.studies.sweep.store import RowStore
 from srs_twin.studies.sweep.task import DONE, Row
 with RowStore(Path(".")) as store:

@@ -28,7 +28,6 @@ because the chain bends in the horizontal plane, in which gravity does no work.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -316,7 +315,7 @@ class _Chain:
                 fromto=[front, 0, 0, back, 0, 0],
             )
 
-    def _add_geom(self, body: MjsBody, kind: str, **attributes: Any) -> None:
+    def _add_geom(self, body: MjsBody, kind: str, **attributes: object) -> None:
         body.add_geom(self.mj.find_default(kind), **attributes)
 
     def add_planar_actuators(self, j: int) -> None:
