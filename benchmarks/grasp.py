@@ -151,7 +151,7 @@ def main() -> None:
     if given.payload:
         job = payload
         inputs = [0.05, 0.15, 0.35, 0.5, 0.7, 1.0]
-    with ProcessPoolExecutor(given.jobs) as pool:
+    with ProcessPoolExecutor(given.workers) as pool:
         results = []
         for result in pool.map(job, inputs):
             results.append(result)
