@@ -45,12 +45,12 @@ class LabOptions:
         name: Name of the robot in the MQTT topics. [default: ROBOT]
         body: Name of a rigid body in the motion capture data, and number of the
             connector that carries it (1 is the head). Can be repeated. [default:
-            connector_1=1, connector_2=2, …]
+            connector_1=1 and so on]
         local: Network address of this machine at which the motion capture frames
             arrive.
         up: Axis of the motion capture frames that points upwards: y or z.
-        allow_zero_margin: If there is no path with a margin to the obstacles, continue without a
-            margin instead of stopping (see docs/live.md#steering).
+        allow_zero_margin: If there is no path with a margin to the obstacles, continue
+            without a margin instead of stopping (see docs/live.md#steering).
         duration: Stop after this many seconds. [default: run until Ctrl-C]
         user: User name at the MQTT broker.
         ca: PEM file with the CA certificate of the MQTT broker. This option enables

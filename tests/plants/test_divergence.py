@@ -341,7 +341,8 @@ def test_policy_diverging_for_one_run_ends_that_run_only(value):
     assert isinstance(error, DivergedError)
     assert (
         str(error)
-        == f"policy diverged at t = {AT} s: the commanded valve state {value:g}"
+        == f"policy diverged at t = {AT} s: the commanded valve state {value:g} is not"
+        " possible"
     )
     assert error.trajectory.time == pytest.approx(np.arange(5) / 100)
 
@@ -370,7 +371,7 @@ def test_history_ends_before_its_first_implausible_sample():
     assert check_plausible("analytical", history) is history
     history.com[2, 1] = -np.inf
     with pytest.raises(
-        DivergedError, match=r"^analytical diverged at t = 0.06 s: com is -inf"
+        DivergedError, match=r"^analytical diverged at t = 0.06 s: `com` is -inf"
     ) as caught:
         check_plausible("analytical", history)
     assert caught.value.history.time == pytest.approx([0.02, 0.04])

@@ -29,7 +29,7 @@ def doctor(
     out: str = "runs",
     as_json: JsonOption = False,
 ) -> None:
-    """Check the installation and the output folder, and suggest remedies.
+    """Check the installation and the output folder.
 
     Options:
         --out DIR: Folder whose write access and free disk space are checked.
