@@ -252,7 +252,7 @@ def test_diverged_controller_is_named_with_the_time(build, value):
         assert (
             str(caught.value)
             == f"controller 'runaway' diverged at t = {AT} s: the commanded valve"
-            f" state {value:g}"
+            f" state {value:g} is not possible"
         )
         assert_kept(caught.value, AT)
 
