@@ -74,6 +74,7 @@ def test_former_option_is_used_with_a_warning(srs_twin, tmp_path):
     assert "Invalid value for '--workers'" in done.stderr
 
 
+@pytest.mark.default_cases(8)
 @pytest.mark.parametrize("former", RENAMED)
 def test_former_names_lead_to_current_names_only(former):
     current = RENAMED[former]
