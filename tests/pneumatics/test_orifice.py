@@ -367,6 +367,7 @@ def test_closed_chamber_is_compressed_by_the_actual_bend():
     space = volumes(spec, bend + np.outer(times, rate))[..., 0]
     kept = (trace.pressure[..., 0] + AMBIENT) * space
     assert kept == pytest.approx(np.full_like(kept, kept[0, 0]), rel=1e-9)
+    assert chambers.pressure[:, 0] == pytest.approx(trace.pressure[-1, :, 0], rel=1e-9)
     assert (kept[0, 0] - AMBIENT * space[0, 0]) / space[0, 0] == pytest.approx(
         SUPPLY, rel=1e-6
     )

@@ -12,10 +12,11 @@ from synthetic_takes import Take
 
 from srs_twin import InputError
 from srs_twin.recordings.formats.topics import RecordedTopics
-from srs_twin.recordings.recording import ValveLog
+from srs_twin.recordings.recording import Recording, ValveLog
 from srs_twin.recordings.recording_map import RecordingMap
 from srs_twin.recordings.signals.clock import driven_bends, estimate_offset, join
 from srs_twin.recordings.signals.logs import log_of_topics, read_valves
+from srs_twin.trajectory import Trajectory
 
 pytestmark = pytest.mark.fast
 
@@ -337,3 +338,19 @@ def test_set_points_of_signals_hold_until_their_next_message(tmp_path):
     assert found.at(np.array([0.95, 1.45]))[:, 3, 0] == pytest.approx([10e3, 20e3])
     assert found.at(np.array([1.05]))[0, 0, 0] == pytest.approx(20e3)
     assert found.at(np.array([1.05]))[0, 3, 1] == pytest.approx(10e3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "still", "driven"), [("valve", -1.0, 1.0), ("pressure", 0.0, 40e3)]
+)
+def test_the_start_pose_is_the_mean_before_the_first_valve_opens(kind, still, driven):
+    time = np.arange(0, 4, 0.01)
+    wobble = 0.001 * np.sin(200 * time)
+    moved = np.maximum(time - 2.0, 0.0)
+    columns = {"time": time, "com_x": moved + wobble, "com_y": -moved}
+    columns["heading"] = 0.5 + moved
+    states = np.full((2, 4, 2), still)
+    states[1, 0, 0] = driven
+    log = ValveLog(kind, np.array([0.0, 2.0]), states, "x", "", ())
+    pose = Recording(Trajectory(columns), summary=None, valves=log).start_pose()
+    assert pose == pytest.approx((0.0, 0.0, 0.5), abs=1e-3)
