@@ -149,6 +149,18 @@ def test_values_are_accepted_up_to_their_limits_in_every_place(kind, low, high):
         read(document([0.0] * 2 * SEGMENTS, 9.001e9))
 
 
+def test_supply_pressures_from_0_to_1000_kpa_are_read():
+    def read(kpa: float) -> float:
+        payload = json.dumps({"t": 0.0, "kpa": kpa}).encode()
+        message = decode(SUPPLY, payload, source="x", arrived=0.0, segments=SEGMENTS)
+        return float(message.values)
+
+    assert (read(0.0), read(1000.0)) == (0.0, 1e6)
+    for kpa in (-0.1, 1000.1):
+        with pytest.raises(BadMessageError, match="between 0 and 1000"):
+            read(kpa)
+
+
 @pytest.mark.default_cases(2)
 @pytest.mark.parametrize("word", WORDS)
 def test_a_control_is_json_or_the_plain_word(word):

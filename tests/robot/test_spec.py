@@ -11,6 +11,7 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.documents import dump_yaml
 from srs_twin.robot.file import load_robot, load_robot_file
 from srs_twin.robot.spec import Friction, Geometry, RobotSpec
+from srs_twin.scenario.loading import load_scenario
 
 pytestmark = pytest.mark.fast
 
@@ -290,3 +291,17 @@ def test_robot_file_may_give_the_gyration_of_connectors(write):
         load_robot(write({"mass.connector_gyration_m": number})).connector_gyration
         == 0.007
     )
+
+
+@pytest.mark.parametrize("key", ["gain", "tau_fill", "tau_vent"])
+def test_modules_may_differ_by_a_factor_of_ten(key):
+    def with_factor(factor: float) -> RobotSpec:
+        values = [[factor, 1.0]] + [[1.0, 1.0]] * 3
+        robot = {"base": "gen2", "modules": {"seed": 0, key: values}}
+        return load_scenario("gen2_straight", set={"robot": robot}).robot
+
+    for factor in (0.1, 10.0):
+        assert with_factor(factor).modules.array(key)[0, 0] == factor
+    for factor in (0.099, 10.01):
+        with pytest.raises(InputError, match=key):
+            with_factor(factor)
