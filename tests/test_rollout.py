@@ -133,19 +133,19 @@ def test_incompatible_times_are_rejected_with_a_remedy():
     ):
         rollout(Clock(), Scripted(), 1.01)
     message = (
-        r"record_hz 70 does not fit the tick 0.02 s; use 50 Hz, or any whole multiple"
+        r"`record_hz` 70 does not fit the tick of 0.02 s; use 50 Hz, or any whole multiple"
         r" or fraction of 50 Hz"
     )
     with pytest.raises(InputError, match=message):
         rollout(Clock(), Scripted(), 1.0, record_hz=70)
     with pytest.raises(
         InputError,
-        match=r"record_hz 30 does not fit the tick 0.02 s; use 25 Hz, or any",
+        match=r"`record_hz` 30 does not fit the tick of 0.02 s; use 25 Hz, or any",
     ):
         rollout(Clock(), Scripted(), 1.0, record_hz=30)
     with pytest.raises(
         InputError,
-        match=r"record_hz 2500 does not fit the tick 0.02 s; use 1000 Hz, or any",
+        match=r"`record_hz` 2500 does not fit the tick of 0.02 s; use 1000 Hz, or any",
     ):
         rollout(TwinSnake(SPEC), Gait(2.0), 0.1, record_hz=2500)
     with pytest.raises(

@@ -106,8 +106,8 @@ class PitchWave:
         """
         if not spec.is_spatial:
             raise InputError(
-                f"a gait with pitch needs a spatial robot, but {spec.name} bends in"
-                " one plane; use a spatial robot, or a gait without pitch"
+                f"a gait with pitch needs a spatial robot, but '{spec.name}' bends"
+                " in one plane; use a spatial robot, or a gait without pitch"
             )
         if self.lifted_segments > spec.segments:
             raise InputError(

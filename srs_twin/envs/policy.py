@@ -82,7 +82,12 @@ class NetworkPolicy:
         names = [signal.name for signal in task.observations]
         missing = [name for name in self.observations if name not in names]
         if task.name != self.task or missing:
-            problem = f"does not provide {', '.join(missing)}" if missing else "differs"
+            problem = "is another one; use that task, or another policy"
+            if missing:
+                problem = (
+                    f"does not provide {', '.join(missing)}; select these observations,"
+                    " or use another policy"
+                )
             raise InputError(
                 f"the policy is not suitable. It was trained for the task {self.task}"
                 f" with the observations {', '.join(self.observations)}, but the task"

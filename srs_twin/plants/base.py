@@ -92,7 +92,7 @@ def _features(
     if spec is not None:
         kind = "spatial" if spec.is_spatial else "planar"
         hint = "with" if spec.is_spatial else "without"
-        words = f"the {kind} robot {spec.name} ({hint} chamber.directions_deg)"
+        words = f"the {kind} robot '{spec.name}' ({hint} `chamber.directions_deg`)"
         yield kind, option, words
         if spec.skin is not None:
             yield "skin", option, "a robot with skin"
@@ -100,7 +100,7 @@ def _features(
             yield "tail", option, "a tail on two axles"
         if spec.is_spatial and (world.is_solid or world.uneven):
             words = "with obstacles, objects, steps or a slope"
-            yield _TERRAIN, "world", f"the spatial robot {spec.name} {words}"
+            yield _TERRAIN, "world", f"the spatial robot '{spec.name}' {words}"
             return
     if world.has_obstacles:
         yield "obstacles", "obstacles", "obstacles"

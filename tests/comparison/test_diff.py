@@ -223,7 +223,7 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
             ("a/walk/analytical.parquet", "a"),
             "analytical.parquet: the file does not contain results",
         ),
-        (("junk.json", "a"), "junk.json:1:13: not JSON"),
+        (("junk.json", "a"), "junk.json:1:13: the file is not valid JSON"),
         (("list.json", "a"), "list.json: the file does not contain results"),
         (("a", "a", "--rel", "-1"), "--rel -1 is not allowed"),
         (("a", "a", "--abs", "nan"), "--abs nan is not allowed"),

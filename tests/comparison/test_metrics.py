@@ -343,14 +343,19 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
         (spoiled("bend_2", 30, math.inf), "column 'bend' is not finite at sample 30"),
         (spoiled("time", 5, 0.0), "the times are not increasing"),
         (sampled(Snake().trajectory(), slice(0)), "has no samples"),
-        (Trajectory({"time": np.arange(3.0)}), "trajectory: no column 'com_x'"),
+        (
+            Trajectory({"time": np.arange(3.0)}),
+            "trajectory: the metrics cannot be computed, because the column 'com_x' is"
+            " missing",
+        ),
         (
             with_metadata(Snake().trajectory(), body_length_m=None),
             "the metadata lack `body_length_m`",
         ),
         (
             with_metadata(Snake().trajectory(), gait_frequency_hz=-1.0),
-            "gait_frequency_hz is -1.0; it must be a pos",
+            "the metadata `gait_frequency_hz` is -1.0, which is not allowed; it must be a"
+            " positive number",
         ),
         (
             with_metadata(Snake().trajectory(), gait_frequency_hz="2"),

@@ -403,7 +403,7 @@ def test_a_published_value_within_two_standard_errors_of_an_end_is_undecided(
 
 def test_an_undecided_value_names_its_distance_from_the_nearest_end():
     row = within(0.2, published=0.09998, interval_95_error=[0.0045, 0.001])
-    assert "is 0.0044 standard errors from the end 0.1 (± 0.0045)" in row["reason"]
+    assert "is only 0.0044 standard errors from the end 0.1 (± 0.0045)" in row["reason"]
     assert "lies near an end of the 95 % interval" in row["allowed"]
 
 

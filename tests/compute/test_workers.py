@@ -142,7 +142,7 @@ def test_there_are_at_most_as_many_workers_as_tasks():
 def test_fewer_than_one_worker_or_attempt_is_rejected(options):
     with pytest.raises(
         InputError,
-        match=r"(workers|attempts): -?\d is not allowed; it must be 1 or more",
+        match=r"`(workers|attempts)` -?\d is not allowed; it must be 1 or more",
     ):
         run_tasks(square, [1], **options)
 
@@ -273,7 +273,10 @@ def test_objects_of_the_main_program_are_rejected(tmp_path):
     lines = run.stdout.splitlines()
     assert len(lines) == 4
     for line, name in zip(lines, ("mine", "mine", "<lambda>", "Mine"), strict=True):
-        assert line.startswith("cannot be sent to worker processes: ") and name in line
+        assert (
+            line.startswith("the task cannot be sent to worker processes: ")
+            and name in line
+        )
         assert line.endswith(
             "but not from the main program; define them in a module and import it"
         )

@@ -396,7 +396,7 @@ def test_full_duties_equal_the_open_loop_gait(frequency):
 @pytest.mark.default_cases(3)
 @pytest.mark.parametrize("offset", [0.31, -0.4, math.nan, math.inf])
 def test_offsets_without_targets_are_refused(offset):
-    words = "ilc offset .* is not allowed; it must lie between -0.3 and 0.3"
+    words = "ilc offset .* is not allowed; it must be between -0.3 and 0.3"
     with pytest.raises(InputError, match=words):
         ILC(1.0, offset)
     controller = ILC(1.0, 0.1)

@@ -123,7 +123,7 @@ def test_duties_outside_0_to_1_are_refused(bad):
 def test_duties_of_another_shape_are_refused():
     with pytest.raises(
         InputError,
-        match=r"duties of shape \(2, 2\) are not allowed; the shape must be \(1, 2\)",
+        match=r"duties of shape \(2, 2\) are not allowed; their shape must be \(1, 2\)",
     ):
         PulseWidthModulator(60.0, 1e-3, 1).step(np.zeros((2, 2)))
 

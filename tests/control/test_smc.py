@@ -344,7 +344,7 @@ def test_gains_for_another_number_of_segments_are_refused():
     controller = DirectSMC(Constant(0.1), D=np.array([1.0, 2.0]))
     with pytest.raises(
         InputError,
-        match=r"direct_smc: D has shape \(2,\); give one number, or one per segment",
+        match=r"direct_smc: `D` has the shape \(2,\); give one number, or one per segment",
     ):
         controller.reset(robot(3), TICK)
 

@@ -112,9 +112,13 @@ EMPTY_STATE = SavedState({}, {})
 OPTIONS = {
     "no options": (
         1,
-        r"options 1 are not allowed; give a dict with state, snake, yaw_rate, goal",
+        "the reset options 1 are not allowed; give a dict with keys among state, snake,"
+        " yaw_rate, goal",
     ),
-    "list": ([], r"options \[\] are not allowed"),
+    "list": (
+        [],
+        r"the reset options \[\] are not allowed; give a dict with keys among",
+    ),
     "unknown": ({"stat": 1}, r"unknown option of reset 'stat'; did you mean state\?"),
     "number": ({1: 1}, r"unknown option of reset '1'"),
     "state": (
@@ -388,7 +392,7 @@ def test_refused_action_leaves_the_environment_unchanged(interface):
         environment.reset(seed=3) if interface == "gymnasium" else environment.reset()
     for name, action in ACTIONS.items():
         with pytest.raises(
-            InputError, match="give 3 finite numbers (offset, frequency_hz"
+            InputError, match=r"give 3 finite numbers \(offset, frequency_hz"
         ) as refused:
             env.step(action)
             pytest.fail(name)

@@ -256,7 +256,7 @@ def test_actions_are_clipped_and_invalid_ones_refused():
     for action in ([0.0, 1.0], [0.0, np.nan, 0.5], 1.0):
         with pytest.raises(
             InputError,
-            match="give 3 finite numbers (offset, frequency_hz, pressure_kpa",
+            match=r"give 3 finite numbers \(offset, frequency_hz, pressure_kpa",
         ):
             one.step(np.array(action))
 
@@ -326,7 +326,9 @@ def test_vector_environment_equals_single_environments(task):
 
 
 def test_vector_environment_refuses_invalid_counts_and_shapes():
-    with pytest.raises(InputError, match="num_envs 0 is not allowed"):
+    with pytest.raises(
+        InputError, match="`num_envs` 0 is not allowed; it must be 1 or more"
+    ):
         SnakeVectorEnv("GoTo", 0)
     envs = SnakeVectorEnv("Module", 2)
     with pytest.raises(InputError, match="3 seeds are given for 2 environments"):

@@ -39,7 +39,9 @@ def test_a_policy_finds_its_observations_by_name():
     names = [signal.name for signal in task.observations]
     expected = policy(observation[[names.index(name) for name in NAMES]])
     assert (policy.bind(task)(observation) == expected).all()
-    with pytest.raises(InputError, match="has no goal_left_m, goal_ahead_m"):
+    with pytest.raises(
+        InputError, match="does not provide goal_left_m, goal_ahead_m; select these"
+    ):
         policy.bind(make_task("GoTo", observations=("pose",)))
     with pytest.raises(InputError, match="It was trained for the task GoTo"):
         policy.bind(make_task("Obstacles"))
@@ -48,7 +50,7 @@ def test_a_policy_finds_its_observations_by_name():
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 damaged", b"policy"])
 def test_damaged_files_are_refused(tmp_path, content):
     (tmp_path / "p.npz").write_bytes(content)
-    with pytest.raises(InputError, match="the file is not a policy"):
+    with pytest.raises(InputError, match="p.npz: not a policy file"):
         load_policy(tmp_path / "p.npz")
 
 

@@ -146,13 +146,13 @@ def test_edges_may_reach_the_centre_of_their_turn():
         (
             "[-0.3, 0.0, 0.3]",
             "[0.3, 0.0, -0.3]",
-            "5:17: offset.value: must increase from row to row",
+            "5:17: offset.value: the values must increase from row to row",
         ),
         ("[0.12, 0.12, 0.12]", "[0.12, 0.12]", "must be a list"),
         (
             "[0.12, 0.12, 0.12]",
             "[0.12, 0.12, 0.12, 0.12]",
-            "speed_m_s.value: 4 values for 3 offsets",
+            "speed_m_s.value: 4 values are given for 3 offsets; give one value for each",
         ),
         (
             "[0.175, 0.125, 0.075]",

@@ -367,7 +367,7 @@ def test_worlds_with_a_plan_are_never_disconnected(seed):
         ({"goal": Goal(1, 0, 0.0, -0.1)}, "the radius must be at least 0"),
         (
             {"world": World((Circle(1, 1, 0),))},
-            "obstacle 1: position and radius must be finite",
+            "obstacle 1 is not allowed; its position and radius must be finite",
         ),
         (
             {"world": World(polygons=(Polygon(((0, 0), (1, 1), (1, 0), (0, 1))),))},
@@ -375,7 +375,7 @@ def test_worlds_with_a_plan_are_never_disconnected(seed):
         ),
         (
             {"world": World(bounds=Bounds((1, -1), (0, 1)))},
-            "give the lower limit first",
+            "each lower limit must be below its upper limit",
         ),
     ],
 )
@@ -391,9 +391,13 @@ def test_invalid_settings_are_rejected():
         " least 1",
     ):
         Settings(nodes=0)
-    with pytest.raises(InputError, match="levels 9 must be at most 5"):
+    with pytest.raises(
+        InputError, match="`levels` 9 is not allowed; it must be at most 5"
+    ):
         Settings(levels=9)
-    with pytest.raises(InputError, match="seconds -1 must be above 0"):
+    with pytest.raises(
+        InputError, match="`seconds` -1 is not allowed; it must be above 0"
+    ):
         Settings(seconds=-1)
 
 

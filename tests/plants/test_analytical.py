@@ -299,10 +299,11 @@ def test_all_options_that_exclude_each_other_are_reported_at_once():
     with pytest.raises(InputError) as error:
         AnalyticalSnake(SPEC, friction_torque=False, contact=True, load="instantaneous")
     assert str(error.value).split("; ") == [
-        "model 'complete' has a friction torque",
+        "model 'complete' always has a friction torque",
         "use model 'simplified' to leave it out",
-        "model 'complete' cannot touch obstacles",
+        "model 'complete' cannot touch obstacles, because its bends are prescribed",
         "use model 'compliant'",
-        "friction 'axis' has only one",
+        "instantaneous loads need two contacts per connector, but friction 'axis' has"
+        " only one",
         "use friction 'wheel' or 'ellipse'",
     ]

@@ -359,7 +359,7 @@ def test_fewer_than_one_thread_is_refused(threads):
         ),
         (
             Job(_snake, Gait(2.0), 1.0, record_hz=70),
-            "job 2 of 2: record_hz 70 does not fit the tick 0.02 s",
+            "job 2 of 2: `record_hz` 70 does not fit the tick of 0.02 s",
         ),
     ],
 )

@@ -50,7 +50,7 @@ def test_known_hinge_stations():
     assert hinge_stations(2, 0.06, 0.02) == pytest.approx([0.02, 0.06])
     with pytest.raises(
         InputError,
-        match=r"hinges_per_segment: 0 is not allowed; a segment needs 1 or more",
+        match=r"`hinges_per_segment` 0 is not allowed; a segment needs 1 or more",
     ):
         hinge_stations(0, 1.0, 0.0)
 

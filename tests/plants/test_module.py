@@ -171,7 +171,8 @@ def test_layout_unsupported_by_the_controller_raises(kind):
     ):
         rollout(bench(kind, "direct", layout="3/2"), DirectSMC(STEP), 0.01)
     with pytest.raises(
-        InputError, match="needs valves of layout 3/2, but the .* plant has in_out"
+        InputError,
+        match="needs valves of layout 3/2, but the .* plant has the layout in_out",
     ):
         rollout(bench(kind, "iterative", layout="in_out"), IterativeSMC(STEP), 0.01)
 

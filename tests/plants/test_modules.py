@@ -297,7 +297,7 @@ def test_initially_empty_line_delays_filling():
         chambers.advance(chambers.schedule(np.tile([1, -1], (4, 1)), 0.1), np.zeros(0))
     assert empty.bend.max() < 0.5 * full.bend.min()
     with pytest.raises(
-        InputError, match="initial_line_pressure 200000.0 Pa is not allowed"
+        InputError, match="`initial_line_pressure` 200000.0 Pa is not allowed"
     ):
         OrificePneumatics(spec, **options, initial_line_pressure=2e5)
 
@@ -558,7 +558,7 @@ def test_scenario_with_modules_and_faults(tmp_path):
         (
             "segment: 3,",
             "segment: 5,",
-            "10:34: faults[0].segment: 5 is not allowed; gen4 has 4 segments",
+            "10:34: faults[0].segment: segment 5 does not exist; gen4 has 4 segments",
         ),
         (
             "[0.1, 0, 0, -0.1]",

@@ -94,7 +94,7 @@ def test_plants_agree_on_a_rigid_snake_with_skin(write):
     [
         (
             ("  kind: position\n", ""),
-            "actuator.tau_fill_s: missing; a robot with actuator pressure needs it",
+            "actuator.tau_fill_s: missing; a robot with actuator pressure needs this key",
         ),
         (
             (
@@ -105,8 +105,8 @@ def test_plants_agree_on_a_rigid_snake_with_skin(write):
                 ),
             ),
             (
-                "actuator.dead_zone_rad: a robot with actuator position has no dead_zone_rad;"
-                " remove it"
+                "actuator.dead_zone_rad: a robot with actuator position cannot have"
+                " `dead_zone_rad`; remove this key"
             ),
         ),
         (

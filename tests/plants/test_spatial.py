@@ -300,10 +300,10 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
         lambda: make_task("GoTo", robot="spatial_example"),
     ):
         with pytest.raises(
-            InputError, match="does not support the spatial robot spatial_example"
+            InputError, match="does not support the spatial robot 'spatial_example'"
         ):
             refused()
-    with pytest.raises(InputError, match="needs a spatial robot, but gen2"):
+    with pytest.raises(InputError, match="needs a spatial robot, but 'gen2' bends"):
         rollout(TwinSnake(planar), Gait(1.0, pitch=SIDEWINDING), 0.1)
     with pytest.raises(
         InputFileError,

@@ -315,7 +315,9 @@ def test_entry_points_in_the_current_folder_do_not_count(tmp_path, monkeypatch):
     install(tmp_path, "outside_here")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend("")
-    assert "is not allowed" in problems(document("outside_here.control:Damped"))
+    assert "outside_here.control is not imported, because a scenario" in problems(
+        document("outside_here.control:Damped")
+    )
     assert "outside_here" not in sys.modules
     # A user who starts Python here may still allow it.
     allow_plugin("outside_here")
@@ -423,7 +425,7 @@ def test_modules_that_nobody_allowed_are_not_imported(kind, module, key):
     data = {**document("gait"), "controller": {"kind": "gait", "frequency_hz": 2.0}}
     data[key] = {"kind": kind}
     text = problems(data)
-    assert f"{key}.kind: module {kind.partition(':')[0]} is not allowed" in text
+    assert f"{key}.kind: module {kind.partition(':')[0]} is not imported" in text
     assert (
         "a scenario file must not run code" in text
         and "--plugin FILE.py" in text
@@ -448,7 +450,7 @@ def test_popen_is_not_imported_by_the_command_line(tmp_path):
     )
     assert done.returncode == 2, done.stderr
     assert done.stderr.startswith(
-        "s.yaml:3:20: controller.kind: module antigravity is not allowed"
+        "s.yaml:3:20: controller.kind: module antigravity is not imported"
     )
     assert not (tmp_path / "ran").exists()
 
@@ -508,8 +510,8 @@ def test_a_class_needs_the_right_base_before_it_is_called(name, source, plugin):
     allow_plugin(path)
     text = problems(document(f"{path.stem}:{name}"))
     assert (
-        f"{path.stem}:{name} must be a class that derives from Controller or"
-        " ControllerSection" in text
+        f"{path.stem}:{name} is not allowed; it must be a class that derives from"
+        " Controller or ControllerSection" in text
     )
 
 
@@ -561,7 +563,7 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("absent.py", "no such file"),
+        ("absent.py", "absent.py: this file does not exist"),
         (
             "no_module_of_this_name",
             "this module does not exist; give a file whose name ends in .py",
@@ -618,7 +620,7 @@ def test_an_error_of_a_plugin_is_not_reported_as_ours(plugin):
 def test_metrics_of_unknown_modules_are_refused():
     data = {**document("gait"), "controller": {"kind": "gait", "frequency_hz": 2.0}}
     data["expect"] = [{"metric": "antigravity:x", "plant": "twin", "above": 0}]
-    assert "expect[0].metric: module antigravity is not allowed" in problems(data)
+    assert "expect[0].metric: module antigravity is not imported" in problems(data)
     assert "antigravity" not in sys.modules
 
 
@@ -626,8 +628,8 @@ def test_parts_of_a_plant_are_named_where_they_stand():
     data = {**document("gait"), "controller": {"kind": "gait", "frequency_hz": 2.0}}
     data["plants"] = {"twin": {"pneumatics": {"kind": "orifice"}}}
     assert (
-        "plants.twin.pneumatics: unknown key; did you mean pneumatics (beside plants)?"
-        in problems(data)
+        "plants.twin.pneumatics: unknown key; did you mean pneumatics (outside of"
+        " `plants`)?" in problems(data)
     )
 
 

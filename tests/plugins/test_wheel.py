@@ -93,5 +93,5 @@ def test_a_wheel_adds_a_controller_a_metric_and_a_format(srs_twin_process, tmp_p
     assert "controller.kind: must be one of gait" in text and "'damped'" in text
     text = run("compare", "full.yaml", "-q", installed=False, code=2)
     assert text.startswith(
-        "full.yaml:3:20: controller.kind: module my_snake_parts.control is not allowed"
+        "full.yaml:3:20: controller.kind: module my_snake_parts.control is not imported"
     )

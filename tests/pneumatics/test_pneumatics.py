@@ -389,7 +389,7 @@ def test_layouts_reject_impossible_states():
     pneumatics = LagPneumatics(actuated(), supply_pa=1.0)
     with pytest.raises(
         InputError,
-        match=r"valve state 0 is not possible with layout 3/2; allowed: \(-1, 1\)",
+        match=r"valve state 0 is not possible with layout 3/2; allowed are \(-1, 1\)",
     ):
         pneumatics.schedule(np.zeros((2, 2), dtype=np.int8), 0.1)
     with pytest.raises(

@@ -597,36 +597,36 @@ def test_sensors_are_selected_by_name():
         ),
         (
             {"distance": 0.0},
-            "distance 0.0 is not allowed; it must be finite and above 0",
+            "`distance` 0.0 is not allowed; it must be finite and above 0",
         ),
-        ({"moment": math.nan}, "moment nan is not allowed"),
+        ({"moment": math.nan}, "`moment` nan is not allowed"),
         (
             {"distance": 0.2},
-            "distance 0.2 m from magnet to element is not allowed; it must be at most",
+            "`distance` 0.2 m from magnet to element is not allowed; it must be at most",
         ),
         (
             {"element_height": 0.001},
-            "element_height 0.001 m is not allowed; at this distance it must be within",
+            "`element_height` 0.001 m is not allowed; at this distance it must be within",
         ),
-        ({"magnet_height": math.nan}, "magnet_height nan m is not allowed"),
-        ({"gain": 0.0}, "gain 0.0 is not allowed; it must be finite and above 0"),
+        ({"magnet_height": math.nan}, "`magnet_height` nan m is not allowed"),
+        ({"gain": 0.0}, "`gain` 0.0 is not allowed; it must be finite and above 0"),
         (
             {"noise": -1e-6},
             "`noise` -1e-06 is not allowed; it must be finite and at least 0 V",
         ),
         (
             {"gain_error": -1.0},
-            "gain_error -1.0 is not allowed; it must be finite and above -1",
+            "`gain_error` -1.0 is not allowed; it must be finite and above -1",
         ),
         (
             {"bias": math.inf},
-            "bias inf is not allowed; it must be finite and a voltage",
+            "`bias` inf is not allowed; it must be finite and a voltage",
         ),
-        ({"sensitivity": 0.0}, "sensitivity 0.0 is not allowed"),
+        ({"sensitivity": 0.0}, "`sensitivity` 0.0 is not allowed"),
         ({"bits": 0}, "`bits` 0 is not allowed; it must be between 1 and 32, or None"),
         (
             {"rails": (5.0, 0.0)},
-            "rails 5.0 to 0.0 V is not allowed; it must be a finite range",
+            "`rails` 5.0 to 0.0 V is not allowed; it must be a finite range",
         ),
         (
             {"offset": 5.0},

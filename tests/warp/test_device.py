@@ -424,7 +424,7 @@ def test_copying_a_warp_batch_raises(copy_of):
     from srs_twin.warp.batch import WarpBatch
 
     with pytest.raises(
-        InputError, match=r"neither copied nor pickled; .* save\(\) and restore\(\)"
+        InputError, match=r"neither copied nor pickled; .*`save\(\)` and `restore\(\)`"
     ):
         copy_of(object.__new__(WarpBatch))
 
