@@ -454,8 +454,8 @@ def _check_correlation(
     if len(matrix) != count or any(len(row) != count for row in matrix):
         yield (
             ("correlation",),
-            f"must have {count} rows of {count} numbers, one row for each parameter"
-            " with a value",
+            f"must be a {count} × {count} matrix with one row for each parameter that"
+            " has a value",
         )
         return
     for i, row in enumerate(matrix):

@@ -455,7 +455,9 @@ def test_every_parameter_is_written_to_the_field_it_is_read_from(name):
 def test_a_static_table_is_read_from_a_file(tmp_path: Path):
     path = tmp_path / "table.csv"
     path.write_text("pressure_plus_1_kpa,bend_1_deg,note\n0,0\n10,9\n20,\n")
-    with pytest.raises(InputError, match=r"table.csv:2: 2 cells, but the header has 3"):
+    with pytest.raises(
+        InputError, match=r"table.csv:2: the row has 2 cells, but the header has 3"
+    ):
         read_static_table(path, MODULE)
     path.write_text("pressure_plus_1_kpa,bend_1_deg\n0,0\n10,9\n20,\n")
     fit = read_static_table(path, MODULE)

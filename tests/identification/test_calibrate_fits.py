@@ -81,7 +81,7 @@ def test_a_table_of_pulls_is_read(tmp_path):
         ),
         (
             PULLS.replace("2.5,25,30,0.15", "2.5,25,30"),
-            r"pulls.csv:3: 3 cells, but the header has 4",
+            r"pulls.csv:3: the row has 3 cells, but the header has 4",
         ),
     ],
 )

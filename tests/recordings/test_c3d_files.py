@@ -284,7 +284,7 @@ def test_units_of_points_are_converted(tmp_path):
         read_markers(tmp_path / "none.c3d")
     by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
     with pytest.raises(
-        InputError, match="odd.c3d: unit of length 'furlong' is not known"
+        InputError, match="odd.c3d: the unit of length 'furlong' is not known"
     ):
         read_markers(tmp_path / "odd.c3d")
 

@@ -412,7 +412,7 @@ def test_vicon_positions_and_rotations_are_read(tmp_path):
     assert "lengths were converted from mm to m" in found.corrections
     same(read_markers(written(tmp_path, b"\r\n\r\n" + vicon(unit="m", scale=1))))
     with pytest.raises(
-        InputError, match=r":5:3: unit of length 'furlong' is not known"
+        InputError, match=r":5:3: the unit of length 'furlong' is not known"
     ):
         read_markers(written(tmp_path, vicon(unit="furlong")))
     with pytest.raises(InputError, match=r":9:6: 'a' is not a number"):
@@ -501,7 +501,7 @@ def test_c3d_with_integers_and_with_many_points(tmp_path):
     found = read_markers(written(tmp_path, c3d_file(points, names=names)))
     same(found, points, time=TIME[:5])
     assert found.labels == tuple(names)
-    with pytest.raises(InputError, match="unit of length 'mile' is not known"):
+    with pytest.raises(InputError, match="the unit of length 'mile' is not known"):
         read_markers(written(tmp_path, c3d_file(unit="mile")))
 
 

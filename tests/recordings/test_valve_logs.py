@@ -266,7 +266,7 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
             "pressure_plus_1",
             "this file has pressure, valve; assign other",
         ),
-        ("1.0,", "1.0,2,", "valves.csv:3: 10 cells, but the header has 9"),
+        ("1.0,", "1.0,2,", "valves.csv:3: the row has 10 cells, but the header has 9"),
         (
             "1.0,-1",
             "1.0,2",
