@@ -87,7 +87,7 @@ def assign_roles(
     """
     result: list[tuple[Measured, Role]] = [(data, "fit") for data in fitted]
     if not result:
-        raise InputError(f"no {label} are given, but a fit needs them")
+        raise InputError(f"no {label} are given; give at least one")
     result += [(data, "validation") for data in validation]
     check_disjoint(data.data_set(role) for data, role in result)
     return result

@@ -413,7 +413,8 @@ def test_unsuitable_actuator_data_are_refused():
     ):
         fit_actuator([response()], MODULE, names=["actuator.tau_fil_s"])
     with pytest.raises(
-        InputError, match="modules.bias_rad_2: gen4_module has 1 segments"
+        InputError,
+        match="modules.bias_rad_2: this parameter does not exist, because gen4_module",
     ):
         fit_actuator([response()], MODULE, names=["modules.bias_rad_2"])
     with pytest.raises(InputError, match="given twice"):
