@@ -87,7 +87,7 @@ def assign_roles(
     """
     result: list[tuple[Measured, Role]] = [(data, "fit") for data in fitted]
     if not result:
-        raise InputError(f"no {label} are given, but a fit needs them")
+        raise InputError(f"no {label} are given; give at least one")
     result += [(data, "validation") for data in validation]
     check_disjoint(data.data_set(role) for data, role in result)
     return result
@@ -454,8 +454,8 @@ def _check_correlation(
     if len(matrix) != count or any(len(row) != count for row in matrix):
         yield (
             ("correlation",),
-            f"must have {count} rows of {count} numbers, one row for each parameter"
-            " with a value",
+            f"must be a {count} × {count} matrix with one row for each parameter that"
+            " has a value",
         )
         return
     for i, row in enumerate(matrix):

@@ -245,6 +245,8 @@ def test_command_of_the_page_prints_the_length_or_one_message(extended):
     assert "In mm instead of m." in extended("-c", start, "plan-length", "--help")
     refused = extended("-c", start, "plan-length", "gen2_straight", code=2)
     assert (
-        refused.startswith("gen2_straight: there is no planner section")
+        refused.startswith(
+            "gen2_straight: the scenario has no planner; add the section `planner`"
+        )
         and refused.count("\n") == 1
     )

@@ -20,8 +20,8 @@ def _with(number: str) -> bytes:
 
 
 MALFORMED = (
-    Malformed("NaN", _with("NaN"), "NaN is not JSON"),
-    Malformed("Infinity", _with("-Infinity"), "-Infinity is not JSON"),
+    Malformed("NaN", _with("NaN"), "NaN is not allowed in JSON"),
+    Malformed("Infinity", _with("-Infinity"), "-Infinity is not allowed in JSON"),
     Malformed("a number beyond floats", _with("1e999"), "1e999 is out of range"),
     Malformed("an integer beyond floats", _with("9" * 400), "is out of range"),
     Malformed("an integer of 5000 digits", _with("9" * 5000), "is out of range"),
@@ -47,7 +47,7 @@ MALFORMED = (
     ),
     Malformed("JSON cut off", GOOD[:60], ":2:"),
     Malformed("UTF-16", GOOD.decode().encode("utf-16"), "not UTF-8 text"),
-    Malformed("two documents", GOOD + GOOD, "not JSON: Extra data"),
+    Malformed("two documents", GOOD + GOOD, "the file is not valid JSON: Extra data"),
 )
 
 _NUMBERS = st.integers(-(2**53), 2**53) | st.floats(

@@ -186,7 +186,7 @@ BENCH_MALFORMED = edited(
         (
             "kind: hall, span_rad: 0.8",
             "kind: ideal",
-            ":7:9: sensor: bits requires kind: hall",
+            ":7:9: sensor: `bits` is allowed only with `kind: hall`; set",
         ),
         (
             "bits: 10",
@@ -358,12 +358,12 @@ FOLLOWING_MALFORMED = edited(
         (
             "follower: path",
             "follower: bearing",
-            "controller: lookahead_m requires follower: path",
+            "controller: `lookahead_m` is allowed only with `follower: path`",
         ),
         (
             "lookahead_m: 0.15",
             "near_m: 0.15",
-            "controller: near_m requires follower: bearing",
+            "controller: `near_m` is allowed only with `follower: bearing`",
         ),
         (
             "[0.6, 0.5], [0.6, 0.6]",

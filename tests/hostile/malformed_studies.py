@@ -74,12 +74,14 @@ FIT_MALFORMED = edited(
         (
             "value: 0.0966, ",
             "",
-            "parameters[0].verdict: identified, but value is missing",
+            "parameters[0].verdict: the parameter has the verdict 'identified', but"
+            " `value` is missing",
         ),
         (
             ", high: 0.0977",
             "",
-            "parameters[0].verdict: identified, but high is missing",
+            "parameters[0].verdict: the parameter has the verdict 'identified', but"
+            " `high` is missing",
         ),
         (
             "value: 0.0966",
@@ -107,7 +109,7 @@ FIT_MALFORMED = edited(
         (
             "friction.mu_n",
             "friction.mu_t",
-            "parameters: friction.mu_t is listed 2 times",
+            "parameters: the parameter friction.mu_t is listed 2 times; list it once",
         ),
         ('mu_t, unit: "1"', "mu_t, unit: N", "parameters[0].unit: must be 1, not N"),
         (
@@ -124,7 +126,11 @@ FIT_MALFORMED = edited(
         ("a" * 64, "a" * 63, "data[0].sha256: "),
         ("a" * 64, "A" * 64, "data[0].sha256: "),
         (", to_s: 5.0", "", "data[1]: `from_s` and `to_s` belong together"),
-        ("to_s: 5.0", "to_s: -5.0", "data[1].to_s: must be 0 or more"),
+        (
+            "to_s: 5.0",
+            "to_s: -5.0",
+            "data[1].to_s: must be at least 0, the value of `from_s`",
+        ),
         (
             "0.2, 1.0]]",
             "1.5, 1.0]]",
@@ -140,7 +146,7 @@ FIT_MALFORMED = edited(
             "[[0.5, 0.2]",
             "correlation[0][0]: must be 1, because it is on the diagonal",
         ),
-        ("[[1.0, 0.2], [0.2, 1.0]]", "[[1.0]]", "correlation: must have 2 rows of 2"),
+        ("[[1.0, 0.2], [0.2, 1.0]]", "[[1.0]]", "correlation: must be a 2 × 2 matrix"),
         (
             "standard_error: 0.1",
             "standard_error: -0.1",

@@ -117,12 +117,12 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "an unknown unit",
         _edited(MOTIVE, "Millimeters", "Milimeters"),
-        ":1: unit of length 'Milimeters' is not known",
+        ":1: the unit of length 'Milimeters' is not known",
     ),
     Malformed(
         "no unit",
         _edited(MOTIVE, "Length Units,", "Length,"),
-        ":1: unit of length '' is not known",
+        ":1: the unit of length '' is not known",
     ),
     Malformed(
         "a wrong unit",
@@ -164,12 +164,12 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "decimal commas",
         MOTIVE.replace(b"30.000", b"30,000"),
-        ":8: 22 cells, but the header has 17",
+        ":8: the row has 22 cells, but the header has 17",
     ),
     Malformed(
         "missing cell",
         _edited(MOTIVE, "\r\n5,0.050000,", "\r\n5,"),
-        ":13: 16 cells, but the header has 17",
+        ":13: the row has 16 cells, but the header has 17",
     ),
     Malformed(
         "no time", _edited(MOTIVE, "5,0.050000,", "5,,"), ":13:2: the row has no time"
@@ -281,7 +281,7 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "missing connector",
         _edited(PLAIN, "x_2_mm,y_2_mm", "x_7_mm,y_7_mm"),
-        ":1: x_2 is missing; connectors are numbered",
+        ":1: the column 'x_2' is missing; connectors are numbered",
     ),
     Malformed(
         "duplicate name",
@@ -297,7 +297,7 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "x without a number",
         _edited(PLAIN, "x_2_mm", "x"),
-        ":1:5: y_2_mm belongs to no marker",
+        ":1:5: the column 'y_2_mm' belongs to no marker",
     ),
     Malformed(
         "only time",
@@ -327,7 +327,7 @@ VALVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "missing chamber",
         _edited(VALVES, "valve_minus_3", "valve_minus_8"),
-        ":1: valve_minus_3 is missing",
+        ":1: the column 'valve_minus_3' is missing, because gen2 has 4 segments",
     ),
     Malformed(
         "one row",
@@ -355,12 +355,13 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "invalid segment",
         STATIC.replace(b"bend_1", b"bend_2"),
-        ":1:3: bend_2_deg: gen4_module has segments 1 to 1",
+        ":1:3: bend_2_deg: this segment does not exist; gen4_module has segments 1"
+        " to 1",
     ),
     Malformed(
         "an unknown unit",
         STATIC.replace(b"kpa", b"ata", 1),
-        ":1:1: pressure_plus_1_ata: unit 'ata' is not known",
+        ":1:1: pressure_plus_1_ata: the unit 'ata' is not known",
     ),
     Malformed(
         "a word", STATIC.replace(b"10,0", b"ten,0"), ":4:1: 'ten' is not a number"

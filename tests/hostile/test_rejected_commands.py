@@ -122,7 +122,7 @@ TURNS = (
     "turns.yaml: the curvature -8 1/m is not allowed; the footprint has curvatures"
     " between -5.23599 and 5.23599 1/m"
 )
-BYTES = "cannot be used (not UTF-8); rename it"
+BYTES = "this name cannot be used (it is not valid UTF-8); rename it"
 CONTROL = "this name cannot be used (it contains a control character); rename it"
 REJECTED = [
     # The output folder cannot be written.

@@ -60,13 +60,16 @@ def test_a_table_of_pulls_is_read(tmp_path):
         ),
         (
             PULLS.replace("2.5,25,30", "2.5,25,31"),
-            r"pulls.csv:3:3: spring_n_per_m: 31 here and 30 above",
+            r"pulls.csv:3:3: spring_n_per_m: the value is 31 here but 30 above",
         ),
         (
             PULLS.replace("along_mm", "along_kg"),
-            r"pulls.csv:1:1: along_kg: unit 'kg' is not known",
+            r"pulls.csv:1:1: along_kg: the unit 'kg' is not known",
         ),
-        (PULLS.replace(",mass_kg", ",weight"), r"pulls.csv:1: no column 'mass_kg'"),
+        (
+            PULLS.replace(",mass_kg", ",weight"),
+            r"pulls.csv:1: the column 'mass_kg' is missing; a table of",
+        ),
         (
             PULLS.replace("along_mm", "along_1_mm"),
             r"pulls.csv:1:1: the column 'along_1_mm' must not be numbered",
@@ -81,7 +84,7 @@ def test_a_table_of_pulls_is_read(tmp_path):
         ),
         (
             PULLS.replace("2.5,25,30,0.15", "2.5,25,30"),
-            r"pulls.csv:3: 3 cells, but the header has 4",
+            r"pulls.csv:3: the row has 3 cells, but the header has 4",
         ),
     ],
 )
@@ -95,7 +98,7 @@ def test_table_without_columns_of_pulls_is_refused_with_these_columns(tmp_path, 
     with pytest.raises(SystemExit, match="^2$"):
         main(["calibrate", "friction", str(path), "--robot", "gen2"])
     assert (
-        "a table of pulls has the columns along_mm,across_mm,"
+        "A table of pulls has the columns along_mm,across_mm,"
         in capsys.readouterr().err
     )
 

@@ -269,7 +269,9 @@ def test_short_and_incomplete_files_are_refused(tmp_path):
     path = tmp_path / "pressure.csv"
     path.write_text("time_s,bend_rad,pressure_plus_kpa\n0,0.1,3\n")
     with pytest.raises(
-        InputError, match="pressure_plus alone; give the pressures of both chambers"
+        InputError,
+        match="the column 'pressure_plus' is given alone; give the pressures of both"
+        " chambers",
     ):
         read_decay(path)
 

@@ -127,7 +127,7 @@ def test_edges_of_a_straight_body_agree_with_the_metrics():
 def test_a_snake_without_forward_motion_has_no_footprint():
     with pytest.raises(InputError, match="mm per gait period"):
         steady(Crawl(speed=0.0, sway=(0.003, 0.005)))
-    with pytest.raises(InputError, match="the snake moves forward by -75 mm"):
+    with pytest.raises(InputError, match="the snake moves forward by only -75 mm"):
         steady(Crawl(speed=-0.15))
 
 

@@ -385,7 +385,7 @@ def test_recordings_without_plateaus_are_refused(tmp_path):
     refused(
         regulated(held)[1],
         time,
-        r"pressure_plus_1: only 2 different pressures; 3 or more",
+        "the column 'pressure_plus_1' has only 2 different pressures; 3 or more",
     )
     # Bends that creep continuously.
     creeping = np.zeros((len(time), 1, 2))
@@ -393,8 +393,8 @@ def test_recordings_without_plateaus_are_refused(tmp_path):
     path.write_text(csv(time, {"bend_1": 0.01 * time} | air(creeping)))
     with pytest.raises(
         InputError,
-        match=r"creep.csv: the recording contains no plateau. .* for 30 s; .* with"
-        r" settled bends are needed",
+        match=r"creep.csv: the recording contains no plateau. .* for at most 30 s, but"
+        r" .* with settled bends are needed",
     ):
         plateau_tables([taken(path, MODULE)], MODULE, 48e3)
 

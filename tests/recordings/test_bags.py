@@ -132,7 +132,9 @@ def test_all_message_types_of_all_containers_are_read(tmp_path, container):
         time, said = found.signals[name]
         assert np.abs(said - values).max() < 1e-9
         assert np.abs(time - TIME - (shift if "air" in name else 0.0)).max() < 1e-6
-    assert "topic /word (std_msgs/String) skipped: 50 messages" in found.notes
+    assert (
+        "the topic /word (std_msgs/String) with 50 messages was skipped" in found.notes
+    )
 
 
 def only(kind):

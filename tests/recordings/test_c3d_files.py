@@ -279,12 +279,12 @@ def test_units_of_points_are_converted(tmp_path):
     (tmp_path / "none.c3d").write_bytes(by_hand(points, 84, units=""))
     with pytest.raises(
         InputError,
-        match="the unit of length (POINT:UNITS) is missing; give it with --units",
+        match=r"the unit of length \(POINT:UNITS\) is missing; give it with --units",
     ):
         read_markers(tmp_path / "none.c3d")
     by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
     with pytest.raises(
-        InputError, match="odd.c3d: unit of length 'furlong' is not known"
+        InputError, match="odd.c3d: the unit of length 'furlong' is not known"
     ):
         read_markers(tmp_path / "odd.c3d")
 

@@ -406,13 +406,14 @@ def test_vicon_positions_and_rotations_are_read(tmp_path):
     found = read_markers(path)
     same(found)
     assert found.labels == tuple(f"Snake:{name}" for name in NAMES)
-    assert {"section Devices skipped", "section Joints skipped"} <= set(
-        found.corrections
-    )
+    assert {
+        "the section Devices was skipped",
+        "the section Joints was skipped",
+    } <= set(found.corrections)
     assert "lengths were converted from mm to m" in found.corrections
     same(read_markers(written(tmp_path, b"\r\n\r\n" + vicon(unit="m", scale=1))))
     with pytest.raises(
-        InputError, match=r":5:3: unit of length 'furlong' is not known"
+        InputError, match=r":5:3: the unit of length 'furlong' is not known"
     ):
         read_markers(written(tmp_path, vicon(unit="furlong")))
     with pytest.raises(InputError, match=r":9:6: 'a' is not a number"):
@@ -501,7 +502,7 @@ def test_c3d_with_integers_and_with_many_points(tmp_path):
     found = read_markers(written(tmp_path, c3d_file(points, names=names)))
     same(found, points, time=TIME[:5])
     assert found.labels == tuple(names)
-    with pytest.raises(InputError, match="unit of length 'mile' is not known"):
+    with pytest.raises(InputError, match="the unit of length 'mile' is not known"):
         read_markers(written(tmp_path, c3d_file(unit="mile")))
 
 
@@ -554,7 +555,9 @@ def test_mcap_positions_and_signals_are_read(tmp_path, compression):
         assert np.abs(found - values).max() < 1e-9, name
         assert np.abs(at - TIME - shift - delay).max() < 1e-6, name
     assert len(topics.signals) == 12
-    assert "topic /info (std_msgs/String) skipped: 1 messages" in topics.notes
+    assert (
+        "the topic /info (std_msgs/String) with 1 messages was skipped" in topics.notes
+    )
 
 
 def test_mcap_without_positions_and_with_two_clocks(tmp_path):
@@ -579,7 +582,8 @@ def test_mcap_without_positions_and_with_two_clocks(tmp_path):
         writer.write_message("/info", schema, {"data": "x"}, log_time=ORIGIN)
     with pytest.raises(
         InputError,
-        match=r"no topic with positions; .*; topic /info \(std_msgs/String\) skipped",
+        match=r"the file has no topic with positions; .*; the topic /info"
+        r" \(std_msgs/String\) with 1 messages was skipped",
     ):
         read_markers(written(tmp_path, stream.getvalue()))
 
@@ -816,7 +820,7 @@ STATED = {
 def test_a_unit_in_conflict_with_the_file_is_refused(tmp_path, kind):
     path = written(tmp_path, FILES[kind]())
     words = (
-        f"take.data: lengths are in {STATED[kind]} according to the file, but in ft"
+        f"take.data: the lengths are in {STATED[kind]} according to the file, but in ft"
         " according to the map or --units; correct one"
     )
     with pytest.raises(InputError, match=words):

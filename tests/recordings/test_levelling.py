@@ -54,7 +54,7 @@ def take(seed, tilt_deg, lift, in_step, turning=True):
 def outcome(points):
     """Return "levelled", "noted" or "level" for the default treatment."""
     notes = map_to_floor(points + [0.0, 0.0, 1.0], "auto", "z").corrections
-    if any(note.startswith("levelled by") for note in notes):
+    if any(note.startswith("the floor was levelled by") for note in notes):
         return "levelled"
     return "noted" if any("was not removed" in note for note in notes) else "level"
 
@@ -94,7 +94,10 @@ def test_a_map_decides_about_levelling():
     for up in ("auto", "z"):
         levelled = map_to_floor(points, up, "z", level=True)
         kept = map_to_floor(points, up, "z", level=False)
-        assert any(note.startswith("levelled by") for note in levelled.corrections)
+        assert any(
+            note.startswith("the floor was levelled by")
+            for note in levelled.corrections
+        )
         assert not any("level" in note for note in kept.corrections)
         spread = [
             np.ptp(np.median(each.points[..., 2], axis=1)) for each in (levelled, kept)

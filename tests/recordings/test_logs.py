@@ -225,7 +225,7 @@ def test_levelling_is_noted(tmp_path):
     body = "\n".join(",".join(f"{v:.9g}" for v in row) for row in values)
     path.write_text(f"{head}X,Y,Z\n{body}\n")
     found = read_motion(path, SPEC)
-    assert "levelled by 6.9°" in found.summary.corrections
+    assert "the floor was levelled by 6.9°" in found.summary.corrections
     near(found.trajectory.stack("bend"), motion().stack("bend"), 0.005)
 
 
@@ -398,7 +398,7 @@ def test_lengths_of_longer_segments_are_measured(tmp_path):
     path.write_text(plain_csv(motion()))
     found = read_motion(path, replace(SPEC, geometry=geometry))
     assert any(
-        each.startswith("segments are longer than those of gen2 by +2.")
+        each.startswith("the segments are longer than those of gen2 by +2.")
         for each in found.summary.corrections
     )
     assert (

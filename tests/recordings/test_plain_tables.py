@@ -225,7 +225,7 @@ def test_layouts_are_detected_or_given(tmp_path, content, dialect):
             text(comments="# a\n", header=False),
             ":2: the columns have no names, because the first line contains 16 numbers",
         ),
-        (text(",", ","), ":2: 32 cells, but the header has 16"),
+        (text(",", ","), ":2: the row has 32 cells, but the header has 16"),
         (
             text(";", ".").replace("0.030000", "1,030.5"),
             "may be decimal marks or thousands separators; give --decimal",
@@ -234,7 +234,10 @@ def test_layouts_are_detected_or_given(tmp_path, content, dialect):
             "time;x_1;y_1\n" + "1,500;2,250;3,125\n" * 20,
             "may be decimal marks or thousands separators; give --decimal",
         ),
-        ("time,x_1,y_1\n1,5;2,5;3,5\n", ":2: 4 cells, but the header has 3"),
+        (
+            "time,x_1,y_1\n1,5;2,5;3,5\n",
+            ":2: the row has 4 cells, but the header has 3",
+        ),
         (text().replace("c2_x", "c1_x"), "two columns have the name 'c1_x'"),
         (
             text().replace("0.030000", '"0,030000"'),

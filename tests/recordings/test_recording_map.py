@@ -187,7 +187,7 @@ def test_options_have_precedence_over_the_map_file(tmp_path):
     ].station == (8, "")
     assert found.markers["lamp"] == "ignore"
     with pytest.raises(
-        InputError, match="--marker: 'base:1' is not allowed; use NAME=connector 1"
+        InputError, match="--marker 'base:1' is not allowed; use NAME=connector 1"
     ):
         given_map(None, {}, ["base:1"])
     assert given_map(None, {"units": None}, []) == {}

@@ -82,7 +82,9 @@ def test_recorded_pressures_give_the_bends_of_their_valves():
 
 def test_invalid_recorded_pressures_are_refused():
     time = np.array([0.0, 1.0])
-    with pytest.raises(InputError, match=r"shape \(2, 1, 2\); gen2 needs \(2, 4, 2\)"):
+    with pytest.raises(
+        InputError, match=r"shape \(2, 1, 2\), but gen2 needs the shape \(2, 4, 2\)"
+    ):
         RecordedPressures(SPEC, time, np.zeros((2, 1, 2)), supply_pa=SUPPLY)
     with pytest.raises(
         InputError, match="must be finite, and their times must increase"

@@ -84,7 +84,7 @@ def test_trc_with_an_offset_start_and_a_rounded_rate(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("\tmm\t", "\tfurlong\t", ":3: unit of length 'furlong' is not known"),
+        ("\tmm\t", "\tfurlong\t", ":3: the unit of length 'furlong' is not known"),
         ("Frame#\tTime", "Frames\tTime", ":4: the header is incomplete"),
         (
             "m2",

@@ -102,7 +102,7 @@ def test_a_log_of_another_run_is_refused(tmp_path, captured):
     other = valve_csv(motion(4.0, 0.0, 1.3), 0.0, 4.0, 0.0)
     with pytest.raises(
         InputError,
-        match=r"valves.csv: (no offset explains|the clock offset is ambiguous)",
+        match=r"valves.csv: (no clock offset explains|the clock offset is ambiguous)",
     ):
         join(captured, log(tmp_path, other), SPEC)
 
@@ -243,7 +243,7 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
         (
             "valve_plus_1",
             "valve_plus_9",
-            "valves.csv:1: valve_plus_1 is missing; gen2 has 4 segments",
+            "valves.csv:1: the column 'valve_plus_1' is missing, because gen2 has 4 segments",
         ),
         (
             "valve_minus_4",
@@ -260,14 +260,14 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
         (
             "valve_plus_1",
             "valve_plus_1_kpa",
-            "valves.csv:1:2: valve_plus_1_kpa: unit 'kpa' is not known",
+            "valves.csv:1:2: valve_plus_1_kpa: the unit 'kpa' is not known",
         ),
         (
             "valve_plus_1",
             "pressure_plus_1",
             "this file has pressure, valve; assign other",
         ),
-        ("1.0,", "1.0,2,", "valves.csv:3: 10 cells, but the header has 9"),
+        ("1.0,", "1.0,2,", "valves.csv:3: the row has 10 cells, but the header has 9"),
         (
             "1.0,-1",
             "1.0,2",

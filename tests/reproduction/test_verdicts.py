@@ -202,7 +202,8 @@ def test_a_missing_or_invalid_baseline_is_refused(text, tmp_path):
         load_baseline(path)
     path.write_text(text)
     with pytest.raises(
-        InputError, match="not JSON|not a baseline; --write-baseline writes one"
+        InputError,
+        match="file is not valid JSON|file is not a baseline; --write-baseline writes",
     ):
         load_baseline(path)
 

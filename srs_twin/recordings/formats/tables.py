@@ -338,8 +338,8 @@ def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn
     numbers = [_place(name)[0] for name in markers if numbered]
     if missing := {*range(1, max(numbers, default=0))} - {*numbers}:
         problem = (
-            f"the column x_{min(missing)} is missing; connectors are numbered from 1"
-            " at the head"
+            f"the column 'x_{min(missing)}' is missing; connectors are numbered from"
+            " 1 at the head"
         )
         raise file.error(problem, line)
     if any("z" in axes for axes in markers.values()):

@@ -212,13 +212,13 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "fixed:",
             "metrics: [com_speed_rel]\nfixed:",
-            "3:11: metrics[0]: com_speed_rel compares both plant",
+            "3:11: metrics[0]: the metric `com_speed_rel` compares both plants",
         ),
         (
             "fixed:",
             "plots: [{kind: line, x: seed, metric: com_speed_m_s}]\nfixed:",
             (
-                "3:25: plots[0].x: 'seed' is not varied; varied:"
+                "3:25: plots[0].x: the field 'seed' is not varied; varied:"
                 " controller.frequency_hz, supply.pressure_kpa"
             ),
         ),
@@ -230,12 +230,12 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "fixed:",
             "sampling: {kind: sobol, count: 100}\nfixed:",
-            "3:11: sampling: count 100 is not allowed for sobol",
+            "3:11: sampling: `count` 100 is not allowed for sobol",
         ),
         (
             "fixed:",
             "sampling: {kind: sobol}\nfixed:",
-            "3:11: sampling: sobol needs the number of points",
+            "3:11: sampling: the sampling sobol needs the number of points",
         ),
         (
             "fixed:",
@@ -250,7 +250,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "controller.frequency_hz",
             "plants.twin.wheels",
-            "5:3: vary.plants.twin.wheels: twin does not run",
+            "5:3: vary.plants.twin.wheels: the plant `twin` does not run here",
         ),
     ],
 )

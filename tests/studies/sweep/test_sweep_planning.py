@@ -109,10 +109,13 @@ def test_invalid_exclusions_are_refused(exclude, says, tmp_path, srs_twin):
         ),
         (WORLDS + "metrics: [com_speed_m_s]\n", "unknown metric 'com_speed_m_s'"),
         (WORLDS + "metrics: [path_rms_m]\n", "unknown metric 'path_rms_m'"),
-        (WORLDS + "periods: 5\n", "periods: no plant runs with plants: []; remove it"),
+        (
+            WORLDS + "periods: 5\n",
+            "periods: this key has no effect, because no plant runs with `plants: []`",
+        ),
         (
             WORLDS + "trajectories: true\n",
-            "trajectories: no plant runs with plants: []; remove it",
+            "trajectories: this key has no effect, because no plant runs with `plants: []`",
         ),
         (WORLDS.replace("planner.weight", "planner.wait"), "planner.wait"),
     ],
