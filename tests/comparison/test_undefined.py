@@ -341,7 +341,7 @@ def test_a_published_value_is_compared_in_a_sentence():
         "friction.drag_n",
     )
     said = (
-        "published 0.214 lies within the 95 % interval 0.1 to 0.25 (largest"
+        "the published value 0.214 lies within the 95 % interval 0.1 to 0.25 (largest"
         " uncertainty: axial drag)"
     )
     assert result_text(row) == f"= 0.2 m/s; {said}"

@@ -202,7 +202,10 @@ def test_unknown_footprint_error_lists_the_names():
         ),
         ({"ahead": -0.1}, "`ahead` and `behind` at least 0"),
         ({"left": (0.02, math.nan, 0.02)}, "all numbers must be finite"),
-        ({"curvatures": (-1.0, 1.0, 0.5)}, "curvatures: must increase"),
+        (
+            {"curvatures": (-1.0, 1.0, 0.5)},
+            "curvatures: the values must increase from row to row",
+        ),
         (
             {"transients": (Transient(0, 0.3, 0.2, 0, 0.1),)},
             "reaches the centre of the tightest turn",

@@ -307,7 +307,7 @@ def test_a_step_that_cannot_be_made_short_enough_ends_the_run():
 
 def test_robots_worlds_and_laws_that_have_no_solution_are_refused():
     with pytest.raises(
-        InputError, match="'quasistatic' does not support the planar robot gen2"
+        InputError, match="'quasistatic' does not support the planar robot 'gen2'"
     ):
         AnalyticalSnake(load_robot("gen2"), model="quasistatic")
     with pytest.raises(InputError, match="which has a potential, not 'cosine'"):
@@ -315,7 +315,8 @@ def test_robots_worlds_and_laws_that_have_no_solution_are_refused():
     with pytest.raises(InputError, match="level floor"):
         AnalyticalSnake(SPEC, model="quasistatic", world=World(floor=Floor(tilt=0.1)))
     with pytest.raises(
-        InputFileError, match="the planar robot gen2 .without chamber.directions_deg"
+        InputFileError,
+        match="the planar robot 'gen2' .without `chamber.directions_deg`",
     ):
         load_scenario(
             "gen2_straight", set={"plants.analytical": {"model": "quasistatic"}}

@@ -281,7 +281,7 @@ def test_the_scenario_of_a_run_loads_again_and_a_start_in_motion_is_refused():
     with pytest.raises(InputFileError, match="start: spatial_example is spatial"):
         load_scenario("spatial_sidewinding", set={"start.bend_rad": [0.1] * 8})
     with pytest.raises(
-        InputFileError, match="world: .* the spatial robot spatial_example with"
+        InputFileError, match="world: .* the spatial robot 'spatial_example' with"
     ):
         load_scenario("spatial_sidewinding", set={"world.floor.tilt_deg": 5})
 
@@ -311,7 +311,8 @@ def test_features_for_planar_robots_refuse_a_spatial_one_by_name():
     ):
         load_scenario("spatial_sidewinding", set={"plants.analytical": {}})
     with pytest.raises(
-        InputFileError, match="controller.kind: spatial_example is spatial"
+        InputFileError,
+        match="controller.kind: the controller is not allowed, because spatial_example is",
     ):
         load_scenario(
             "spatial_sidewinding",
