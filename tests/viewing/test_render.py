@@ -410,8 +410,14 @@ REFUSED = {
         ("--strobe", "--size", "big"),
         "--size big: give width and height in pixels",
     ),
-    "another suffix": (("--video", "a.avi"), "a.avi: the file must end in .mp4"),
-    "no such size": (("--strobe", "--size", "9999x9999"), "from 64 to 4096"),
+    "another suffix": (
+        ("--video", "a.avi"),
+        "a.avi: the name of the file must end in .mp4",
+    ),
+    "no such size": (
+        ("--strobe", "--size", "9999x9999"),
+        "both even and between 64 and 4096",
+    ),
 }
 
 
