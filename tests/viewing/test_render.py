@@ -388,7 +388,10 @@ REFUSED = {
         (),
         "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is needed",
     ),
-    "two things asked": (("--strobe", "--image", "1"), "give exactly one of"),
+    "two things asked": (
+        ("--strobe", "--image", "1"),
+        "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is needed",
+    ),
     "out with a video": (
         ("--video", "a.mp4", "--out", "b.png"),
         "--out sets the output of images",
@@ -408,7 +411,7 @@ REFUSED = {
     ),
     "size of words": (
         ("--strobe", "--size", "big"),
-        "--size big: give width and height in pixels",
+        "--size big is not allowed; give width and height in pixels",
     ),
     "another suffix": (
         ("--video", "a.avi"),
