@@ -303,7 +303,7 @@ POSITIONS = [
         "96.5",
         (
             "4:24: supply.pressure_kpa: 96.5 kPa is above the limit of gen2 in pulses"
-            " of a gait, 68.9476 kPa"
+            " of a gait, which is 68.9476 kPa"
         ),
     ),
     (

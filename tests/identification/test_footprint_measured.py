@@ -456,7 +456,7 @@ GEN2 = load_robot("gen2")
     ("changes", "message"),
     [
         ({"offsets": [0.0, 0.1, 0.2]}, "some below 0 and some above 0"),
-        ({"offsets": [-0.1, 0.1]}, "a planner needs 3 to 101"),
+        ({"offsets": [-0.1, 0.1]}, "a planner needs between 3 and 101 offsets"),
         ({"offsets": []}, r"offsets \(none\) are not allowed"),
         ({"offsets": [-0.1, 0.1, 0.1]}, "give each offset once, in ascending order"),
         ({"offsets": [-0.1, math.nan, 0.1]}, "gait offset nan is not allowed"),

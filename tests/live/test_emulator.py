@@ -98,7 +98,7 @@ def test_faults_do_what_they_say():
             "low_supply_pressure:2@5",
             "concerns the whole robot; write it as low_supply_pressure@5",
         ),
-        ("dead_sensor:5@1", "there is no segment 5"),
+        ("dead_sensor:5@1", "segment 5 does not exist; the robot has 4 of them"),
         ("stuck_valve:2+=shut@5", "unknown variant of stuck_valve 'shut'"),
     ],
 )

@@ -96,14 +96,20 @@ def test_a_bend_that_nobody_read_is_none():
         (b'{"t": NaN}', "`t` must be a number"),
         (b'{"t": 1e400}', "`t` must be a number"),
         (b'{"t": "1"}', "`t` must be a number"),
-        (b'{"t": 1, "plus": [1, 1, 1, 1]}', "minus: must be a list of 4"),
+        (b'{"t": 1, "plus": [1, 1, 1, 1]}', "`minus` must be a list of 4 numbers"),
         (b'{"t": 1, "plus": [1], "minus": [1]}', "`plus` must be a list of 4"),
         (
             b'{"t": 1, "plus": "1111", "minus": [1, 1, 1, 1]}',
             "`plus` must be a list of 4",
         ),
-        (b'{"t": 1, "plus": [2, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
-        (b'{"t": 1, "plus": [null, 0, 0, 0], "minus": [0, 0, 0, 0]}', "from -1 to 1"),
+        (
+            b'{"t": 1, "plus": [2, 0, 0, 0], "minus": [0, 0, 0, 0]}',
+            "`plus` must be a number between -1 and 1",
+        ),
+        (
+            b'{"t": 1, "plus": [null, 0, 0, 0], "minus": [0, 0, 0, 0]}',
+            "`plus` must be a number between -1 and 1",
+        ),
         (b"[" * 100_000, "more than 65536 bytes"),
         (b"[" * 60_000, "not JSON"),
     ],
@@ -143,7 +149,7 @@ def test_values_are_accepted_up_to_their_limits_in_every_place(kind, low, high):
         for place in range(SEGMENTS if kind == BENDS else 2 * SEGMENTS):
             beyond = [0.0] * 2 * SEGMENTS
             beyond[place] = 1.001 * limit
-            with pytest.raises(BadMessageError, match=f"from {low:g} to {high:g}"):
+            with pytest.raises(BadMessageError, match=f"between {low:g} and {high:g}"):
                 read(document(beyond))
     with pytest.raises(BadMessageError, match="`t` must be a number"):
         read(document([0.0] * 2 * SEGMENTS, 9.001e9))

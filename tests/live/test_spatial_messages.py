@@ -63,9 +63,9 @@ def test_messages_have_a_list_per_chamber_and_two_bends():
     ("kind", "values", "chambers", "words"),
     [
         (COMMAND, FULL, 0, "`plus` must be a list of 8"),
-        (COMMAND, FULL[:, :2], 4, "chamber_1: must be a list of 8"),
-        (VALVES, FULL[:, :3], 4, "chamber_4: must be a list of 8"),
-        (BENDS, np.zeros(8), 4, "pitch_rad: must be a list of 8"),
+        (COMMAND, FULL[:, :2], 4, "`chamber_1` must be a list of 8 numbers"),
+        (VALVES, FULL[:, :3], 4, "`chamber_4` must be a list of 8 numbers"),
+        (BENDS, np.zeros(8), 4, "`pitch_rad` must be a list of 8 numbers"),
     ],
 )
 def test_messages_of_the_other_kind_of_robot_are_refused(kind, values, chambers, words):

@@ -114,8 +114,8 @@ def test_markers_on_lamps_people_and_carts_are_left_out(tmp_path):
     for said in (facts.notes, found.summary.corrections):
         out = [each for each in said if "left out" in each]
         assert (
-            "marker 'lamp' left out: 1500 mm high, does not move with the other markers"
-            in out
+            "the marker 'lamp' was left out: it is 1500 mm high, and it does not move"
+            " with the other markers" in out
         )
         assert any(
             "'cap' was left out: it is 170" in each and "its height varies by" in each

@@ -72,7 +72,8 @@ REFUSED = {
     "a.pkl": (lambda: pickle.dumps({"x": 1}), "a Python pickle"),
     "a.bvh": (
         lambda: b"HIERARCHY\nROOT Hips\n",
-        "a BVH file.*; export CSV or C3D instead. Formats: C3D, MCAP",
+        "a BVH file, .*, cannot be read; export CSV or C3D instead. Readable formats are"
+        " C3D, MCAP",
     ),
     "a.tak": (lambda: b"\x01\x02\x03\0binary", "a take of Motive.*export it there"),
     "a.csv.gz": (lambda: gzip.compress(b"time,x_1"), "a gzip archive"),

@@ -221,7 +221,7 @@ def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
         ),
         (
             "time,bend_1,bend_2\n0,0,0\n",
-            "x.csv:1:3: bend_2: gen4_module has 1 segments",
+            "x.csv:1:3: the column 'bend_2' belongs to no segment, because gen4_module",
         ),
         ("time,bend_1_turns\n0,0\n", "unit 'turns' is not known; allowed are rad, deg"),
         (

@@ -248,7 +248,7 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
         (
             "valve_minus_4",
             "valve_minus_4,valve_plus_5",
-            "valve_plus_5: gen2 has 4 segments",
+            "the column 'valve_plus_5' belongs to no segment, because gen2 has 4 segments",
         ),
         ("time", "clock", "valves.csv:1: the column 'time' is missing"),
         (

@@ -388,7 +388,10 @@ REFUSED = {
         (),
         "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is needed",
     ),
-    "two things asked": (("--strobe", "--image", "1"), "give exactly one of"),
+    "two things asked": (
+        ("--strobe", "--image", "1"),
+        "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is needed",
+    ),
     "out with a video": (
         ("--video", "a.mp4", "--out", "b.png"),
         "--out sets the output of images",
@@ -408,10 +411,16 @@ REFUSED = {
     ),
     "size of words": (
         ("--strobe", "--size", "big"),
-        "--size big: give width and height in pixels",
+        "--size big is not allowed; give width and height in pixels",
     ),
-    "another suffix": (("--video", "a.avi"), "a.avi: the file must end in .mp4"),
-    "no such size": (("--strobe", "--size", "9999x9999"), "from 64 to 4096"),
+    "another suffix": (
+        ("--video", "a.avi"),
+        "a.avi: the name of the file must end in .mp4",
+    ),
+    "no such size": (
+        ("--strobe", "--size", "9999x9999"),
+        "both even and between 64 and 4096",
+    ),
 }
 
 

@@ -410,7 +410,8 @@ def test_report_lists_events_in_the_order_of_time(tmp_path, spec):
 )
 def test_missing_trajectories_are_refused(tmp_path, spec, trajectories):
     with pytest.raises(
-        InputError, match="nothing to draw: .*(there is no trajectory|has no samples)"
+        InputError,
+        match="there is nothing to draw, because .*(no trajectory exists|has no samples)",
     ):
         write_recording(tmp_path / "r.rrd", RunContent(spec, trajectories))
     assert not list(tmp_path.iterdir())
@@ -745,7 +746,7 @@ def test_viewer_errors_name_alternatives(tmp_path, recording, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(
-        InputError, match=r"no display .* open .*report\.html in a browser"
+        InputError, match=r"no display .* Open .*report\.html in a browser"
     ):
         open_recording(recording)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))

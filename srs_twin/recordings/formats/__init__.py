@@ -72,7 +72,7 @@ _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
     (rb"\x1f\x8b", "a gzip archive", "unpack it"),
     (rb"PAR1", "a Parquet file", f"{_TABLE} (pandas: to_csv)"),
     (rb"\x80[\x02-\x05]", "a Python pickle", _TABLE),
-    (rb"HIERARCHY", "a BVH file, which holds joint angles and no markers", _EXPORT),
+    (rb"HIERARCHY", "a BVH file, which holds joint angles and no markers,", _EXPORT),
 )
 
 

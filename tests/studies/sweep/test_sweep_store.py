@@ -286,7 +286,9 @@ def test_invalid_rows_are_refused(tmp_path):
 
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"file: cannot be created \(File exists\)"):
+    with pytest.raises(
+        InputError, match=r"file: the folder cannot be created \(File exists\)"
+    ):
         RowStore(tmp_path / "file")
 
 
