@@ -337,7 +337,7 @@ VALVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "200 MB of junk",
         _large(VALVES, b"junk\n"),
-        " rows of 9 cells; at most 20000 columns",
+        " rows of 9 cells, but at most 20000 columns",
     ),
 )
 

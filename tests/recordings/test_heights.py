@@ -122,7 +122,7 @@ def test_markers_on_lamps_people_and_carts_are_left_out(tmp_path):
             for each in out
         )
         assert (
-            any("'cart' left out: 400 mm high" in each for each in out)
+            any("'cart' was left out: it is 400 mm high" in each for each in out)
             and len(out) == 3
         )
     assert (

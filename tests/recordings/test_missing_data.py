@@ -79,7 +79,7 @@ def test_repeated_zeros_are_a_hidden_marker(tmp_path):
         np.isnan(table.points[5:10, 1]).all() and np.isfinite(table.points[:, 0]).all()
     )
     assert any(
-        "5 positions are exactly 0, 0, 0: read as missing" in note
+        "5 positions are exactly 0, 0, 0 and are read as missing" in note
         for note in table.corrections
     )
 
