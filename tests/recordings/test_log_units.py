@@ -120,6 +120,7 @@ def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, 
     )
 
 
+@pytest.mark.default_cases(6)
 @pytest.mark.parametrize(
     "header",
     [
@@ -337,6 +338,7 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
     assert found.trajectory["bend_1"] == pytest.approx(factor * raw, abs=1e-12)
 
 
+@pytest.mark.default_cases(6)
 @pytest.mark.parametrize(
     ("name", "units", "unit"),
     [

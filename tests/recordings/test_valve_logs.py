@@ -237,6 +237,7 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
     assert any("0 is read as venting" in each for each in found.corrections)
 
 
+@pytest.mark.default_cases(6)
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
