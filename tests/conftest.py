@@ -100,7 +100,12 @@ def srs_twin() -> Command:
 
 @contextmanager
 def as_in_a_process() -> Iterator[None]:
-    """Use Python's default warning filters; afterwards restore environment, signals and warnings."""
+    """Use Python's default warning filters; afterwards restore environment, signals and warnings.
+
+    The notice of the first compilation would otherwise be called in later tests.
+    """
+    from srs_twin.compute import compiled
+
     environ = dict(os.environ)
     handlers = {number: signal.getsignal(number) for number in ENDINGS}
     with warnings.catch_warnings():
@@ -120,6 +125,7 @@ def as_in_a_process() -> Iterator[None]:
             yield
         finally:
             warnings.formatwarning = formatted
+            compiled._notices.clear()  # noqa: SLF001
             os.environ.clear()
             os.environ.update(environ)
             for number, handler in handlers.items():
