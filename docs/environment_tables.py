@@ -27,7 +27,10 @@ def tables() -> str:
     ]
     actions = {name: task.actions for name, task in tasks.items()}
     observations = {}
+    groups = {}
     for name, task in tasks.items():
+        for group, signals in task.groups.items():
+            groups |= {signal.name: group for signal in signals}
         commands = {signal.name for signal in task.actions}
         observations[name] = tuple(
             each for each in task.observations if each.name not in commands
@@ -36,7 +39,7 @@ def tables() -> str:
         [
             "\n".join(rows),
             _table("action", actions),
-            _table("observation", observations),
+            _table("observation", observations, groups),
         ]
     )
 
@@ -67,12 +70,19 @@ def update_tables(page: str) -> str:
     return page
 
 
-def _table(kind: str, signals: Mapping[str, Signals]) -> str:
+def _table(
+    kind: str, signals: Mapping[str, Signals], groups: Mapping[str, str] | None = None
+) -> str:
     """Return the table of the signals of all tasks.
 
     Signals that differ in a number share a row, and tasks with equal bounds a range.
+
+    Args:
+        kind: heading of the first column.
+        signals: signals of each task.
+        groups: group of each signal, for an additional column.
     """
-    meanings: dict[tuple[str, str, str], dict[str, list[str]]] = {}
+    meanings: dict[tuple[str, str, str, str], dict[str, list[str]]] = {}
     pairs = [(task, each) for task, given in signals.items() for each in given]
     for task, signal in pairs:
         number = re.search(r"_(\d+)", signal.name)
@@ -80,16 +90,19 @@ def _table(kind: str, signals: Mapping[str, Signals]) -> str:
         if number:
             text = re.sub(rf"\b{number[1]}\b", "N", text)
         name = re.sub(r"_\d+", "_N", signal.name)
-        ranges = meanings.setdefault((name, signal.unit, text), {})
+        group = f" `{groups[signal.name]}` |" if groups else ""
+        ranges = meanings.setdefault((name, group, signal.unit, text), {})
         tasks = ranges.setdefault(f"{signal.low:.4g} to {signal.high:.4g}", [])
         if task not in tasks:
             tasks.append(task)
     rows = [f"| {kind} | unit | meaning | range |", "|---|---|---|---|"]
-    for (name, unit, text), ranges in meanings.items():
+    if groups:
+        rows = [f"| {kind} | group | unit | meaning | range |", "|---|---|---|---|---|"]
+    for (name, group, unit, text), ranges in meanings.items():
         cell = "; ".join(
             f"{', '.join(tasks)}: {bounds}" for bounds, tasks in ranges.items()
         )
-        rows.append(f"| `{name}` | {unit} | {text} | {cell} |")
+        rows.append(f"| `{name}` |{group} {unit} | {text} | {cell} |")
     return "\n".join(rows)
 
 

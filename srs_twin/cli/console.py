@@ -308,8 +308,8 @@ class ScenarioProgress(Display):
         from srs_twin.compute.compiled import notify_first_compilation
 
         text = (
-            f"{self.title}: compiling the kernels for this machine (only once, about"
-            " 30 s)"
+            f"{self.title}: compiling the kernels for this machine (once for each kind"
+            " of run, about 30 s)"
         )
         notify_first_compilation(lambda: say(text, quiet=self._quiet))
         return super().__enter__()

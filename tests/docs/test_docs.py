@@ -316,6 +316,28 @@ def printed(row):
     return [float(cell) for cell in cells if cell.strip()]
 
 
+def test_inspect_gives_the_documented_output(tmp_path, srs_twin):
+    page = BY_PATH[ROOT / "docs/recordings.md"]
+    page.save_files(tmp_path)
+    done = srs_twin(*page.commands[0].split()[3:], cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    shown = (done.stdout + done.stderr).splitlines()
+    output = next(block.text for block in page.blocks if block.language == "")
+    missing = [
+        line
+        for line in output.splitlines()
+        if line.strip() != "…"
+        and not any(each.startswith(line.removesuffix("…")) for each in shown)
+    ]
+    assert missing == []
+
+
+def test_printed_study_is_the_shipped_file():
+    page = BY_PATH[ROOT / "docs/optimization.md"]
+    study = (ROOT / "scenarios/studies/gen2_speed.yaml").read_text("utf-8")
+    assert study in [block.text for block in page.blocks]
+
+
 def test_one_test_command_everywhere():
     assert "uv run --group dev pytest" in README.commands
     assert "uv run --group dev pytest" in (ROOT / ".ci/run").read_text("utf-8")

@@ -20,6 +20,10 @@ from pages import PAGES
 TARGET = re.compile(r"^\(([\w-]+)\)=$", re.M)
 LINKED = {
     name for page in PAGES for name in re.findall(r"\]\([^)\s]*#([\w-]+)\)", page.text)
+} | {
+    name
+    for path in ROOT.glob("scenarios/*.yaml")
+    for name in re.findall(r"docs/[\w-]+\.md#([\w-]+)", path.read_text("utf-8"))
 }
 
 

@@ -18,11 +18,11 @@ from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.parameters import free_parameters
 
 PAGE = (ROOT / "docs/your-robot.md").read_text("utf-8")
+_, _, FITS = PAGE.partition("\n## Parameters from recordings\n")
 COMMANDS = [
     line
-    for text in re.findall(r"^```sh runnable\n(.*?)^```$", PAGE, re.M | re.S)
+    for text in re.findall(r"^```sh runnable\n(.*?)^```$", FITS, re.M | re.S)
     for line in text.splitlines()
-    if line.startswith("srs-twin ")
 ]
 RECORDINGS = "calibration/examples/my_snake"
 MADE = runpy.run_path(str(ROOT / "docs/your_robot.py"))
@@ -38,9 +38,9 @@ def walked_through(tmp_path_factory):
         patch.chdir(folder)
         for command in COMMANDS:
             words = shlex.split(command)
-            assert words[0] == "srs-twin"
+            assert words[:3] == ["uv", "run", "srs-twin"]
             with pytest.raises(SystemExit) as end:
-                main(words[1:])
+                main(words[3:])
             assert end.value.code == 0, command
     return folder
 
