@@ -208,7 +208,8 @@ class Trajectory(HtmlResult):
             import pandas as pd
         except ImportError as error:
             raise InputError(
-                "`to_pandas` needs pandas; install it with: pip install pandas"
+                "`to_pandas` needs the optional package pandas; run Python with `uv run"
+                " --with pandas python`, or install it with `pip install pandas`"
             ) from error
         frame = pd.DataFrame(dict(self.columns)).set_index("time")
         frame.attrs["units"] = {name: self.unit(name) for name in self.columns}

@@ -7,13 +7,15 @@ The topics of a plant, for example ``twin``, are:
 - ``/tf``: transforms from ``world`` to ``twin/connector_1`` etc.
 - ``/twin/body`` (visualization_msgs/MarkerArray): connectors, centre line of the soft
   segments, and the name of the plant. Foxglove and RViz draw these shapes.
-- ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left, and their
-  rates, rad/s.
+- ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left, and bend
+  rates, rad/s. The rates are computed from differences of the recorded bends.
 - ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute chamber pressure, Pa.
-- ``/twin/valves`` (std_msgs/Int8MultiArray): valve states of the + and − chamber of
-  each segment.
+- ``/twin/valves`` (std_msgs/Int8MultiArray): valve states in the order ``plus_1``,
+  ``minus_1``, ``plus_2`` and so on. The layout has the dimensions ``segments`` and
+  ``chambers``.
 
-Time stamps and log times are simulated times since the start of the run.
+Time stamps and log times are simulated times since the start of the run. All poses and
+shapes are given in the frame ``world``. The poses of planar robots have the height 0.
 """
 
 from __future__ import annotations
@@ -187,7 +189,8 @@ class _Motion:
         drawn: positions of the connectors in pictures, above the floor, equal shape, m.
         rotations: quaternions x, y, z, w of the connectors, shape (samples, N, 4).
         line: centre line of the body, shape (samples, points, 3), m.
-        rates: rates of the bends, shape (samples, segments), rad/s.
+        rates: rates of the bends, computed from differences of the recorded bends,
+            shape (samples, segments), rad/s.
     """
 
     plant: str
@@ -383,6 +386,16 @@ def _segment_messages(sample: _Sample) -> Iterator[_Message]:
             yield _Message(topic, "sensor_msgs/msg/FluidPressure", pressure)
     states = np.array([sample.stack(f"valve_{side}") for side in _SIDES], dtype=np.int8)
     if states.size:
-        layout = make["MultiArrayLayout"](dim=[], data_offset=0)
-        valves = make["Int8MultiArray"](layout=layout, data=states.T.reshape(-1))
+        by_segment = states.T
+        segments, chambers = by_segment.shape
+        dimension = make["MultiArrayDimension"]
+        layout = make["MultiArrayLayout"](
+            dim=[
+                # The stride of a dimension counts its elements and all inner elements.
+                dimension(label="segments", size=segments, stride=by_segment.size),
+                dimension(label="chambers", size=chambers, stride=chambers),
+            ],
+            data_offset=0,
+        )
+        valves = make["Int8MultiArray"](layout=layout, data=by_segment.reshape(-1))
         yield _Message("valves", "std_msgs/msg/Int8MultiArray", valves)

@@ -88,7 +88,7 @@ class SignalFacts(_Facts):
     looks_like: str
     """Quantity according to the name, the unit or the map, or "unknown"."""
     understood: bool
-    """Whether the signal can be read without a map."""
+    """Whether the name or the map states the meaning of the signal."""
     low: Annotated[float, _unit("of the file")] | None = None
     """Lowest value."""
     high: Annotated[float, _unit("of the file")] | None = None

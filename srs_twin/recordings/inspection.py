@@ -100,6 +100,13 @@ _QUANTITY_TEXTS = {
     "bend": "angle, without a unit",
 }
 """Description of each quantity of a signal whose unit is not stated."""
+_CHARACTER_HEIGHT_IN = 0.06
+"""Height per character of a marker name in the picture, inches.
+
+The font size is 7 pt, and the names are rotated by 60°.
+"""
+_MAX_NAME_HEIGHT_IN = 2.0
+"""Maximum height reserved for marker names in the picture, inches."""
 _MAX_NEIGHBOUR_M = 2.0
 """Maximum plausible distance of adjacent markers, m."""
 
@@ -469,7 +476,7 @@ def _signal_facts(
     facts = SignalFacts(
         name=name,
         looks_like=_stated_quantity(name, known, meaning),
-        understood=own is not None,
+        understood=meaning is not None,
         low=float(known.min()),
         high=float(known.max()),
         distinct=(distinct := len(np.unique(known))),
@@ -505,7 +512,10 @@ def markers_view(scene: Scene) -> Figure:
     low = np.nanmin(places, axis=(0, 1))
     high = np.nanmax(places, axis=(0, 1))
     wide, deep = np.maximum(high - low, 1e-3)
-    figure, (axes,) = panels(float(np.clip(8.0 * deep / wide + 1.4, 2.8, 7.0)))
+    longest_name = max(map(len, scene.names), default=0)
+    name_height = min(_CHARACTER_HEIGHT_IN * longest_name, _MAX_NAME_HEIGHT_IN)
+    drawn_height = 8.0 * deep / wide + name_height
+    figure, (axes,) = panels(float(np.clip(drawn_height + 1.4, 2.8, 7.0)))
     axes.plot(
         *places.reshape(len(places), -1, 2).transpose(2, 0, 1),
         color="0.8",
@@ -538,6 +548,12 @@ def markers_view(scene: Scene) -> Figure:
             axes.annotate(
                 name, place, (1, 4), textcoords="offset points", rotation=60, fontsize=7
             )
+        # The names are written above the markers. Without this space they would cover
+        # the title.
+        metres_per_inch = max(wide / 8.0, deep / (5.6 - name_height))
+        top = places[complete[0], :, 1].max() + name_height * metres_per_inch
+        axes.update_datalim([(low[0], top)])
+        axes.autoscale_view()
     axes.set_aspect("equal", adjustable="datalim")
     title = (
         f"{places.shape[1]} markers; lines: order along the body at the first, middle"

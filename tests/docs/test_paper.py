@@ -13,6 +13,7 @@ WORDS = (1000, 1500)
 NUMBERS = [
     ("−2.1 to +2.6 % in speed and by at most 6.9 %", "verification"),
     ("within 0.6 % at 19 points", "verification"),
+    ("within 1.2 % at a further point", "verification"),
     ("−18 to +7.5 % in speed", "verification"),
     ("of the twin by 0.6 % only", "verification"),
     ("raise it by 39 %", "verification"),

@@ -186,7 +186,7 @@ def test_a_data_frame_has_time_as_its_index_and_all_units(run):
 def test_a_data_frame_without_pandas_names_the_package(run, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(
-        InputError, match="needs pandas; install it with: pip install pandas"
+        InputError, match="needs the optional package pandas; .*`pip install pandas`"
     ):
         run.to_pandas()
 

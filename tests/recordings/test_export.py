@@ -12,6 +12,8 @@ from mcap_ros2.decoder import DecoderFactory
 from srs_twin.experiment import load_run, run_scenario
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.recordings.export import recording_map, write_mcap
+from srs_twin.recordings.facts import in_words
+from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording_map import read_map
 from srs_twin.recordings.takes import RecordingReader
 from srs_twin.scenario.loading import load_scenario
@@ -82,6 +84,30 @@ def test_another_library_decodes_the_poses_of_the_parquet_file(run, tmp_path):
     assert len(seen["/tf"]) == 2 * len(trajectory)
 
 
+def test_layout_of_the_valve_states_gives_the_state_of_each_chamber(run, tmp_path):
+    path = tmp_path / "run.mcap"
+    finished = load_run(run)
+    write_mcap(path, finished.trajectories, finished.scenario.robot.geometry)
+    twin = finished.trajectories["twin"]
+    with path.open("rb") as file:
+        messages = make_reader(file, decoder_factories=[DecoderFactory()])
+        arrays = [
+            decoded
+            for *_, decoded in messages.iter_decoded_messages(topics="/twin/valves")
+        ]
+    segments, chambers = arrays[0].layout.dim
+    assert (segments.label, segments.size) == ("segments", 4)
+    assert (chambers.label, chambers.size) == ("chambers", 2)
+    # By the definition of MultiArrayLayout, the outer stride is the number of elements.
+    assert segments.stride == len(arrays[0].data)
+    for c, side in enumerate(("plus", "minus")):
+        for j in range(segments.size):
+            place = chambers.stride * j + c
+            states = [array.data[place] for array in arrays]
+            assert states == twin[f"valve_{side}_{j + 1}"].tolist()
+    assert set(twin["valve_plus_1"]) != {0}
+
+
 def test_markers_show_the_body_where_it_is(run, tmp_path):
     path = tmp_path / "run.mcap"
     finished = load_run(run)
@@ -118,6 +144,8 @@ def test_the_file_reads_back_as_a_recording_of_the_robot(run, tmp_path):
     write_mcap(path, finished.trajectories, finished.scenario.robot.geometry)
     reader = RecordingReader(map=read_map(recording_map("twin", twin)))
     recording = reader.take(str(path), str(path), spec)
+    # The shapes in /twin/body are drawings. The file contains no data that are left out.
+    assert not any("skipped" in text for text in recording.summary.corrections)
     apart = recording.trajectory.position - twin.position
     assert (
         np.sqrt((apart**2).mean()) < 1e-3
@@ -130,6 +158,23 @@ def test_the_file_reads_back_as_a_recording_of_the_robot(run, tmp_path):
     assert time - time[0] == pytest.approx(
         twin.time, abs=1e-9
     ) and values == pytest.approx(expected, abs=1e-6)
+
+
+def test_inspection_needs_no_further_map_for_mapped_signals(run, tmp_path):
+    path = tmp_path / "run.mcap"
+    finished = load_run(run)
+    twin = finished.trajectories["twin"]
+    write_mcap(path, {"twin": twin}, finished.scenario.robot.geometry)
+    facts, _ = inspect_file(path, read_map(recording_map("twin", twin)), None)
+    understood = {signal.name for signal in facts.signals if signal.understood}
+    pressures = {
+        f"/twin/pressure_{side}_{j}.fluid_pressure"
+        for side in ("plus", "minus")
+        for j in range(1, 5)
+    }
+    assert understood == pressures
+    needing = [line for line in in_words(facts).split("\n") if "(needs a map)" in line]
+    assert needing and not any("fluid_pressure" in line for line in needing)
 
 
 def test_the_command_writes_each_format(run, srs_twin, tmp_path):

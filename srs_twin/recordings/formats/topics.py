@@ -302,6 +302,7 @@ class _Topics:
         self.notes += [
             f"the topic {topic} with {count} messages was skipped"
             for topic, count in self.skipped.items()
+            if _DRAWING not in topic
         ]
         self.notes += [
             f"the time stamps of {topic} differ by {difference:.3g} s from the log"
@@ -456,6 +457,8 @@ def _compose(
 _SIGNALS = re.compile(
     r"std_msgs/(Bool|(Float|U?Int)\d+(MultiArray)?)|sensor_msgs/(Joy|JointState|FluidPressure)"
 )
+_DRAWING = " (visualization_msgs/"
+"""Start of the types of messages that only draw shapes, which are skipped silently."""
 _METADATA = ("header", "layout")
 """Fields of messages without signals."""
 _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]] = {
