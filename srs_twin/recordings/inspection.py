@@ -347,9 +347,11 @@ def _marker_names(
         [np.bincount(column[column >= 0], minlength=len(labels)) for column in origin.T]
     )
     _, chosen = linear_sum_assignment(-counts)
-    if (away := counts.sum() - counts[np.arange(len(chosen)), chosen].sum()) > 0:
+    away = counts.sum() - counts[np.arange(len(chosen)), chosen].sum()
+    facts.in_other_columns = float(away / counts.sum())
+    if away > 0:
         facts.notes.append(
-            f"{100 * away / counts.sum():.0f} % of the positions are not in the"
+            f"{100 * facts.in_other_columns:.2g} % of the positions are not in the"
             " columns of their markers, because markers change their columns; a map"
             " by their names is therefore not valid for all frames"
         )
