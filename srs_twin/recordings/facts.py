@@ -165,6 +165,8 @@ class RecordingFacts(_Facts):
     """Number of possible robot markers that are detected on at least 20 % of frames."""
     positions_of_nothing: Count | None = None
     """Number of positions that do not belong to a tracked marker."""
+    in_other_columns: Ratio | None = None
+    """Fraction of the robot's positions that are not in the column of their marker."""
     noise_mm: Millimetres | None = None
     """Standard deviation of the noise of a coordinate over all tracked markers."""
     rigid_pairs: list[Pair] | None = None
@@ -204,7 +206,18 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
         lines.append(f"# {file.file}: {file.format}, {file.rate_hz:.4g} Hz")
         if file.up is not None:
             lines.append(f"up: {json.dumps(file.up)}")
-        lines += _marker_lines(file)
+        if file.in_other_columns:
+            lines += [
+                f"# {100 * file.in_other_columns:.2g} % of the positions are not in the"
+                " columns of their markers,",
+                "# because markers change their columns. Places by name are therefore"
+                " left out: the",
+                "# markers are identified by their motion, and --layout and --head"
+                " give what it does",
+                "# not determine.",
+            ]
+        else:
+            lines += _marker_lines(file)
     logged = [
         signal
         for file in facts

@@ -6,11 +6,9 @@ a recording map. `srs-twin inspect --json` prints the results (see `facts`).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from types import MappingProxyType
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -55,11 +53,11 @@ from srs_twin.recordings.recording import (
     robot_tracks,
 )
 from srs_twin.recordings.recording_map import (
+    NO_MAP,
     RecordingMap,
+    as_map,
     canonical_key,
-    given_map,
     log_meaning,
-    read_map,
 )
 from srs_twin.recordings.signals.gaps import (
     MIN_FRAMES,
@@ -131,23 +129,21 @@ class Scene:
 def inspect(
     path: StrPath,
     *,
-    map: StrPath | Mapping[str, object] = MappingProxyType({}),  # noqa: A002
+    map: RecordingMap | Mapping[str, object] | StrPath = NO_MAP,  # noqa: A002
     robot: StrPath | RobotSpec | None = None,
 ) -> RecordingFacts:
     """Describe a recording and propose a map, as the command `srs-twin inspect` does.
 
     Args:
         path: path of a recording or a log.
-        map: known entries of a recording map, or the path of a map.
+        map: recording map, its known entries, or its path.
         robot: robot for which the file is checked, or None to omit the check.
 
     Raises:
         InputError: the file cannot be read.
     """
-    data = map if isinstance(map, Mapping) else given_map(os.fspath(map), {}, ())
-    return inspect_file(
-        path, read_map(data), None if robot is None else load_robot(robot)
-    )[0]
+    spec = None if robot is None else load_robot(robot)
+    return inspect_file(path, as_map(map), spec)[0]
 
 
 def inspect_file(
@@ -354,9 +350,11 @@ def _marker_names(
         [np.bincount(column[column >= 0], minlength=len(labels)) for column in origin.T]
     )
     _, chosen = linear_sum_assignment(-counts)
-    if (away := counts.sum() - counts[np.arange(len(chosen)), chosen].sum()) > 0:
+    away = counts.sum() - counts[np.arange(len(chosen)), chosen].sum()
+    facts.in_other_columns = float(away / counts.sum())
+    if away > 0:
         facts.notes.append(
-            f"{100 * away / counts.sum():.0f} % of the positions are not in the"
+            f"{100 * facts.in_other_columns:.2g} % of the positions are not in the"
             " columns of their markers, because markers change their columns; a map"
             " by their names is therefore not valid for all frames"
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -33,7 +33,7 @@ from srs_twin.recordings.body.trajectories import (
 )
 from srs_twin.recordings.formats import read_markers
 from srs_twin.recordings.formats.base import MarkerTable
-from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, as_map
 from srs_twin.recordings.signals.gaps import (
     MIN_FRAMES,
     FrameGrid,
@@ -282,7 +282,7 @@ def read_motion(
     up: str = "auto",
     layout: str = "auto",
     head: str | None = None,
-    map: RecordingMap = NO_MAP,  # noqa: A002
+    map: RecordingMap | Mapping[str, object] | StrPath = NO_MAP,  # noqa: A002
     longest_gap_s: float = LONGEST_GAP,
     gait_frequency_hz: float | None = None,
 ) -> Recording:
@@ -295,7 +295,8 @@ def read_motion(
         layout: marker layout, one of `body.layout.LAYOUTS`.
         head: column name of the marker at the head. If `head` is None, the head is the
             end in the direction of motion.
-        map: places of markers and rigid bodies, and information that the file lacks.
+        map: recording map with the places of markers and rigid bodies and with
+            information that the file lacks, or the path of this map.
         longest_gap_s: maximum duration of a gap that is interpolated, s.
         gait_frequency_hz: gait frequency, Hz, or None if the motion is not periodic.
 
@@ -314,12 +315,17 @@ def read_motion(
     check_choice("up", up, UPS)
     if layout not in LAYOUTS:
         raise UnknownNameError("layout", layout, LAYOUTS)
-    table = read_markers(path, map.unstated)
+    recording_map = as_map(map)
+    table = read_markers(path, recording_map.unstated)
     with named_in_errors(table.name):
-        table = bodies_as_pairs(map.applied(table))
+        table = bodies_as_pairs(recording_map.applied(table))
         frames = frame_grid(table.time)
-        given_up = map.up if map.up and up == "auto" else up
-        floor = map_to_floor(table.points, given_up, table.usual_up, map.level)
+        given_up = up
+        if recording_map.up and up == "auto":
+            given_up = recording_map.up
+        floor = map_to_floor(
+            table.points, given_up, table.usual_up, recording_map.level
+        )
         points = at_frames(floor.points, frames)
         markers, notes = _captured_markers(
             table, spec, frames, points, layout, longest_gap_s

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -12,6 +13,7 @@ from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.documents import Document
+from srs_twin.io.files import StrPath
 from srs_twin.io.validation import StrictModel, load_model, validate
 from srs_twin.recordings.body.floor import Up
 from srs_twin.recordings.formats.base import MarkerTable, Unstated
@@ -273,6 +275,24 @@ def read_map(data: Mapping[str, object]) -> RecordingMap:
     document.raise_problems()
     assert model is not None, "a map without a problem was checked"
     return model
+
+
+def as_map(given: RecordingMap | Mapping[str, object] | StrPath) -> RecordingMap:
+    """Return a recording map from a map, its entries as plain data, or its path.
+
+    Raises:
+        InputError: the map is not valid, or `given` has another type.
+    """
+    if isinstance(given, RecordingMap):
+        return given
+    if isinstance(given, Mapping):
+        return read_map(given)
+    if isinstance(given, str | os.PathLike):
+        return read_map(given_map(os.fspath(given), {}, ()))
+    raise InputError(
+        f"map {given!r} is not allowed; it must be the path of a recording map, its"
+        " entries as a dictionary, or a RecordingMap"
+    )
 
 
 def canonical_key(name: str) -> str:

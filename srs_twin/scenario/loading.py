@@ -18,7 +18,14 @@ from typing import Any
 from srs_twin.errors import InputError, InputFileError, did_you_mean
 from srs_twin.extensions import SECTIONS
 from srs_twin.io.arguments import checked
-from srs_twin.io.documents import Document, Override, Overrides, format_path, load_yaml
+from srs_twin.io.documents import (
+    Document,
+    Loc,
+    Override,
+    Overrides,
+    format_path,
+    load_yaml,
+)
 from srs_twin.io.files import StrPath, find_file, is_path, results_name
 from srs_twin.io.validation import validate
 from srs_twin.robot.file import PA_PER_KPA, SERVO_PRESSURE_KPA, RobotFile, resolve_robot
@@ -181,7 +188,7 @@ def _build_parts(file: ScenarioFile, loading: Loading) -> None:
 
 
 def _set(document: Document, change: Override) -> None:
-    _check_field(change)
+    _check_field(document, change)
     before = document.get(*change.loc)
     is_record = isinstance(before, Mapping) and "unit" in before
     if is_record and not isinstance(change.value, Mapping):
@@ -217,7 +224,7 @@ def _resolved_or_raw(
     return _resolved(file, robot, "", layout, available)
 
 
-def _check_field(change: Override) -> None:
+def _check_field(document: Document, change: Override) -> None:
     first, *more = change.loc
     if first == "changes":
         raise InputError(
@@ -229,7 +236,7 @@ def _check_field(change: Override) -> None:
         known = more[0] in {*RobotFile.model_fields, "base"}
     if not known:
         path = format_path(change.loc)
-        close = did_you_mean(path, field_paths())
+        close = did_you_mean(path, field_paths(document))
         raise InputError(
             f"{change.label}: the field {path} does not"
             f" exist{close or '; `srs-twin show SCENARIO` prints all fields'}"
@@ -330,22 +337,29 @@ def scenario_json_schema() -> dict[str, Any]:
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
 
 
-def field_paths() -> list[str]:
-    """Return the dotted paths of all fields of a scenario, without items of lists."""
+def field_paths(document: Document) -> list[str]:
+    """Return the dotted paths of the fields that a scenario can have.
+
+    Items of lists are left out. The fields of a block with a `kind` are the fields of
+    the kind that the document selects.
+    """
     schema = scenario_json_schema()
 
-    def walk(node: dict[str, Any], path: str, depth: int) -> Iterator[str]:
+    def walk(node: dict[str, Any], path: Loc, depth: int) -> Iterator[str]:
         while "$ref" in node:
             node = schema["$defs"][node["$ref"].rsplit("/", 1)[1]]
         properties = node.get("properties", {})
+        kind = properties.get("kind", {}).get("const")
+        if kind is not None and document.get(*path, "kind") not in (kind, None):
+            return
         if path and not properties:
-            yield path
+            yield format_path(path)
         for key, child in properties.items() if depth else ():
-            yield from walk(child, f"{path}.{key}".lstrip("."), depth - 1)
+            yield from walk(child, (*path, key), depth - 1)
         for option in (*node.get("anyOf", ()), *node.get("oneOf", ())):
             yield from walk(option, path, depth)
 
-    return list(dict.fromkeys(walk(schema, "", 3)))
+    return list(dict.fromkeys(walk(schema, (), 3)))
 
 
 def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:

@@ -55,7 +55,7 @@ def test_a_resolved_scenario_can_be_changed_again():
     assert first.robot.friction.mu_t != 0.1  # what it was made from stays
 
 
-@pytest.mark.default_cases(at=[0, 1, 8, 9, 10, 11, 14, 15, 16])
+@pytest.mark.default_cases(at=[0, 1, 2, 9, 10, 11, 12, 15, 16, 17])
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -70,6 +70,8 @@ def test_a_resolved_scenario_can_be_changed_again():
                 " controller.frequency"
             ),
         ),
+        # Only controllers of other kinds have the block controller.gait.
+        ("gait.frequency=1", "frequency_ratio or controller.frequency_hz?"),
         ("stiffness=0.2", "did you mean robot.bending.stiffness_nm_per_rad?"),
         (
             "robot.stiffness_nm_per_rad=1",

@@ -102,6 +102,16 @@ def test_changes_of_columns_are_noted(tmp_path):
     assert any("markers change their columns" in each for each in facts.notes)
 
 
+def test_the_map_names_no_markers_that_change_their_columns(tmp_path):
+    facts, _ = inspected(tmp_path, Take(swaps=20, seed=2))
+    path = tmp_path / "map.yaml"
+    path.write_text(text := proposed_map([facts]))
+    proposed = load_model(RecordingMap, path)
+    assert proposed.up == facts.up and not proposed.markers
+    assert "markers change" in text and "left out" in text
+    read_motion(tmp_path / "take.csv", SPEC, map=proposed)
+
+
 def test_facts_of_a_log(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(valve_csv(motion(), 0.0, 4.0, 7.0))

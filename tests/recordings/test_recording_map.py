@@ -30,6 +30,18 @@ def noisy(points, seed=0, noise=2e-4):
     return points + noise * np.random.default_rng(seed).standard_normal(points.shape)
 
 
+def test_functions_accept_the_path_of_a_map(tmp_path):
+    known = recorded(tmp_path, Take(), map=RecordingMap(up="y")).trajectory
+    take = tmp_path / "take.csv"
+    path = tmp_path / "lab.yaml"
+    path.write_text("up: y\n")
+    for given in (path, str(path), {"up": "y"}):
+        found = read_motion(take, SPEC, map=given).trajectory
+        assert np.array_equal(found.stack("bend"), known.stack("bend"))
+    with pytest.raises(InputError, match="map 3 is not allowed; it must be the path"):
+        read_motion(take, SPEC, map=3)
+
+
 def test_markers_are_assigned_by_a_map(tmp_path):
     """The map gives names, unit and rate, for a mix of connectors and middles that is no layout."""
     truth = stretched(motion(), 0.2)

@@ -366,7 +366,9 @@ def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
     if sorted(main) != list(range(len(places))):
         raise InputError(
             "the columns cannot identify the markers, because the markers change"
-            " their columns too often"
+            " their columns too often; leave out the places of the markers (`markers`"
+            " in --map, or --marker), so that the markers are identified by their"
+            " motion"
         )
     last = max(station for station, _ in places)
     if last > 2 * spec.segments:

@@ -14,7 +14,7 @@ gauge pressures in Pa unless the column name states another unit
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +43,7 @@ from srs_twin.recordings.recording import (
     held_values,
     named_in_errors,
 )
-from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
+from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, as_map
 from srs_twin.recordings.signals.gaps import (
     MIN_FRAMES,
     at_frames,
@@ -99,14 +99,14 @@ def read_bends(
     *,
     longest_gap_s: float,
     gait_frequency_hz: float | None = None,
-    map: RecordingMap = NO_MAP,  # noqa: A002
+    map: RecordingMap | Mapping[str, object] | StrPath = NO_MAP,  # noqa: A002
 ) -> Recording:
     """Read the longest interval of a bend log in which all bends are known.
 
     In the returned recording, the head is at the origin with the heading 0. The gait
     frequency (Hz) is None if the motion is not periodic.
     """
-    table = _table(path, map, ("bend",))
+    table = _table(path, as_map(map), ("bend",))
     clock = table.clock(
         "the column 'time' is missing; a bend log has the columns time,bend_1,…"
     )
@@ -194,15 +194,17 @@ def _clamped_body(
 def read_valves(
     path: StrPath,
     spec: RobotSpec,
-    map: RecordingMap = NO_MAP,  # noqa: A002
+    map: RecordingMap | Mapping[str, object] | StrPath = NO_MAP,  # noqa: A002
 ) -> ValveLog:
     """Read a log of valve states, duties or pressures from a CSV file or a bag.
 
-    `map` states the meanings of columns and the carrier frequency of duties.
+    `map` states the meanings of columns and the carrier frequency of duties. It can
+    also be the path of a map.
     """
+    recording_map = as_map(map)
     if (topics := read_topics(path)) is not None:
-        return log_of_topics(topics, spec, map)
-    table = _table(path, map, ("valve", "duty", *AIR))
+        return log_of_topics(topics, spec, recording_map)
+    table = _table(path, recording_map, ("valve", "duty", *AIR))
     file = table.file
     clock = table.clock(
         "the column 'time' is missing; a log has the columns"
@@ -229,8 +231,8 @@ def read_valves(
     def error(row: int, k: int, problem: str) -> InputError:
         return table.error(chosen[k], f"{chosen[k].text}: {problem}", row)
 
-    values = _checked_values(kind, rows.values, map.ambient, notes, error)
-    log = _log(file, kind, rows.time, values, map.carrier_hz, notes)
+    values = _checked_values(kind, rows.values, recording_map.ambient, notes, error)
+    log = _log(file, kind, rows.time, values, recording_map.carrier_hz, notes)
     corrections = (*log.corrections, *not_used(table.unused))
     return replace(log, epoch_ns=rows.epoch_ns, corrections=corrections)
 

@@ -148,10 +148,12 @@ def _print_result(result: Propagation) -> None:
             " standard errors of an end"
         )
     runs = ", ".join(f"{count} runs of {part}" for part, count in study.runs.items())
-    print(
-        f"{len(study.priors.parameters)} uncertain numbers of"
-        f" {study.scenario.robot.name}; {runs}"
-    )
+    quantities = f"{len(study.priors.parameters)} uncertain numbers"
+    forms = len(study.discrete_choices)
+    if forms:
+        fields = ", ".join(study.discrete_choices)
+        quantities += f" and {forms} model form{'s' * (forms > 1)} ({fields})"
+    print(f"{quantities} of {study.scenario.robot.name}; {runs}")
     failed = [f"{count} of {part}" for part, count in result.failed.items() if count]
     if failed:
         print(f"without a result: {', '.join(failed)}")
@@ -162,12 +164,27 @@ def _print_result(result: Propagation) -> None:
             f" to {high:.3g} m/s"
         )
     plant, metric = result.target
-    for measured in result.measure_next()[:_MAX_MEASUREMENTS]:
+    measurements = result.measure_next()
+    if not measurements:
+        print(f"no measurement is recommended: {_no_measurement_reason(result)}")
+    for measured in measurements[:_MAX_MEASUREMENTS]:
         print(
             f"measuring {measured.parameter} to ±10 % would narrow the {plant}'s"
             f" {metric_label(metric)} from {measured.width_now:.3g} to"
             f" {measured.width:.3g}"
         )
+
+
+def _no_measurement_reason(result: Propagation) -> str:
+    plant, metric = result.target
+    uncertainty = result.plants[plant][metric]
+    if not result.study.priors.independent:
+        return "the effect of a single parameter is not defined if some are correlated"
+    if uncertainty.indices is None:
+        return "the metric does not vary"
+    return (
+        f"the order of the parameters is not resolved with {uncertainty.count} samples"
+    )
 
 
 def _print_plant(result: Propagation, plant: str) -> bool:

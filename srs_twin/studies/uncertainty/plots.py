@@ -21,7 +21,10 @@ smartphone.
 """
 
 _LEFT = 1.85
-"""Left margin, inches."""
+"""Minimum left margin, inches."""
+
+_LEFT_OF_LABELS = 0.1
+"""Minimum distance of the labels from the left edge and from the panels, inches."""
 
 _TOP = 0.7
 """Height of the title and the heading above the panels, inches."""
@@ -74,14 +77,16 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     height = _TOP + sum(heights) + _BETWEEN + below
     figure = Figure(figsize=(_WIDTH, height))
     bottoms = [below + heights[1] + _BETWEEN, below]
-    left = _LEFT / _WIDTH
-    width = 1 - (_LEFT + 0.15) / _WIDTH
-    upper, lower = (
-        figure.add_axes((left, bottom / height, width, panel / height))
-        for bottom, panel in zip(bottoms, heights, strict=True)
-    )
+    upper = figure.add_axes((0, 0, 1, 1))
+    lower = figure.add_axes((0, 0, 1, 1))
     _draw_intervals(upper, rows, metric)
     _draw_swings(lower, swings, plant, rows[plant], metric)
+    labels = [*upper.get_yticklabels(), *lower.get_yticklabels()]
+    widest = max(label.get_window_extent().width for label in labels) / figure.dpi
+    left = max(_LEFT, widest + 2 * _LEFT_OF_LABELS) / _WIDTH
+    width = 1 - left - 0.15 / _WIDTH
+    for axes, bottom, panel in zip((upper, lower), bottoms, heights, strict=True):
+        axes.set_position((left, bottom / height, width, panel / height))
     # Headings begin at the left edge of the figure, because they are wider than the
     # panels.
     headings = [

@@ -24,8 +24,14 @@ from srs_twin.io.validation import validate
 from srs_twin.robot.file import RobotFile, load_robot_file
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.studies.sweep.execution import OpenSweep, local
-from srs_twin.studies.uncertainty.propagation import propagate
-from srs_twin.studies.uncertainty.study import UncertaintyStudy
+from srs_twin.studies.uncertainty.command import _print_result
+from srs_twin.studies.uncertainty.plots import draw_intervals
+from srs_twin.studies.uncertainty.propagation import (
+    REFERENCE_ROWS,
+    Propagation,
+    propagate,
+)
+from srs_twin.studies.uncertainty.study import LEAD, UncertaintyStudy
 from srs_twin.studies.uncertainty.surrogates import (
     GaussianProcess,
     PolynomialChaos,
@@ -558,6 +564,53 @@ def test_the_command_prints_samples_and_errors(srs_twin, short, tmp_path):
     )
     quiet = srs_twin(*options, "--quiet", cwd=tmp_path)
     assert (quiet.stdout, quiet.stderr) == ("", "")
+
+
+def test_the_command_says_why_no_measurement_is_recommended(capsys):
+    scenario = load_scenario("gen2_straight")
+    file = RobotFile.model_validate(scenario.document["robot"])
+    study = UncertaintyStudy(
+        scenario,
+        Priors.from_robot(file),
+        ("analytical",),
+        samples=32,
+        discrete_choices={LEAD: (0.0, 0.1)},
+    )
+    noise = np.random.default_rng(0).normal(0.2, 0.01, 32 + REFERENCE_ROWS)
+    result = Propagation(study, {"analytical": {"com_speed_m_s": noise}})
+    assert not result.measure_next()
+    _print_result(result)
+    shown = capsys.readouterr().out
+    assert "uncertain numbers and 1 model form (robot.bending.lead)" in shown
+    assert "the parameters is not resolved with 32 samples" in shown
+
+
+def test_labels_of_the_picture_are_inside_the_figure():
+    path = "bending.pitch_stiffness_nm_per_rad"
+    index = {"rank": [1, 2], "total": 0.5, "total_error": 0.2}
+    row = {
+        "value": 0.2,
+        "published": None,
+        "interval_50": [0.19, 0.21],
+        "interval_95": [0.18, 0.22],
+        "interval_95_error": [0.001, 0.001],
+        "samples": 64,
+        "runs": 64,
+        "sensitivity": {path: index},
+    }
+    figure = draw_intervals(
+        "title",
+        {
+            "target": {"plant": "twin", "metric": "com_speed_m_s"},
+            "plants": {"twin": {"com_speed_m_s": row}},
+            "swings": [{"parameter": path, "low": 0.19, "high": 0.21, "error": 0.0}],
+            "warnings": [],
+        },
+    )
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        for label in axes.get_yticklabels():
+            assert label.get_window_extent().x0 > 0
 
 
 def test_the_value_at_the_medians_is_that_of_a_run_at_the_medians(short, tmp_path):
