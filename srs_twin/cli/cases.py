@@ -65,12 +65,14 @@ class Case:
         scenario: loaded scenario, or None if it is invalid.
         folder: output folder.
         result: result of the run, or None if the run is not complete.
+        in_folder: whether the user gave a folder that contains the scenario.
     """
 
     source: str
     scenario: Scenario | None = None
     folder: Path = Path()
     result: CaseResult | None = None
+    in_folder: bool = False
 
     @property
     def name(self) -> str:

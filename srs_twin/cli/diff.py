@@ -14,7 +14,7 @@ from srs_twin.cli.options import JsonOption, argument, print_json
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from srs_twin.comparison.diff import ChangedValue, Difference, Leaf
+    from srs_twin.comparison.diff import ChangedValue, Difference, Leaf, Tolerances
 
 EXIT_DIFFERENT = 1
 """Exit code if the difference of a value exceeds the tolerance."""
@@ -58,15 +58,17 @@ def diff(
     report = None if junit is None else report_path(junit)
     if report is not None:
         check_output_folder(report.parent, (report.name,), option="--junit")
-    allowed = load_tolerances(tolerances) if tolerances else Tolerances()
-    given = {"rel": rel, "abs": abs_}
-    overrides = {name: value for name, value in given.items() if value is not None}
-    for name, value in overrides.items():
-        if not 0 <= value < float("inf"):
-            raise InputError(
-                f"--{name} {value:g} is not allowed; it must be finite and at least 0"
-            )
-    difference = compare_results(a, b, allowed.model_copy(update=overrides))
+    try:
+        allowed = load_tolerances(tolerances) if tolerances else Tolerances()
+        difference = compare_results(a, b, _with_options(allowed, rel=rel, abs=abs_))
+    except InputError as error:
+        # The report of an earlier comparison must not remain.
+        if report is not None:
+            text = str(error)
+            kind = type(error).__name__
+            case = TestCase("diff", "compare", 0.0, "error", text, kind, text)
+            write_report(report, "srs-twin diff", [("diff", [case])])
+        raise
     for package, (old, new) in difference.versions.items():
         say(f"different versions of {package}: {old} → {new}")
     if as_json:
@@ -77,6 +79,18 @@ def diff(
         write_report(report, "srs-twin diff", [("diff", _test_cases(difference))])
     if difference.moved:
         raise typer.Exit(EXIT_DIFFERENT)
+
+
+def _with_options(allowed: Tolerances, **options: float | None) -> Tolerances:
+    from srs_twin.errors import InputError
+
+    given = {name: value for name, value in options.items() if value is not None}
+    for name, value in given.items():
+        if not 0 <= value < float("inf"):
+            raise InputError(
+                f"--{name} {value:g} is not allowed; it must be finite and at least 0"
+            )
+    return allowed.model_copy(update=given)
 
 
 def _show(difference: Difference) -> None:

@@ -157,7 +157,7 @@ def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCa
         values = {
             "value": row["value"],
             "allowed": row["allowed"],
-            "source": row["source"] or "ours",
+            "source": row["source"] or "none stated",
         }
         for key, remark in (
             ("reason", row.get("reason")),

@@ -25,7 +25,7 @@ def export(
     names: Annotated[list[str] | None, argument("NAME", shipped=["robot"])] = None,
     out: str = "models",
     contact: str = "preloaded",
-    pressure: Annotated[float, OptionRange(0.0, 2000.0)] = 0.0,
+    pressure: Annotated[float | None, OptionRange(0.0, 2000.0)] = None,
     linear: bool = False,
 ) -> None:
     """Write MJCF models of robots, one folder per robot.
@@ -40,7 +40,8 @@ def export(
         --contact NAME: Contact model of the wheels. MJCF files support only
             `preloaded`.
         --pressure KPA: Maximum pressure of the actuator controls in kPa. The limit is
-            never lower than the pressure limit of the robot.
+            never lower than the pressure limit of the robot. [default: the pressure
+            limit of the robot]
         --linear: Export a robot with a dead zone as a model with linear actuators. You
             must then convert the pressures to controls (models/README.md).
     """
@@ -65,8 +66,9 @@ def export(
         robot.name: robot
         for robot in map(load_robot_file, names or _exportable_robots())
     }
+    supply_pa = None if pressure is None else PA_PER_KPA * pressure
     exports = {
-        name: robot_files(robot.spec(), supply_pa=PA_PER_KPA * pressure, linear=linear)
+        name: robot_files(robot.spec(), supply_pa=supply_pa, linear=linear)
         for name, robot in robots.items()
     }
     for name, files in exports.items():

@@ -134,7 +134,8 @@ def run_all(
     Args:
         cases: scenarios, which are loaded if necessary.
         report: options for the reports and the exit code.
-        out: output folder. Each of several scenarios has a subfolder.
+        out: output folder. Each of several scenarios has a subfolder, and so has each
+            scenario of a folder that the user gave.
         workers: number of worker processes, by default one per processor. With one worker,
             the scenarios run in this process.
         plants: plants to run, by default the plants of each scenario.
@@ -198,17 +199,17 @@ def make_cases(names: Sequence[str]) -> list[Case]:
     """Return one case per scenario from names, files, or folders of files."""
     from srs_twin.io.files import shipped_names
 
-    sources: list[str] = []
+    in_folder: dict[str, bool] = {}
     for name in names:
         # A shipped scenario takes precedence over a folder with the same name. For a
         # name that is too long, `glob` would raise an error, but `isdir` returns False.
         is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
+        files: list[str] = []
         if is_folder:
             files = sorted(map(str, Path(name).glob("*.yaml")))
-        else:
-            files = []
-        sources += files or [name]
-    return [Case(source) for source in dict.fromkeys(sources)]
+        for source in files or [name]:
+            in_folder.setdefault(source, bool(files))
+    return [Case(source, in_folder=within) for source, within in in_folder.items()]
 
 
 def _load(
@@ -229,7 +230,7 @@ def _load(
         with _record_input_errors(case):
             scenario = case.scenario or load_scenario(case.source, set=changes)
             case.scenario = scenario = scenario.run_on(plants)
-            if out and len(cases) == 1:
+            if out and len(cases) == 1 and not case.in_folder:
                 case.folder = base
             else:
                 case.folder = base / scenario.name
@@ -389,8 +390,8 @@ def run(
     Options:
         scenarios: Names of shipped scenarios, or paths of scenario files or of folders
             with such files.
-        --out DIR: Output folder. If there are several scenarios, each gets a subfolder.
-            [default: runs/SCENARIO]
+        --out DIR: Output folder. Each of several scenarios gets a subfolder, and so does
+            each scenario of a folder. [default: runs/SCENARIO]
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
             [default: the models that the scenario names]
     """

@@ -523,14 +523,18 @@ def markers_view(scene: Scene) -> Figure:
     complete = np.flatnonzero(np.isfinite(places[..., 0]).all(axis=1))
     if complete.size:
         order = list(scene.order) or list(range(places.shape[1]))
-        for moment, shade in zip(
-            complete[[0, len(complete) // 2, -1]], ("0.55", "0.35", "0.1"), strict=True
-        ):
+        frames = {
+            "first frame": (complete[0], "0.55"),
+            "middle frame": (complete[len(complete) // 2], "0.35"),
+            "last frame": (complete[-1], "0.1"),
+        }
+        for label, (moment, shade) in frames.items():
             along = places[moment, order]
             axes.plot(
                 *along.T,
                 "o-" if scene.order else "o",
                 color=shade,
+                label=label,
                 markersize=4,
                 linewidth=1.2,
                 zorder=2,
@@ -552,6 +556,7 @@ def markers_view(scene: Scene) -> Figure:
         top = places[complete[0], :, 1].max() + name_height * metres_per_inch
         axes.update_datalim([(low[0], top)])
         axes.autoscale_view()
+        axes.legend(fontsize=7)
     axes.set_aspect("equal", adjustable="datalim")
     title = (
         f"{places.shape[1]} markers; lines: order along the body at the first, middle"

@@ -496,6 +496,7 @@ def load_robot_file(name_or_path: StrPath) -> RobotFile:
 
 def _read_robot_file(name_or_path: StrPath) -> tuple[RobotFile, list[str]]:
     document = load_yaml(find_file("robot", name_or_path))
+    _check_kind(document)
     file = validate(RobotFile, document, document.data)
     document.raise_problems()
     assert file is not None, "a document without problems has a model"
@@ -504,6 +505,27 @@ def _read_robot_file(name_or_path: StrPath) -> tuple[RobotFile, list[str]]:
         for path, text, _ in file.doubts()
     ]
     return file, doubts
+
+
+def _check_kind(document: Document) -> None:
+    """Refuse a scenario and an override of a robot with one message."""
+    if not isinstance(document.data, Mapping):
+        return
+    if {"robot", "controller"} <= document.data.keys():
+        document.report(
+            (),
+            "this is a scenario, not a robot file; `srs-twin run` writes its robot with"
+            " all values to scenario.resolved.yaml: save the lines below the key"
+            " `robot` as a file, and give this file",
+        )
+    elif "base" in document.data:
+        document.report(
+            ("base",),
+            "this key is allowed only in a scenario; a robot file is complete. Copy the"
+            " file of the base robot and change its numbers",
+            at_key=True,
+        )
+    document.raise_problems()
 
 
 @checked

@@ -534,6 +534,13 @@ def test_several_runs_get_subfolders(start):
     assert "files in runs/a;" in start("run", "a", a="met").err
 
 
+def test_the_only_scenario_of_a_folder_gets_a_subfolder(start, tmp_path):
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "a.yaml").touch()
+    left = start("run", "set", "--out", "out", **{"set/a.yaml": "met"})
+    assert "files in out/set/a.yaml;" in left.err
+
+
 def test_folder_argument_runs_all_its_files(start, tmp_path):
     (tmp_path / "set").mkdir()
     for name in ("b.yaml", "a.yaml", "notes.txt"):

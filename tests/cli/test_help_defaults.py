@@ -74,6 +74,7 @@ PHRASES = {
     "the run's folder",
     "ROBOT_COMMAND",
     "all shipped robots with wheels",
+    "the pressure limit of the robot",
     "names of robot and controller, for example gen2_gait",
     "3, or 1 if the twin is fitted to shapes",
     "local",

@@ -158,7 +158,7 @@ def test_each_outcome_becomes_its_junit_element(tmp_path):
     _, words = found["ran"]["comparison com_speed_rel"]
     assert (
         words == "comparison com_speed_rel = -0.2, allowed -0.12 to 0.12\n"
-        "value: -0.2\nallowed: -0.12 to 0.12\nsource: ours"
+        "value: -0.2\nallowed: -0.12 to 0.12\nsource: none stated"
     )
     assert "twin diverged at t = 1.5 s" in found["flew"]["runs"][1]
     assert "killed by SIGKILL" in found["died"]["runs"][1]
@@ -192,7 +192,7 @@ def test_known_miss_is_skipped_and_fails_with_strict(tmp_path):
                 "skipped": "expected failure: never <measured>\n",
                 "failure": (
                     "comparison com_speed_rel (3) = -0.2, allowed -0.12 to 0.12\nvalue:"
-                    " -0.2\nallowed: -0.12 to 0.12\nsource: ours\nexpected failure: never"
+                    " -0.2\nallowed: -0.12 to 0.12\nsource: none stated\nexpected failure: never"
                     " <measured>"
                 ),
             }[of_known[1]]

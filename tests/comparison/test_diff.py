@@ -252,6 +252,17 @@ def test_bad_input(runs, capsys, monkeypatch, words, said):
     assert code == 2 and said in err and out == ""
 
 
+def test_invalid_input_replaces_an_earlier_report_by_an_error(runs, capsys, tmp_path):
+    report = tmp_path / "moved.xml"
+    report.write_text("<testsuites/>")
+    words = ("diff", str(runs / "a"), str(runs / "absent"), "--junit", str(report))
+    code, _, err = call(capsys, *words)
+    assert code == 2
+    (case,) = ElementTree.parse(report).iter("testcase")
+    message = case.find("error").get("message")
+    assert "absent: no such file" in message and message in err
+
+
 numbers = (
     st.none()
     | st.booleans()

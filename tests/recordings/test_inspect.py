@@ -16,7 +16,11 @@ from srs_twin.cli import main
 from srs_twin.cli.options import print_json
 from srs_twin.io.validation import load_model
 from srs_twin.recordings.facts import RecordingFacts, proposed_map
-from srs_twin.recordings.inspection import _stated_quantity, inspect_file
+from srs_twin.recordings.inspection import (
+    _stated_quantity,
+    inspect_file,
+    markers_view,
+)
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
 from srs_twin.recordings.signals.units import Meaning
@@ -182,6 +186,13 @@ def run(words, code=0):
     with pytest.raises(SystemExit) as left:
         main(words)
     assert left.value.code == code
+
+
+def test_the_picture_has_a_legend_of_the_frames(tmp_path):
+    _, scene = inspected(tmp_path, Take(layout="head"))
+    (axes,) = markers_view(scene).axes
+    texts = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert texts == ["first frame", "middle frame", "last frame"]
 
 
 def test_inspect_command(tmp_path, monkeypatch, capsys):

@@ -11,7 +11,7 @@ from srs_twin.errors import InputError, InputFileError
 from srs_twin.io.documents import dump_yaml
 from srs_twin.robot.file import load_robot, load_robot_file
 from srs_twin.robot.spec import Friction, Geometry, RobotSpec
-from srs_twin.scenario.loading import load_scenario
+from srs_twin.scenario.loading import load_scenario, parse_scenario
 
 pytestmark = pytest.mark.fast
 
@@ -45,6 +45,32 @@ def refusal(path) -> tuple[str, ...]:
     with pytest.raises(InputFileError) as error:
         load_robot(path)
     return tuple(line.removeprefix(f"{path.parent}/") for line in error.value.lines)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (
+            {"robot": {"base": "gen2"}, "controller": {"kind": "gait"}},
+            "1:1: this is a scenario, not a robot file; ",
+        ),
+        ({"base": "gen2"}, "1:1: base: this key is allowed only in a scenario; "),
+    ],
+)
+def test_another_kind_of_file_is_refused_with_one_message(tmp_path, data, message):
+    path = tmp_path / "mine.yaml"
+    path.write_text(dump_yaml(data))
+    (line,) = refusal(path)
+    assert line.startswith(f"mine.yaml:{message}")
+
+
+def test_the_robot_of_a_resolved_scenario_is_a_robot_file(tmp_path):
+    robot = {"base": "gen2", "friction": {"mu_t": 0.05}}
+    data = load_scenario("gen2_straight").document | {"robot": robot}
+    scenario = parse_scenario(data, name="mine")
+    path = tmp_path / "mine.yaml"
+    path.write_text(dump_yaml(scenario.document["robot"]))
+    assert load_robot(path) == scenario.robot
 
 
 @pytest.mark.default_cases(3)
