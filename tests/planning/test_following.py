@@ -578,6 +578,30 @@ def test_a_controller_without_an_offset_is_refused():
         )
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("ahead", "beside", "close"),
+    # The snake is 0.2 m beside the path and returns to it within about 0.2 m.
+    [(0.1, 0.16, True), (0.1, 0.45, False), (0.4, 0.25, False), (0.4, 0.05, True)],
+)
+def test_the_expected_return_to_the_path_is_checked(ahead, beside, close, side):
+    wheel = Wheel()
+    follower = Follower(
+        wheel,
+        ours(),
+        a_plan(),
+        Goal(3.0, 0.0, None, 0.05),
+        BODY,
+        Conditions(CLEAR, 0.0, SETTLE),
+        world=World((Circle(ahead, side * beside, 0.02),)),
+        body=BODY.reduced(margin=0.05),
+    )
+    follower.reset(load_robot("gen2"), Unicycle(wheel, as_told).tick, seed=0)
+    here = Pose(0.0, side * 0.2, 0.0)
+    point = follower._locate(here)  # noqa: SLF001
+    assert follower._approaches_obstacle(here, point) is close  # noqa: SLF001
+
+
 def test_runs_are_repeatable():
     first, second = (
         follow(a_plan(WINDING), camera=Camera(60, 0.002, 0.02), seed=4)[2]
