@@ -582,7 +582,7 @@ def test_a_controller_without_an_offset_is_refused():
 @pytest.mark.parametrize(
     ("ahead", "beside", "close"),
     # The snake is 0.2 m beside the path and returns to it within about 0.2 m.
-    [(0.1, 0.16, True), (0.03, 0.3, False), (0.4, 0.25, False), (0.4, 0.05, True)],
+    [(0.1, 0.16, True), (0.02, 0.288, False), (0.4, 0.25, False), (0.4, 0.05, True)],
 )
 def test_the_expected_return_to_the_path_is_checked(ahead, beside, close, side):
     wheel = Wheel()
