@@ -214,7 +214,7 @@ def test_sample_of_generated_files_is_read_or_rejected(parser: Parser, tmp_path:
         )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", EXAMPLES)
 @each_parser
 def test_generated_files_are_read_or_rejected(

@@ -51,7 +51,7 @@ def rms(values):
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("pneumatics", ["orifice", "lag"])
 def test_errors_are_small_and_within_their_intervals(pneumatics):
     result = followed_estimate(Run(1, 12.0, pneumatics=pneumatics), members=24)
@@ -121,7 +121,7 @@ def test_a_healthy_robot_is_accused_of_nothing(run):
         assert moment.estimate is None or moment.estimate.faults == ()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("rate", [5.0, 10.0, 200.0])
 def test_estimates_are_for_now_and_their_intervals_hold(rate):
     run = Run(6, 12.0, rate_hz=rate, camera_hz=rate)

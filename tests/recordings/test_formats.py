@@ -743,7 +743,7 @@ def test_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind, capfd):
     assert capfd.readouterr().err == ""
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_damaged_files_are_read_or_refused_in_one_line(tmp_path, kind):
     assert sum(refusals(tmp_path, kind, seed) for seed in range(100, 160)) >= 600
