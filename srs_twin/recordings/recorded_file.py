@@ -19,7 +19,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import StrPath, decode_text, display_path, require_file
+from srs_twin.io.files import (
+    StrPath,
+    decode_text,
+    display_path,
+    escape_unprintable,
+    require_file,
+)
 from srs_twin.recordings.signals.units import TIMES, clean
 
 if TYPE_CHECKING:
@@ -372,10 +378,9 @@ class RecordedFile:
             return self.error(problem, header_lines + 1)
         lines = enumerate(rows.split(b"\n"), start=header_lines + 1)
         filled = [number for number, line in lines if line.strip(b"\r")]
-        problem = (
-            f"'{cell['text'].strip()[:60]}' is not a number; give a number or leave the"
-            " cell empty"
-        )
+        # A quotation mark can join several lines into one cell.
+        text = escape_unprintable(cell["text"].strip()[:60])
+        problem = f"'{text}' is not a number; give a number or leave the cell empty"
         if re.search(r"\d,\d", cell["text"]):
             problem += ", or use --decimal ',' for decimal commas"
         column = int(cell["column"]) + 1

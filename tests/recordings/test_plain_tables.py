@@ -472,3 +472,12 @@ def test_positions_in_pixels_need_a_scale(tmp_path):
         InputError, match=r"video\.csv: the unit px needs the size of a pixel in m"
     ):
         read_markers(path, Unstated(unit="px"))
+
+
+def test_a_cell_over_several_lines_is_refused_in_one_line(tmp_path):
+    path = tmp_path / "take.csv"
+    rows = '0.0,0,0,0.1,0\n0.1,"1\n0.2,0,0,0.1",0,0.1,0\n0.3,0,0,0.1,0\n'
+    path.write_text(f"time,a_x,a_y,b_x,b_y\n{rows}")
+    with pytest.raises(InputError, match="take.csv") as refused:
+        read_markers(path)
+    assert "\n" not in str(refused.value)
