@@ -267,7 +267,9 @@ def test_a_footprint_with_transients_is_read_back_from_its_file(tmp_path):
     for key in ("before", "after", "left", "right", "length", "dx", "dy", "dheading"):
         assert getattr(fit, key) == pytest.approx(getattr(expected, key), abs=6e-5)
     text = path.read_text("utf-8")
-    with pytest.raises(InputError, match="spread.left_m: 4 values are given for 3 offsets"):
+    with pytest.raises(
+        InputError, match="spread.left_m: 4 values are given for 3 offsets"
+    ):
         longer = re.sub(r"(spread:(?:.|\n)*left_m: \[[^]]*)\]", r"\1, 0.0]", text)
         assert longer != text
         path.write_text(longer, "utf-8")
