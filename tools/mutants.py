@@ -188,11 +188,10 @@ def tests_by_mutant(mutants: dict[int, Mutant], contexts: Path) -> dict[int, lis
 
     data = CoverageData(str(contexts))
     data.read()
-    measured = {Path(name).as_posix(): name for name in data.measured_files()}
     tests = {}
     for number, mutant in mutants.items():
         name = next(
-            (name for path, name in measured.items() if path.endswith(mutant.file)), ""
+            (name for name in data.measured_files() if name.endswith(mutant.file)), ""
         )
         by_line = data.contexts_by_lineno(name) if name else {}
         lines = Counter(

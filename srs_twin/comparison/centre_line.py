@@ -68,6 +68,20 @@ def line_height(geometry: Geometry) -> float:
     return max(geometry.com_height, geometry.width / 2)
 
 
+def connector_size(geometry: Geometry) -> tuple[float, float, float]:
+    """Return length, width and height of a connector in pictures, m.
+
+    A connector is visible even if the robot has no rigid gap.
+    """
+    track = geometry.half_track
+    height = 0.7 * geometry.width
+    return (
+        max(geometry.rigid_gap / 2, 0.2 * track),
+        max(2 * track - 0.4 * geometry.wheel_radius, height),
+        height,
+    )
+
+
 def connector_places(trajectory: Trajectory, geometry: Geometry) -> Array:
     """Return the centres of the connectors in pictures, shape (samples, N, 3), m."""
     height = np.full_like(trajectory.stack("x"), line_height(geometry))

@@ -32,6 +32,7 @@ import numpy as np
 from srs_twin.comparison.centre_line import (
     connector_orientations,
     connector_places,
+    connector_size,
     spatial_centre_lines,
 )
 from srs_twin.errors import InputError
@@ -39,6 +40,7 @@ from srs_twin.io.files import atomic_write
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
+from srs_twin.viewing.plots.style import style_of
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
@@ -48,12 +50,14 @@ WORLD = "world"
 
 _NS = 1_000_000_000
 _SIDES = ("plus", "minus")
+_NUMBERED = (
+    "bend",
+    *(f"pressure_{side}" for side in _SIDES),
+    *(f"valve_{side}" for side in _SIDES),
+)
 
 _CHORDS = 6
 """Number of straight parts that draw the arc of a segment."""
-
-_COLORS = {"twin": (0.0, 0.45, 0.70), "analytical": (0.84, 0.37, 0.0)}
-_OTHER_COLOR = (0.35, 0.35, 0.35)
 
 
 def write_csv(path: Path, run: Trajectory) -> None:
@@ -191,6 +195,8 @@ class _Motion:
         line: centre line of the body, shape (samples, points, 3), m.
         rates: rates of the bends, computed from differences of the recorded bends,
             shape (samples, segments), rad/s.
+        columns: numbered columns of the run as arrays, keyed by their common name,
+            shape (samples, segments).
     """
 
     plant: str
@@ -201,6 +207,7 @@ class _Motion:
     rotations: np.ndarray
     line: np.ndarray
     rates: np.ndarray
+    columns: Mapping[str, np.ndarray]
 
     @classmethod
     def of(cls, plant: str, run: Trajectory, geometry: Geometry) -> Self:
@@ -221,6 +228,7 @@ class _Motion:
             connector_orientations(run),
             lines.reshape(len(lines), -1, 3),
             rates,
+            {name: run.stack(name) for name in _NUMBERED if run.has(name)},
         )
 
 
@@ -230,12 +238,10 @@ class _Sample(NamedTuple):
     header: object
     make: Mapping[str, Any]
 
-    def stack(self, name: str) -> np.ndarray:
-        """Return the values of the columns `name_1`, `name_2` and so on."""
-        if not self.motion.run.has(name):
-            return np.zeros(0)
-        values: np.ndarray = self.motion.run.stack(name)[self.row]
-        return values
+    def values(self, name: str) -> np.ndarray:
+        """Return the values of the columns `name_1`, `name_2` and so on, if any."""
+        columns = self.motion.columns
+        return columns[name][self.row] if name in columns else np.zeros(0)
 
     def pose(self, place: np.ndarray, rotation: np.ndarray) -> Any:
         point = self.make["Point"](*map(float, place))
@@ -304,7 +310,7 @@ def _body_messages(sample: _Sample) -> Iterator[_Message]:
     markers = [
         _marker(sample, 0, shapes.LINE_STRIP, (geometry.width, 0.0, 0.0), points=line)
     ]
-    size = (geometry.rigid_gap / 2, 2 * geometry.half_track, geometry.width)
+    size = connector_size(geometry)
     poses = zip(motion.drawn[row], motion.rotations[row], strict=True)
     for i, (place, rotation) in enumerate(poses, start=1):
         pose = sample.pose(place, rotation)
@@ -344,7 +350,7 @@ def _marker(
         "points": [],
         "text": "",
     }
-    color = _COLORS.get(sample.motion.plant, _OTHER_COLOR)
+    color = (channel / 255 for channel in style_of(sample.motion.plant).rgb)
     return make["Marker"](
         header=sample.header,
         ns=sample.motion.plant,
@@ -368,7 +374,7 @@ def _marker(
 
 def _segment_messages(sample: _Sample) -> Iterator[_Message]:
     motion, row, header, make = sample
-    bends = sample.stack("bend")
+    bends = sample.values("bend")
     joints = make["JointState"](
         header=header,
         name=[f"segment_{j}" for j in range(1, len(bends) + 1)],
@@ -378,13 +384,15 @@ def _segment_messages(sample: _Sample) -> Iterator[_Message]:
     )
     yield _Message("bends", "sensor_msgs/msg/JointState", joints)
     for side in _SIDES:
-        for j, gauge in enumerate(sample.stack(f"pressure_{side}"), start=1):
+        for j, gauge in enumerate(sample.values(f"pressure_{side}"), start=1):
             pressure = make["FluidPressure"](
                 header=header, fluid_pressure=gauge + AMBIENT_PA, variance=0.0
             )
             topic = f"pressure_{side}_{j}"
             yield _Message(topic, "sensor_msgs/msg/FluidPressure", pressure)
-    states = np.array([sample.stack(f"valve_{side}") for side in _SIDES], dtype=np.int8)
+    states = np.array(
+        [sample.values(f"valve_{side}") for side in _SIDES], dtype=np.int8
+    )
     if states.size:
         by_segment = states.T
         segments, chambers = by_segment.shape

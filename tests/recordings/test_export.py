@@ -9,6 +9,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from srs_twin import Gait, TwinSnake, load_robot, rollout
+from srs_twin.control.gait import PitchWave
 from srs_twin.experiment import load_run, run_scenario
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.recordings.export import recording_map, write_mcap
@@ -240,4 +242,25 @@ def test_an_existing_file_is_kept(run, srs_twin, tmp_path):
             "export", str(run), "--csv", "--out", "run.csv", "--overwrite", cwd=tmp_path
         ).returncode
         == 0
+    )
+
+
+def test_a_spatial_robot_is_exported_with_its_heights(tmp_path):
+    spec = load_robot("spatial_example")
+    twin = TwinSnake(spec, supply_pa=20e3)
+    run = rollout(twin, Gait(0.5, pitch=PitchWave(0.4)), 1.0, record_hz=10)
+    path = tmp_path / "run.mcap"
+    write_mcap(path, {"twin": run}, spec.geometry)
+    with path.open("rb") as file:
+        messages = make_reader(file, decoder_factories=[DecoderFactory()])
+        poses = [
+            decoded.pose
+            for *_, decoded in messages.iter_decoded_messages(
+                topics="/twin/connector_1/pose"
+            )
+        ]
+    assert np.ptp(run["z_1"]) > 1e-3
+    assert [pose.position.z for pose in poses] == pytest.approx(run["z_1"], abs=1e-9)
+    assert [pose.orientation.y for pose in poses] == pytest.approx(
+        run["quaternion_y_1"], abs=1e-9
     )

@@ -32,7 +32,7 @@ def doctor(
     """Check the installation and the output folder.
 
     Options:
-        --out DIR: Folder whose write access and free disk space are checked.
+        --out DIR: Folder whose write access is checked.
     """
     from srs_twin.cli.doctor.checks import failed_checks
 

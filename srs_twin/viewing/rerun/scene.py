@@ -13,6 +13,7 @@ import rerun as rr
 from srs_twin.comparison.centre_line import (
     connector_orientations,
     connector_places,
+    connector_size,
     spatial_centre_lines,
 )
 from srs_twin.comparison.contacts import TOUCH_N
@@ -282,14 +283,7 @@ def _tube_triangles(rings: int) -> np.ndarray:
 def _send_connectors(
     to: Entities, snake: Trajectory, geometry: Geometry, colors: list[Rgba]
 ) -> None:
-    track = geometry.half_track
-    radius = geometry.wheel_radius
-    width = 0.35 * geometry.width
-    half = [
-        max(geometry.rigid_gap / 4, 0.1 * track),
-        max(track - 0.2 * radius, width),
-        width,
-    ]
+    half = [size / 2 for size in connector_size(geometry)]
     centres = connector_places(snake, geometry).reshape(-1, 3).astype(np.float32)
     look = {"half_sizes": [half], "colors": colors}
     _send_solids(
