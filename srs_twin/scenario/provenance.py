@@ -48,6 +48,8 @@ WORDS = ("title", "source", "status", "expected_failure", "reason")
 _VIEWING = "srs_twin.viewing"
 """Package that only displays results and is therefore not part of the provenance."""
 
+_TWO_WORDS = re.compile(r"[A-Za-z]{2,} [a-z]{2,}")
+
 _TYPE_CHECKING_BLOCK = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.M)
 _IMPORT = re.compile(
     r"^\s*(?:from (srs_twin[\w.]*) import (\([^)]*\)|[^\n]*)|import (srs_twin[\w.]*))",
@@ -250,7 +252,7 @@ def source_digests(module: str) -> dict[str, str]:
 def code_digests(modules: Iterable[str]) -> dict[str, str]:
     """Return the hexadecimal SHA-256 of the code of modules and their imports.
 
-    Unlike `source_digests`, comments, docstrings and the layout do not count. A digest
+    Unlike `source_digests`, the wording does not count (`code_digest`). A digest
     therefore tells whether a result may differ, not whether the text differs.
 
     Args:
@@ -261,13 +263,28 @@ def code_digests(modules: Iterable[str]) -> dict[str, str]:
 
 @cache
 def code_digest(text: str) -> str:
-    """Return the hexadecimal SHA-256 of Python code without comments, docstrings and layout."""
+    """Return the hexadecimal SHA-256 of Python code without its wording.
+
+    Comments, docstrings, layout and texts with two successive words, such as messages
+    and headings, do not count.
+    """
     tree = ast.parse(text)
     for node in ast.walk(tree):
+        if _is_wording(node):
+            node.value = ""  # type: ignore[attr-defined]
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [item for item in body if not _is_text(item)] or [ast.Pass()]  # type: ignore[attr-defined]
     return hashlib.sha256(ast.unparse(tree).encode()).hexdigest()
+
+
+def _is_wording(node: ast.AST) -> bool:
+    """Return whether a node is a string with two successive words."""
+    return (
+        isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and _TWO_WORDS.search(node.value) is not None
+    )
 
 
 def _is_text(node: ast.stmt) -> bool:
