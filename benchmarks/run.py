@@ -4,10 +4,13 @@
     uv run python benchmarks/run.py NAME …           # run studies and store their results
     uv run python benchmarks/run.py --stale          # studies whose code changed; exit 1 if any
     uv run python benchmarks/run.py --confirm NAME   # repeat the reduced size of a study
+    uv run python benchmarks/run.py --pages          # write stored tables into docs/
 
 A stored result contains the tables of the default size, and of the reduced size if the
 study has one, from the same code. `--confirm` repeats the reduced size. If its numbers
 agree, the result counts as current again, and the confirmation is recorded in the file.
+After each run, the pages that have markers of the study get its tables, with the date
+and the commit (`common/pages.py`).
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from datetime import UTC, date, datetime
 
 from common.freshness import digests
 from common.grid import table
+from common.pages import update_pages
 from common.results import (
     TOLERANCE,
     Confirmation,
@@ -173,6 +177,9 @@ def main() -> int:
     what.add_argument(
         "--confirm", action="store_true", help="repeat the reduced size of the studies"
     )
+    what.add_argument(
+        "--pages", action="store_true", help="write the stored tables into docs/"
+    )
     options = parser.parse_args()
     if options.list:
         print(listing(datetime.now(UTC).date()))
@@ -182,8 +189,11 @@ def main() -> int:
         for name, reason in reasons.items():
             print(f"{name}: {reason}")
         return int(bool(reasons))
+    if options.pages:
+        _update_pages()
+        return 0
     if not options.names:
-        parser.error("give the names of studies, --list or --stale")
+        parser.error("give the names of studies, --list, --stale or --pages")
     if unknown := [name for name in options.names if name not in STUDIES]:
         parser.error(f"no such study: {', '.join(unknown)}; --list shows all")
     code = 0
@@ -193,7 +203,14 @@ def main() -> int:
         except RuntimeError as error:
             print(f"{name}: {error}", file=sys.stderr)
             code = 1
+        else:
+            _update_pages()
     return code
+
+
+def _update_pages() -> None:
+    for path in update_pages():
+        print(f"updated: docs/{path.name}")
 
 
 if __name__ == "__main__":

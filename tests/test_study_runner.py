@@ -119,6 +119,51 @@ def test_result_becomes_stale_with_the_code_and_not_with_the_words(checkout):
     assert found.stdout == "example: benchmarks/helper.py changed\n"
 
 
+PAGE = "Before.\n\n<!-- study example 1: begin -->\n<!-- study example 1: end -->\n\nAfter.\n"
+"""Page with an empty marker."""
+
+
+@pytest.mark.slow
+def test_run_writes_its_table_with_date_and_commit_into_the_page(checkout):
+    page = checkout.parent / "docs/index.md"
+    page.parent.mkdir()
+    page.write_text(PAGE, "utf-8")
+    done = run(checkout, "example")
+    assert "updated: docs/index.md" in done.stdout
+    stamp = stored(checkout)["stamp"]
+    minutes = stored(checkout)["minutes"]
+    assert page.read_text("utf-8").split("\n\n") == [
+        "Before.",
+        "<!-- study example 1: begin -->",
+        "| case | value |\n| --- | --- |\n| a | 2.000 |",
+        f"*Study `example`: {stamp['date']}, commit {stamp['commit']}, {minutes:.1f} min, seeds 4.*",
+        "<!-- study example 1: end -->",
+        "After.\n",
+    ]
+    assert run(checkout, "--pages").stdout == ""
+
+    page.write_text(PAGE.replace("example 1", "example 2"), "utf-8")
+    assert "`example` has 1 tables, not 2" in run(checkout, "--pages").stderr
+
+
+def test_pages_contain_the_stored_tables():
+    code = """
+from common.pages import DOCS, rendered
+pages = [path for path in DOCS.glob("*.md") if "<!-- study " in path.read_text("utf-8")]
+print(len(pages), [p.name for p in pages if rendered(p.read_text("utf-8")) != p.read_text("utf-8")])
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=BENCHMARKS,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    number, outdated = done.stdout.split(" ", 1)
+    assert int(number) > 0, done.stderr
+    assert outdated == "[]\n"
+
+
 @pytest.mark.slow
 def test_confirmation_needs_equal_numbers_and_is_recorded(checkout):
     assert "no stored result" in run(checkout, "--confirm", "example").stderr

@@ -110,9 +110,9 @@ class Result:
 def stamp() -> Stamp:
     """Return time and place of a run that ends now."""
     commit = _git("rev-parse", "--short=8", "HEAD")
-    # Results of other studies, stored a moment ago, do not affect this one.
+    # Results of other studies and their tables, written a moment ago, do not affect this one.
     tracked = ("status", "--porcelain", "--untracked-files=no")
-    if _git(*tracked, "--", ":/", ":!results"):
+    if _git(*tracked, "--", ":/", ":!results", ":!/docs/*.md"):
         commit += "+"
     day = datetime.now(UTC).date().isoformat()
     return Stamp(commit, day, arithmetic(), versions())

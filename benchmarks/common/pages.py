@@ -1,0 +1,87 @@
+"""Tables of studies in the pages of docs/, with the date and the commit of the run.
+
+A page has markers where a table belongs; `theory 2` is the second table of `theory`, and
+a marker without a number holds only the line with date and commit:
+
+    <!-- study theory 2: begin -->
+    <!-- study theory 2: end -->
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from common.results import FOLDER, Result, load_result
+from common.studies import BENCHMARKS
+
+from srs_twin.io.files import atomic_write
+
+DOCS = BENCHMARKS.parent / "docs"
+
+_BLOCK = re.compile(
+    r"(?P<begin><!-- study (?P<name>\w+)(?: (?P<number>\d+))?: begin -->\n)"
+    r".*?"
+    r"(?P<end><!-- study (?P=name)(?: (?P=number))?: end -->)",
+    re.S,
+)
+
+
+def run_line(result: Result) -> str:
+    """Return the line below a table: when, from which commit and with which seeds."""
+    stamp = result.stamp
+    words = [stamp.date, f"commit {stamp.commit}", f"{result.minutes:.1f} min"]
+    if result.seeds != "none":
+        words.append(f"seeds {result.seeds}")
+    if result.confirmed:
+        last = result.confirmed[-1].stamp
+        words.append(f"confirmed {last.date} at commit {last.commit}")
+    return f"*Study `{result.study}`: {', '.join(words)}.*"
+
+
+def rendered(text: str, folder: Path = FOLDER) -> str:
+    """Return a page with the tables of all stored results between their markers.
+
+    Blocks of studies without a stored result stay as they are.
+
+    Args:
+        text: text of the page.
+        folder: folder of the results.
+
+    Raises:
+        ValueError: a marker asks for a table that the result does not have.
+    """
+
+    def block(found: re.Match[str]) -> str:
+        result = load_result(found["name"], folder)
+        if result is None:
+            return found[0]
+        parts = [run_line(result)]
+        if found["number"]:
+            parts.insert(0, _table(result, int(found["number"])))
+        return f"{found['begin']}\n" + "\n\n".join(parts) + f"\n\n{found['end']}"
+
+    return _BLOCK.sub(block, text)
+
+
+def _table(result: Result, number: int) -> str:
+    if not 1 <= number <= len(result.tables):
+        raise ValueError(
+            f"`{result.study}` has {len(result.tables)} tables, not {number}"
+        )
+    table = result.tables[number - 1]
+    rows = [table.columns, ["---"] * len(table.columns), *table.rows]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def update_pages(folder: Path = DOCS) -> list[Path]:
+    """Write the stored results into the pages, and return the pages that changed."""
+    changed = []
+    for path in sorted(folder.glob("*.md")):
+        text = path.read_text("utf-8")
+        new = rendered(text)
+        if new != text:
+            with atomic_write(path) as part:
+                Path(part).write_text(new, "utf-8")
+            changed.append(path)
+    return changed
