@@ -39,11 +39,12 @@ GRAVITY = 9.81
 
 MARKED_FRICTION_LAWS = [
     pytest.param(
-        friction_law, marks=[] if friction_law == "wheel" else [pytest.mark.slow]
+        friction_law,
+        marks=[] if friction_law in ("wheel", "cosine") else [pytest.mark.slow],
     )
     for friction_law in FRICTION_LAWS
 ]
-"""Laws of friction; those whose kernels no other quick test compiles are slow."""
+"""Friction laws; one for each of the two ways to add forces belongs to the default tests."""
 
 
 @dataclass(frozen=True)

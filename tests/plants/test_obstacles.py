@@ -8,6 +8,15 @@ import pytest
 from snakes import robot
 
 from srs_twin import Gait, LoadedContact, Trajectory, TwinSnake, load_scenario, rollout
+from srs_twin.compute.compiled import compiled
+from srs_twin.plants.analytical import kinematics
+from srs_twin.plants.analytical.cells import LumpedSegments
+from srs_twin.plants.analytical.compliant_kernels import WorkArrays
+from srs_twin.plants.analytical.obstacles import (
+    add_contacts,
+    find_near,
+    make_obstacles,
+)
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, World
 
 ROUND = World((Circle(0.25, 0.02, 0.06), Circle(0.2, -0.25, 0.05)))
@@ -135,3 +144,41 @@ def test_twin_of_a_scenario_has_its_obstacles(tmp_path):
             scenario.build_plant("analytical"), scenario.build_controller(), 1.0
         ).columns
     )
+
+
+@compiled
+def contact_forces(obstacles, body, velocity, loads, origin):
+    """Call the contact kernel, which only other kernels can call."""
+    find_near(obstacles, origin, 1.0)
+    return add_contacts(obstacles, body, velocity, 0.0, loads)
+
+
+@pytest.mark.parametrize(
+    ("speed", "factor"), [(0.0, 1.0), (-0.05, 2.0), (0.05, 0.0), (0.1, 0.0)]
+)
+def test_analytical_contact_is_a_spring_whose_damping_prevents_tension(speed, factor):
+    """The force is m/T² times the overlap at rest, and 0 at rebound speeds above 1/χ = 50 mm/s."""
+    spec = robot()
+    width = spec.geometry.width
+    overlap = 1e-5
+    circle = Circle(0.0, -(0.05 + width / 2 - overlap), 0.05)
+    cells = LumpedSegments(spec)
+    obstacles = make_obstacles(World((circle,)), spec, cells, 1e-3)
+    obstacles.pose[:] = 0.0, 0.0, 1.0, 0.0
+    points = len(cells.mass)
+    body = np.zeros((kinematics.ROWS, points))
+    body[kinematics.COS] = 1.0
+    # The middle connector is at the origin, above the circle.
+    body[kinematics.X] = spec.geometry.pitch * (points // 2 - np.arange(points))
+    loads = WorkArrays.of(points).loads
+    velocity = np.array([0.0, speed, 0.0])
+    force = contact_forces(obstacles, body, velocity, loads, np.zeros(3))
+    stiffness = spec.mass.total / 0.001**2
+    expected = [
+        0.0,
+        factor * stiffness * overlap,
+        0.0,
+        -factor * stiffness * overlap * speed,
+    ]
+    assert force == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert obstacles.force[:, 1].argmax() == (points // 2 if factor else 0)

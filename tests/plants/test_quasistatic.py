@@ -82,7 +82,6 @@ def posed(seed):
     return state, constants, workspace
 
 
-@pytest.mark.slow
 def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
     state, constants, workspace = posed(0)
     kernels.pose(state, constants, workspace)
