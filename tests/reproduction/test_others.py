@@ -63,6 +63,8 @@ def test_published_value_is_inside_the_interval_or_not(folder, value, inside):
         (145, 0.1, "undecided"),
         (146, 0.1, "within"),
         (146, 0.06, "undecided"),
+        (146, 0.075, "within"),
+        (146, 0.17, "undecided"),
         (146, 0.3, "outside"),
     ],
 )
