@@ -5,8 +5,9 @@ at the start of an episode and follows the path with `planning.follower.Follower
 uses the observed pose. The gait frequency and the supply pressure are those at which
 the footprint was measured. `ProportionalIntegral` sets the difference between the two
 duties of a module according to a PI law, to which Eq. 30 reduces for a constant
-reference. `PegSteering` steers among pegs, and `SensedGrasp` uses the controller of the
-scenario grasp_cylinder.
+reference. `PegSteering` steers among pegs, `Sidewinding` chooses among sidewinding gaits of the
+robot `spatial_example`, and `SensedGrasp` uses the controller of the scenario
+grasp_cylinder.
 """
 
 from __future__ import annotations
@@ -18,14 +19,19 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from srs_twin.control.base import Controller
 from srs_twin.control.grasp import Grasp, Phase
 from srs_twin.envs.contact import GRASP_FREQUENCY_HZ, HOLD, GraspTask, PegsTask
-from srs_twin.envs.crawling import CrawlTask
+from srs_twin.envs.crawling import (
+    SPATIAL_FREQUENCIES_HZ,
+    SPATIAL_RELATIVE_PRESSURES,
+    CrawlTask,
+    SpatialCrawlTask,
+)
 from srs_twin.envs.module import ModuleTask
 from srs_twin.envs.observed import STEP_S
 from srs_twin.envs.task import Task
@@ -323,6 +329,66 @@ class PegSteering(_Baseline):
         return [self.gain_per_rad * bearing, PEGS_FREQUENCY_HZ, PRESSURE_KPA]
 
 
+class _SidewindingGait(NamedTuple):
+    # Phase lag of the pitch wave (rad), and the mean velocities to the left (m/s) and
+    # about the vertical (rad/s).
+    lag: float
+    left: float
+    yaw_rate: float
+
+
+class Sidewinding(_Baseline):
+    """Policy that sidewinds to the goal in Crawl3D.
+
+    At the start of each gait period, the policy predicts the position of the goal
+    relative to the body for each gait, with constant velocities. It chooses the gait
+    that comes closest to the goal within the horizon.
+    """
+
+    pitch_fraction = 0.25
+    """Pitch fraction of all gaits, dimensionless."""
+
+    horizon_s = 6.0
+    """Duration of the predictions, s."""
+
+    _LEFTWARD = (
+        _SidewindingGait(-3 * math.pi / 4, 0.207, 0.264),
+        _SidewindingGait(-math.pi / 2, 0.125, -0.400),
+        _SidewindingGait(-math.pi / 4, 0.073, -0.503),
+    )
+    """Gaits of `spatial_example` at 1 Hz and the maximum pressure.
+
+    The velocities are means of the twin between 3 and 9 s. Forward velocities are at
+    most 12 mm/s and are neglected.
+    """
+
+    _GAITS = (
+        *_LEFTWARD,
+        *(_SidewindingGait(g.lag + math.pi, -g.left, -g.yaw_rate) for g in _LEFTWARD),
+    )
+    """Gaits to the left, and their reflections in the vertical plane of the body."""
+
+    _gait = _LEFTWARD[0]
+
+    def _action(self, values: Mapping[str, float]) -> Sequence[float]:
+        frequency = SPATIAL_FREQUENCIES_HZ[1]
+        if self._steps % round(1 / (frequency * self._task.step_s)) == 0:
+            goal = complex(values["goal_ahead_m"], values["goal_left_m"])
+            self._gait = min(self._GAITS, key=lambda gait: self._closest(gait, goal))
+        pressure = SPATIAL_RELATIVE_PRESSURES[1] * self._task.robot.supply.nominal
+        return [0.0, frequency, pressure / 1e3, self.pitch_fraction, self._gait.lag]
+
+    def _closest(self, gait: _SidewindingGait, goal: complex) -> float:
+        """Return the minimum predicted distance from the goal, m.
+
+        The goal is ahead + i left of the body, m.
+        """
+        time = np.linspace(0.0, self.horizon_s, 61)
+        turn = 1j * gait.yaw_rate * time
+        place = 1j * gait.left * time * np.expm1(turn) / np.where(time > 0, turn, 1.0)
+        return float(np.abs(goal - place).min())
+
+
 class SensedGrasp(_Baseline):
     """Policy that uses the controller `control.grasp.Grasp` in the sensed mode."""
 
@@ -348,6 +414,8 @@ def baseline(task: Task) -> Policy:
         return PegSteering(task)
     if isinstance(task, ModuleTask):
         return ProportionalIntegral(task)
+    if isinstance(task, SpatialCrawlTask):
+        return Sidewinding(task)
     assert isinstance(task, CrawlTask), "no other task has a baseline"
     return PathFollowing(task)
 

@@ -1,4 +1,4 @@
-"""Crawl3D: the gait of the controller, signals of both directions, refused robots."""
+"""Crawl3D: gait of the controller, signals of both directions, refused robots, baseline."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from srs_twin import Gait, InputError, TwinSnake, rollout
 from srs_twin.control.gait import PitchWave
 from srs_twin.envs import make_task
 from srs_twin.envs.gymnasium import SnakeEnv
+from srs_twin.envs.policy import Sidewinding, baseline, play_episode
 
 
 @pytest.mark.slow
@@ -41,3 +42,35 @@ def test_tasks_refuse_robots_of_the_other_kind():
         make_task("GoTo", robot="spatial_example")
     with pytest.raises(InputError, match="robot 'skin_example' bends in one plane"):
         make_task("Crawl3D", robot="skin_example")
+
+
+def mean_velocities(lag: float) -> tuple[float, float]:
+    """Return the twin's mean velocity to the left (m/s) and yaw rate (rad/s) from 3 to 9 s."""
+    task = make_task("Crawl3D")
+    kpa = task.to_physical(np.ones(5))[2]
+    twin = TwinSnake(task.robot, supply_pa=1e3 * kpa, tick=0.1)
+    wave = PitchWave(Sidewinding.pitch_fraction, lag)
+    run = rollout(twin, Gait(1.0, pitch=wave), 9.0, record_hz=10)
+    begin, end = 30, 90
+    turn = run["heading"][end] - run["heading"][begin]
+    moved = (run["com_x"] + 1j * run["com_y"])[[begin, end]]
+    # With constant velocities, the chord is parallel to the mean heading and shorter
+    # than the arc.
+    chord = (moved[1] - moved[0]) * np.exp(-1j * (run["heading"][begin] + turn / 2))
+    return chord.imag / np.sinc(turn / 2 / np.pi) / 6.0, turn / 6.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gait", Sidewinding._GAITS)  # noqa: SLF001
+def test_velocities_of_the_baseline_gaits_are_those_of_the_twin(gait):
+    left, yaw_rate = mean_velocities(gait.lag)
+    assert left == pytest.approx(gait.left, rel=0.1)
+    assert yaw_rate == pytest.approx(gait.yaw_rate, rel=0.1)
+
+
+@pytest.mark.parametrize("seed", [7000, pytest.param(7001, marks=pytest.mark.slow)])
+def test_the_baseline_reaches_the_goal_in_less_than_half_of_the_time(seed):
+    task = make_task("Crawl3D")
+    score = play_episode(task, baseline(task), np.random.default_rng(seed))
+    assert score.ending == "goal_reached"
+    assert score.time < 15.0
