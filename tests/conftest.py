@@ -134,7 +134,10 @@ def as_in_a_process() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def shipped_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
-    """Return a function from the name of a shipped scenario to a read-only run that all tests share."""
+    """Return a function from the name of a shipped scenario to a read-only run that all tests share.
+
+    The variable SRS_TWIN_SHIPPED_RUNS may name a folder with finished runs.
+    """
     from srs_twin import load_scenario
     from srs_twin.experiment import run_scenario
 
@@ -142,7 +145,11 @@ def shipped_run(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     (shared / "shipped").mkdir(exist_ok=True)
 
+    finished = os.environ.get("SRS_TWIN_SHIPPED_RUNS")
+
     def run(name: str) -> Path:
+        if finished:
+            return Path(finished) / name
         folder = shared / "shipped" / name
         with FileLock(folder.with_suffix(".lock")):
             if not (folder / "metrics.json").is_file():

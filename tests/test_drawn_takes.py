@@ -7,7 +7,7 @@ import json
 import pytest
 from benchmark_runs import run_benchmark
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 IDENTIFIABLE = ("start", "end", "change")
 """Cases whose clock offset the data determine."""

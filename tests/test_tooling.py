@@ -165,7 +165,7 @@ def test_nightly_studies_have_time_limits():
     assert all(
         re.match(
             r"timeout \d+[mh] (\.ci/targets all |uv run --group dev pytest -m nightly"
-            r"|uv run (--extra gpu )?python (benchmarks|tools)/)",
+            r"|uv run (--extra gpu )?python (benchmarks|tools)/)|newer$",
             study,
         )
         for study in studies

@@ -224,7 +224,7 @@ def test_no_workflow_pastes_an_expression_into_a_shell():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("least", "code"), [("0.1", 0), pytest.param("0.9", 1, marks=pytest.mark.slow)]
+    ("least", "code"), [("0.1", 0), pytest.param("0.9", 1, marks=pytest.mark.nightly)]
 )
 def test_the_steps_of_the_action_run(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
@@ -242,7 +242,9 @@ def test_the_steps_of_the_action_run(room, least, code):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("least", "code"), [("0.1", 0), ("0.9", 1)])
+@pytest.mark.parametrize(
+    ("least", "code"), [pytest.param("0.1", 0, marks=pytest.mark.nightly), ("0.9", 1)]
+)
 def test_the_script_of_the_template_runs(room, least, code):
     (room / "scenarios/short.yaml").write_text(FAST.replace("LEAST", least))
     variables = TEMPLATE["variables"] | {

@@ -345,7 +345,7 @@ def test_other_laws_of_the_material_are_within_the_model_error(damping_law):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("damping_law", DAMPING_LAWS)
 def test_intervals_contain_the_truth_in_54_of_60_decays(damping_law, capsys):
     """Half of the valves are closed.

@@ -265,7 +265,7 @@ def restarted(run, pause):
             )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("seed", [11, 12, 13])
 @pytest.mark.parametrize(
     ("pause", "supply"), [(0.5, ""), (PAUSE_S, ""), (PAUSE_S, "outage")]

@@ -177,7 +177,9 @@ def test_a_second_sweep_in_the_folder_is_refused(srs_twin, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("count", "runs"), [(2, 16), (20, 60)])
+@pytest.mark.parametrize(
+    ("count", "runs"), [(2, 16), pytest.param(20, 60, marks=pytest.mark.nightly)]
+)
 def test_killed_sweeps_resume_without_lost_or_torn_rows(
     srs_twin, tmp_path, count, runs
 ):
