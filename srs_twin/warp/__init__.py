@@ -1,4 +1,4 @@
-"""Twins on a GPU: MuJoCo Warp with the friction and chamber laws of the CPU twins."""
+"""GPU twins, which add the CPU twins' friction and chamber laws to MuJoCo Warp."""
 
 import warp
 

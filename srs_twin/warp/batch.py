@@ -1,7 +1,7 @@
 """`WarpBatch` simulates many twins together on a GPU with MuJoCo Warp.
 
-Tests also use Warp on the CPU. Engine, chambers and friction have the same equations as
-in `TwinSnake`, in single precision. The model of each distinct robot is built on the
+Tests also use Warp on the CPU. The equations of engine, chambers and friction are those
+of `TwinSnake`, in single precision. The model of each distinct robot is built on the
 CPU and copied to the device.
 """
 
@@ -41,11 +41,12 @@ the motion.
 """
 
 _MEMORY_FRACTION = 0.5
-"""Fraction of the free memory that the worlds of one batch may take."""
+"""Fraction of the free memory that the worlds of one batch may occupy."""
 
 _TWIN_BYTES = 3_000_000
-"""Memory of a twin on the CPU, which each distinct robot needs. 50 twins of
-generation 2 took 2.8 MB each.
+"""CPU memory of the twin of each distinct robot, in bytes.
+
+50 twins of generation 2 took 2.8 MB each.
 """
 
 
@@ -62,8 +63,8 @@ class WarpBatch(Claimable):
         errors: error that ended each run, or None for runs that have not diverged.
         device: Warp device.
         origins: origin of each run's device coordinates in the world, shape (runs, 2),
-            m. If a run starts more than 16 m from the world's origin, the device origin
-            is at the start, because of single precision.
+            m. Due to single precision, a run that starts more than 16 m from the
+            world's origin has the device origin at its start.
     """
 
     claiming_methods = (*Claimable.claiming_methods, "run", "follow", "command")
@@ -134,10 +135,10 @@ class WarpBatch(Claimable):
 
     @staticmethod
     def max_worlds(twin: TwinSnake, samples: int, device: str | None = None) -> int:
-        """Return how many worlds like that of a twin fit into half of the free memory.
+        """Return how many worlds of a twin fit into half of the free memory.
 
-        The memory of the device limits the states. The memory of the CPU limits the
-        twins and the recorded trajectories.
+        The device memory limits the states. The CPU memory limits the twins and the
+        recorded trajectories.
 
         Args:
             twin: twin with the robot and the settings of the worlds.
@@ -211,7 +212,7 @@ class WarpBatch(Claimable):
             poses: centre of mass x, y (m) and mean heading (rad) of each run that is
                 reset. The default is the origin.
             seed: random seed of the sensor noise.
-            worlds: indices of the runs to reset. By default all runs and the time are
+            worlds: indices of the runs to reset. By default, all runs and the clock are
                 reset.
 
         Raises:
@@ -281,7 +282,7 @@ class WarpBatch(Claimable):
     def advance(self, valves: Any, samples: int) -> list[SnakeState | None]:
         """Advance all runs by one tick. See `TwinBatch.advance`.
 
-        The valve commands are an array or an object with the DLPack interface.
+        `valves` is an array or an object with the DLPack interface.
         """
         self.command(valves)
         return self._run_observed(self._engine.steps, samples, gait=False)
@@ -291,8 +292,8 @@ class WarpBatch(Claimable):
 
         Args:
             valves: valve states −1 or 1, shape (runs, segments, 2) or (runs, slots,
-                segments, 2). The values of a NumPy array are checked. The values of an
-                int32 array on the device (DLPack) are not checked.
+                segments, 2). Only the values of NumPy arrays are checked, not those of
+                int32 arrays on the device (DLPack).
 
         Raises:
             InputError: the shape or type is wrong, or the valve layout does not allow a
@@ -375,7 +376,8 @@ class WarpBatch(Claimable):
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
         """Simulate the gaits of `set_gaits` for a duration (s).
 
-        The samples are equally spaced, and the last sample is at the end.
+        The samples are equally spaced, and the last sample is at the end of the
+        duration.
         """
         return self._run_observed(
             count_steps("duration", duration, "time step", self._h), samples, gait=True

@@ -1,9 +1,4 @@
-"""Plant `AnalyticalSnake` with the dissertation's planar model and its variants.
-
-The module `bodies` defines the mechanics of planar bodies. The module `quasistatic`
-defines a body whose segments bend in two directions. Planar bodies with skin are
-divided into `cells`.
-"""
+"""Plant `AnalyticalSnake` with the dissertation's planar model and its variants."""
 
 from __future__ import annotations
 
@@ -59,7 +54,7 @@ from srs_twin.sensing import Sensor
 
 # Maximum interval between exchanges of bends and pressures for point masses, at a time
 # unit of 1, s. With an interval of 0.25 ms the pressures oscillate below ambient
-# pressure. Half of the chosen interval gives the same results.
+# pressure. Halving the interval does not change the results.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
@@ -107,14 +102,14 @@ class AnalyticalSnake(PneumaticPlant):
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
             sensor: curvature sensor, which is "ideal", "hall" with its defaults, or a
                 `Sensor` object.
-            world: slope of the floor and obstacles. Without `world`, the floor is level
-                and has no obstacles.
+            world: floor slope and obstacles. Without `world`, the floor is level and
+                has no obstacles.
             **options: fields of `AnalyticalOptions`, such as model="compliant" or
                 friction="wheel".
 
         Raises:
-            InputError: an option or the tick is not allowed, or options, robot and
-                world cannot be combined.
+            InputError: an option or the tick is not allowed, or the options do not fit
+                the robot or the world.
         """
         self.spec = spec
         self.world: World = world or World()
@@ -255,7 +250,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def jumps(self) -> int:
-        """Number of jumps between resting poses of the model "quasistatic"."""
+        """Number of jumps between resting poses, counted by the model "quasistatic"."""
         return self.body.jumps
 
     def describe(self) -> dict[str, Any]:
@@ -295,8 +290,8 @@ class AnalyticalSnake(PneumaticPlant):
         inertia = self._connector_inertia(cells.mass)
         solid = BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen)
         if isinstance(cells, Cells):
-            # The law states the drag of one connector. On a divided body the total drag
-            # is distributed over all points.
+            # `floor.drag` is the drag on one connector. On a divided body, the total
+            # drag is distributed over all points.
             drag = floor.drag * self.spec.geometry.connectors / len(cells.mass)
             floor = floor._replace(drag=drag)
         if options.base == "clamped":

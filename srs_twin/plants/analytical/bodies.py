@@ -1,9 +1,5 @@
 r"""Bodies of the planar analytical models: connectors on arcs of constant curvature.
 
-In `PrescribedBends` the chambers determine the bends regardless of load (models
-`complete` and `simplified`). `ClampedBends` is a chain with a clamped head. In
-`CompliantBends` the bends have stiffness and damping (model `compliant`).
-
 The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. No floor
 or obstacle acts on the chain, so the bends alone determine its motion. The recursive
 Newton–Euler algorithm computes the moments of the segments in two loops. The loop from
@@ -60,7 +56,8 @@ class Motion(NamedTuple):
             rate (rad/s) and, for compliant bends, bend rates (rad/s), shape (samples, 3
             or more).
         bend, bend_rate: bends (rad) and bend rates (rad/s) of the segments, shape
-            (samples, segments). On a body with skin, each cell has a column.
+            (samples, segments). On a body with skin, the arrays have one column per
+            cell.
         torque: net moment of each segment, shape (samples, segments), N·m.
     """
 
@@ -112,7 +109,7 @@ class Body(Stateful, ABC):
         return 0
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Return bends (rad) and rates (rad/s), or (None, None) if prescribed."""
+        """Return compliant bends (rad) and their rates (rad/s), or (None, None)."""
         return None, None
 
     def reset(self, pose: Pose) -> None:
@@ -190,7 +187,7 @@ class Body(Stateful, ABC):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """Return the motion from states, velocities and chamber states."""
+        """Compute the motion from states, velocities and chamber states."""
 
 
 class PrescribedBends(Body):
@@ -271,7 +268,7 @@ class ClampedBends(Body):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`. The motion is computed from the bends alone."""
+        """See `Body.motion`. Only the bends determine the motion."""
         trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
@@ -335,9 +332,9 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
 
 @inlined
 def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-untyped-def]
-    # The head stays at the origin with the heading `heading` (rad). `total` is the mass
-    # of the chain (kg). The result is the motion of the centre of mass and of the mean
-    # heading.
+    # `heading` is the heading of the head (rad), which stays at the origin. `total` is
+    # the mass of the chain (kg). The result is the motion of the centre of mass and of
+    # the mean heading.
     n = solid.mass.shape[0]
     position = chain.position
     acceleration = chain.acceleration
@@ -436,8 +433,8 @@ class CompliantBends(Body):
             compliant_kernels.BENDS + self._bends,
             compliant_kernels.BENDS + 2 * self._bends,
         )
-        # The momenta are followed by the obstacles' impulses on each point and the
-        # time.
+        # After the momenta, the state holds the impulses of the obstacles on each
+        # point, and the time.
         self._impulses = slice(self._momenta.stop, None)
         count = 0 if obstacles is None else obstacles.force.size + 1
         self._shapes = self._momenta.stop + count, self._shapes[1]

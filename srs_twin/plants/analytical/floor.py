@@ -1,4 +1,4 @@
-r"""Compiled functions for the friction on connectors and the derivatives of friction.
+r"""Compiled functions for the friction on connectors and its derivatives.
 
 **Coasting.** In `slide`, a straight body slides without rotation, and all connectors
 have the same velocity. The body therefore moves like a point. Its mass cancels from the
@@ -7,12 +7,12 @@ equation of motion
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}. $$
 
 Here f is the friction law with the coefficients μ_t along and μ_n across the heading,
-for a load equal to gravity per unit mass. Wheel w has the radius R and the moment of
-inertia I_w about its axle, and M is the mass of the robot. The spin of the wheels adds
-the relative inertia s along the heading, which increases the stopping distance by the
-factor 1 + s. No other force acts, so neither component of the velocity v changes its
-sign. The midpoint rule integrates each component until the component is 0. Positions
-are smooth functions of the velocities and coefficients, as fits require.
+for a normal load of g per unit mass. Wheel w has the radius R and the moment of inertia
+I_w about its axle, and M is the mass of the robot. The spin of the wheels adds the
+relative inertia s along the heading, which increases the stopping distance by the
+factor 1 + s. No other force acts, so neither component of v changes sign. Each
+component is integrated by the midpoint rule until it is 0. The positions depend
+smoothly on the velocities and coefficients, as parameter fits require.
 
 **Instantaneous loads.** A connector of weight W has two wheels at the distance a on
 either side of its centre line, and its centre of mass is at the height h. A lateral
@@ -51,7 +51,7 @@ class FloorFriction(NamedTuple):
     Attributes:
         case: tuple of None whose length is the index into `_CASES`. The length of a
             tuple is part of its numba type. A kernel is therefore compiled only for the
-            contacts and the law of its floor.
+            number of contacts and the friction law of its floor.
         track: distance of the two contacts of a connector from the centre line, m. The
             value 0 means one contact per connector.
         mu_t, mu_n: friction coefficients along and across the heading, dimensionless.
@@ -86,8 +86,8 @@ class ContactTerms(NamedTuple):
     In the names of derivatives, the first letter denotes the force or moment, and the
     second letter the velocity. The letters stand for the directions along (t), across
     (n) and about the vertical (m). The derivative `mt` is not stored, because `mt` =
-    `tm`. Friction is the gradient of a potential, so the derivatives are symmetric,
-    except under the law `cosine`.
+    `tm`. Except under the law `cosine`, friction is the gradient of a potential, so the
+    derivatives are symmetric.
 
     Attributes:
         t, n: forces along and across the heading, N.
@@ -162,7 +162,7 @@ def _loaded_pair(friction_law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # 
     a_n = left[1]
     b_n = right[1]
     lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
-    # The left wheel has the load a, and the right wheel the rest of the weight.
+    # `a` is the load on the left wheel. The right wheel carries the rest of the weight.
     a = min(max(weight / 2 - floor.load_transfer * lateral_force, 0.0), weight)
     return _sum_pair(left, right, a, weight - a, floor.track)
 
@@ -249,8 +249,8 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     """Return a floor on which a body at rest does not creep down a slope.
 
     Under a regularised friction law, any force moves a contact. On a slope, the slip
-    speed is therefore reduced in proportion to `speed`, the approximate maximum speed
-    of the body (m/s).
+    speed is therefore reduced in proportion to `speed`, which is the approximate
+    maximum speed of the body in m/s.
     """
     slip = floor.slip
     if floor.pull_x != 0.0 or floor.pull_y != 0.0:

@@ -19,8 +19,7 @@ discontinuities of q̈ at valve events do not reduce the order of the scheme.
 Friction is stiff, so the velocities are integrated by the two-stage, second-order,
 L-stable SDIRK method of Alexander (1977). At each stage, the Newton method solves for
 the three velocities. Friction has a convex potential, whose derivative along a Newton
-step shows whether the step was too long. The module `steps` chooses the lengths of the
-time steps.
+step shows whether the step was too long.
 
 **Inverse dynamics.** The function `inverse_dynamics` computes the moments of the
 segments from given bends by the recursive Newton–Euler algorithm. A loop from head to
@@ -74,7 +73,7 @@ from srs_twin.pneumatics import Trace
 
 
 class PrescribedModel(NamedTuple):
-    """Constants of the kernels.
+    """Constants of the body and the floor.
 
     Attributes:
         solid: constants of the body.
@@ -95,7 +94,7 @@ class Bends(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """States and velocities that a kernel writes at the samples, shape (samples, …)."""
+    """States and velocities recorded by a kernel, shape (samples, …) each."""
 
     states: np.ndarray
     velocities: np.ndarray
@@ -255,8 +254,8 @@ def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
         fx = fx + load[j + 1, 0]
         fy = fy + load[j + 1, 1]
         moment = moment + load[j + 1, 2]
-        # In the symbols of the module docstring, arm is L e × F and lengthening L' F ·
-        # e.
+        # In the symbols of the module docstring, `arm` is L e × F and `lengthening` is
+        # L' F · e.
         arm = chords[j, _SPAN_X] * fy - chords[j, _SPAN_Y] * fx
         lengthening = chords[j, _DERIVATIVE_X] * fx + chords[j, _DERIVATIVE_Y] * fy
         torque[j] = arm / 2 - lengthening - moment + (n - 1 - j) / n * remainder
@@ -284,7 +283,7 @@ _NEWTON_TOLERANCE = 1e-8  # Tolerance of the velocities at a time unit of 1, m/s
 _NEWTON_ARM = 0.1
 """Lever arm that converts a yaw rate to a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
-"""Minimum ratio of the derivatives after and before a Newton step that is too long."""
+"""Fraction of the derivative by which a Newton step may reverse the derivative."""
 
 
 @inlined
@@ -336,7 +335,7 @@ def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def copy(values, out):  # type: ignore[no-untyped-def]
-    """Copy an array without the overlap check of numba's assignment to a slice."""
+    """Copy an array without the overlap check that numba adds to slice assignments."""
     for j in range(out.shape[0]):
         out[j] = values[j]
 
@@ -349,7 +348,7 @@ def is_slow(state):  # type: ignore[no-untyped-def]
 
 @inlined
 def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
-    """Copy state and velocity to all samples that follow step number `done`.
+    """Copy state and velocity to all samples that are due after `done` steps.
 
     Args:
         state: state after the step.
@@ -543,7 +542,7 @@ class StepArrays(NamedTuple):
 
 @kernel_only
 def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
-    """Compute one step of the SDIRK2 method, and return whether both stages converged.
+    """Compute an SDIRK2 step and return whether both stages converged.
 
     Args:
         state: state at the start, shape (STATES,).

@@ -106,7 +106,7 @@ def drawn_height(spec: RobotSpec) -> float:
 def _add_joints(
     mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings
 ) -> None:
-    # The integrator evaluates a spring with stiffness k at the end of its step h, which
+    # The integrator evaluates a spring with stiffness k at the end of a step h, which
     # adds the damping h k. The dampers are therefore reduced by h k.
     bending = spec.bending
     n = settings.hinges_per_segment

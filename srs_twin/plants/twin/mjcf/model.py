@@ -74,8 +74,8 @@ def robot_mjcf(
     Args:
         spec: robot to build.
         settings: time step, discretisation and contact.
-        supply_pa: upper limit of the controls, Pa. The limits of the robot are used if
-            they are higher.
+        supply_pa: upper limit of the controls, Pa, unless the limits of the robot are
+            higher.
         obstacle_friction: friction coefficient of the collision geoms that touch
             obstacles (`surroundings`), dimensionless. Without this argument the body
             has no collision geoms.
@@ -159,8 +159,8 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     option.iterations = 50
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if settings.loaded:
-        # There are few normal forces, and the engine selects a dense or sparse Jacobian
-        # by their number. A strict tolerance is needed, because errors of 1e-7 in the
+        # There are few normal forces, so the engine may choose between a dense and a
+        # sparse Jacobian. A strict tolerance is needed, because errors of 1e-7 in the
         # normal forces would push stopping wheels sideways, in a direction that depends
         # on the processor.
         option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
@@ -227,8 +227,8 @@ class _Chain:
     def _add_segment(self, body: MjsBody, near: int, far: int) -> MjsBody:
         """Add the segment between two neighbouring connectors and return the far one.
 
-        A hinge is the parent of the next hinge. The last hinge is the parent of the far
-        connector.
+        Each hinge is the parent of the next hinge, and the last one is the parent of
+        the far connector.
         """
         spec = self.spec
         g = spec.geometry
@@ -359,7 +359,7 @@ def _set_inertia(
     fixed: FixedInertia = FixedInertia(0.0, np.zeros(3)),  # noqa: B008
     x: float = 0.0,
 ) -> None:
-    # The radius of gyration is the radius of a connector. `mass` excludes the mass of
+    # The body has the radius of gyration of a connector. `mass` excludes the mass of
     # the parts in `fixed`. `x` is the position of the centre of mass along the x axis
     # (m).
     body.mass = mass + fixed.mass

@@ -3,10 +3,10 @@
 **Obstacles** consist of capsules. A circle is represented by an upright capsule with
 the radius of the circle. A polygon has a capsule of 1 mm radius along each side, which
 enlarges the polygon by 1 mm. Obstacles touch only the collision geoms of the body.
-The collision geoms are copies of the capsules of the skin, with the width of the robot,
-at the height of the centres of mass. MuJoCo therefore computes the contact between
-collision geom and obstacle in closed form, in the plane. Only worlds with obstacles or
-objects have collision geoms, so other worlds have no additional cost.
+These are copies of the skin capsules, with the width of the robot, at the height of the
+centres of mass. MuJoCo therefore computes the contact between collision geom and
+obstacle in closed form, in the plane. Only worlds with obstacles or objects have
+collision geoms.
 
 **An object** is a cylinder or a box that slides and rotates on the floor but does not
 tip. The MuJoCo body of an object has two slide joints and a hinge about z. The entries
@@ -119,9 +119,9 @@ def add_steps(
 ) -> list[str]:
     """Lower the floor, add boxes for raised levels, and return the names of the boxes.
 
-    The floor before the first step, at the smallest x, has the height 0. The extent of
-    the model is the length of the robot, because the boxes would enlarge the distance
-    of the cameras.
+    The floor before the step with the smallest x has the height 0. The extent of the
+    model is set to the length of the robot, because the boxes would otherwise move the
+    cameras away.
     """
     if not steps:
         return []
@@ -278,7 +278,7 @@ def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def place_of(collision_geom: str) -> tuple[int, int]:
-    """Return the numbers of segment and capsule from the name of a collision geom."""
+    """Extract the segment and capsule numbers from the name of a collision geom."""
     _, segment, number = collision_geom.split("_")
     return int(segment), int(number)
 
@@ -309,7 +309,7 @@ def _add_object(
             default, name=f"{name}_solid", type=mjtGeom.mjGEOM_BOX, size=size, quat=turn
         )
     else:
-        # The geom is a capsule, because contacts between capsules are computed in
+        # The geom is a capsule, because MuJoCo computes contacts between capsules in
         # closed form in the plane.
         ends = [0, 0, -height, 0, 0, height]
         geom = body.add_geom(
@@ -323,7 +323,7 @@ def _names(count: int) -> list[str]:
 
 
 def object_names(model: mujoco.MjModel) -> list[str]:
-    """Return the body names of all objects, in the order of the objects."""
+    """Return the body names of all objects, in the order of their numbers."""
     return _names(
         sum(model.body(k).name.startswith("object_") for k in range(model.nbody))
     )
