@@ -1,4 +1,4 @@
-"""Interface `Plant` of simulated snakes, and `SnakeState`, their observable state.
+"""Interface `Plant` of simulated snakes and their observable state `SnakeState`.
 
 The integrators do not detect every divergence. `check_plausible`, `check_before_step`
 and `check_commands` therefore check the states and the commands of each tick.
@@ -142,8 +142,8 @@ class SnakeState:
             q̇), where q_f is the free bend, k the stiffness and c the damping.
         work: work ∫ Σ T_j q̇_f,j dt of the compressed air since the start, J, where T_j
             is the torque and q_f,j the free bend of segment j.
-        internal_loss: part of the work that the material of the segments has
-            dissipated, J. The planar analytical models report 0.
+        internal_loss: part of the work that has been dissipated in the material of the
+            segments, J. The planar analytical models report 0.
         pneumatic_energy: pneumatic energy drawn from the supply since the start, J. See
             `Pneumatics.pneumatic_energy`.
         qpos: generalised positions of the twin, or an empty array on other plants.
@@ -262,8 +262,8 @@ class Plant(Claimable, Stateful, ABC):
     def sample_step(self) -> float | None:
         """Smallest interval between samples, s.
 
-        Longer intervals must be multiples of it. None means that any interval is
-        allowed.
+        Longer intervals must be multiples of this value. None means that any interval
+        is allowed.
         """
         if type(self).advance is Plant.advance:
             return self.tick

@@ -89,7 +89,7 @@ class BodyViews(NamedTuple):
 
 
 class Accumulators(NamedTuple):
-    """Forces of one world that are summed between samples.
+    """Forces in one world, summed between samples.
 
     Attributes:
         mid_qpos: qpos in the middle of the step, shape (nq,).
@@ -315,7 +315,7 @@ def _observation_kernel(
 def advance_slot(relaxation, air, state, j, before):  # type: ignore[no-untyped-def]
     """Advance the chambers of segment j by a valve slot, and return the new bend, rad.
 
-    The argument `before` is the bend at the beginning of the slot.
+    `before` is the bend at the beginning of the slot.
     """
     pressure = air.pressure[j]
     content_before = filling_content(

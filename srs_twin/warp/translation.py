@@ -98,7 +98,7 @@ _OBJECT_FUNCTIONS = (
     "add_object_jacobian",
     "couple_objects",
 )
-"""Functions of the friction solve that have no effect without movable objects."""
+"""Functions of the friction solve that only act on movable objects."""
 
 
 def _no_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]

@@ -52,20 +52,20 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
-# Maximum interval between exchanges of bends and pressures for point masses, at a time
-# unit of 1, s. With an interval of 0.25 ms the pressures oscillate below ambient
-# pressure. Halving the interval does not change the results.
+# Maximum interval at which body and chambers exchange bends and pressures if the
+# connectors are point masses, at a time unit of 1, s. With an interval of 0.25 ms the
+# pressures oscillate below ambient pressure. Halving the interval does not change the
+# results.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
 class AnalyticalSnake(PneumaticPlant):
     """Planar model of the dissertation (Section 3.1) and its variants.
 
-    The snake consists of masses on arcs of constant curvature, which move under the
-    friction of the floor. The equation of motion is Eq. 11, summed over the body (E22).
-    The bends are given by Eq. 14. In the model `simplified`, each chord has the length
-    of the straight segment. In the model `compliant`, load and inertia deflect the
-    bends.
+    The snake is a chain of masses on arcs of constant curvature and moves under floor
+    friction. The equation of motion is Eq. 11, summed over the body (E22). The bends
+    are given by Eq. 14. In the model `simplified`, each chord has the length of the
+    straight segment. In the model `compliant`, load and inertia deflect the bends.
 
     Attributes:
         options: assumptions and numerical settings.

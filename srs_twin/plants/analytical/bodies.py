@@ -49,8 +49,8 @@ class Motion(NamedTuple):
     """Motion of a body at several times.
 
     Attributes:
-        states: states with the indices of `kernels`, shape (samples, STATES or more).
-            With obstacles, the last columns hold the mean obstacle forces on each point
+        states: states in the layout of `kernels`, shape (samples, STATES or more). With
+            obstacles, the last columns hold the mean obstacle forces on each point
             since the previous sample.
         velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw
             rate (rad/s) and, for compliant bends, bend rates (rad/s), shape (samples, 3
@@ -72,8 +72,8 @@ class Body(Stateful, ABC):
     """Abstract base class for the mechanics of an analytical model.
 
     Attributes:
-        state: current state with the indices of `kernels`. `CompliantBends` adds
-            further entries.
+        state: current state in the layout of `kernels`. `CompliantBends` adds further
+            entries.
         velocity: current velocities, in the format of `Motion.velocities`.
         solid: constants of the body for the kernels.
         floor: friction parameters of the floor for the kernels.
@@ -109,7 +109,7 @@ class Body(Stateful, ABC):
         return 0
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Return compliant bends (rad) and their rates (rad/s), or (None, None)."""
+        """Return the bends (rad) and rates (rad/s), or (None, None) if prescribed."""
         return None, None
 
     def reset(self, pose: Pose) -> None:
@@ -305,7 +305,7 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
         solid: constants of the chain.
         head: pose of the head: x, y (m) and heading (rad).
         states: output for pose and velocity of the centre of mass in the world frame,
-            with the indices of `kernels`.
+            in the layout of `kernels`.
         velocities: output for the velocity in the mean-heading frame (m/s) and the mean
             yaw rate (rad/s), shape (samples, 3).
         torque: output for net moments of the segments, shape (samples, segments), N·m.

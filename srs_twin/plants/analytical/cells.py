@@ -1,4 +1,4 @@
-"""Division of segments into cells, for bodies with skin or among obstacles.
+"""Division of segments into cells, for bodies with skin or with obstacle contact.
 
 A segment of constant curvature with the bend q is divided into a chain of arcs, which
 are called cells. Cell c has the bend s_c q, where s_c is the cell's fraction of the
@@ -208,7 +208,7 @@ A force within the transition is divided between the two halves.
 
 
 def cells_of_skin(spec: RobotSpec) -> Cells:
-    """Return the cells of a robot with skin, with masses from the trapezoidal rule."""
+    """Divide a robot with skin into cells, with masses from the trapezoidal rule."""
     assert spec.skin is not None and spec.mass.segments is not None, "a robot with skin"
     discretisation = Discretisation.of(spec.geometry, spec.skin.points)
     cells = np.outer(

@@ -19,11 +19,10 @@ friction.
 
 **Integration.** The equations are integrated by the SDIRK2 method of `kernels`, with a
 Newton solve for u at each stage. The Newton matrix contains friction, stiffness,
-damping and the antisymmetric matrix of the gyroscopic forces. The Newton matrix
-neglects the changes of friction and M with q, which are of order γ² h² for a step h.
-The gyroscopic forces are necessary in the straight shape, where alternating rotations
-of the connectors move no point mass. M is then singular, and only damping resists such
-rotations.
+damping and the antisymmetric matrix of the gyroscopic forces. It neglects the changes
+of friction and M with q, which are of order γ² h² for a step h. The gyroscopic forces
+are necessary in the straight shape, where alternating rotations of the connectors move
+no point mass. M is then singular, and only damping resists such rotations.
 
 **Linear cost.** The cost of a solve is proportional to the number of segments. Let z
 contain the velocity of a connector, its spin ω, and the rate of change of its velocity
@@ -118,7 +117,7 @@ BENDS = STATES
 """Index of the first bend in the state. The momenta of the bends follow the bends."""
 
 _NEWTON_STEPS = 1000
-"""Maximum number of Newton iterations. A body at rest on a slope needs nearly all."""
+"""Maximum number of Newton iterations, nearly reached by bodies at rest on a slope."""
 _NEWTON_TOLERANCE = 1e-9
 """Tolerance of velocities in the Newton method, at a time unit of 1, m/s."""
 _NEWTON_ARM = 0.1
@@ -225,8 +224,9 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
-    # The columns of `loads` are named in `kinematics`. The result is the force of the
-    # floor (x, y), its moment about the centre of mass, and the dissipated power (W).
+    # The columns of `loads` are named in `kinematics`. The result is the force exerted
+    # by the floor (x, y), the moment of this force about the centre of mass, and the
+    # dissipated power (W).
     fx = fy = moment = power = 0.0
     for i in range(solid.mass.shape[0]):
         mass = solid.mass[i]
@@ -287,7 +287,7 @@ def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untype
         moment: moment k q_f + c q̇_f on each segment due to its free bend q_f, shape
             (segments,), N·m.
         a: implicit step γ h for `solve`, s.
-        model: constants, a `CompliantModel`, whose obstacles hold the pose of the body.
+        model: constants, a `CompliantModel`. Its obstacles hold the pose of the body.
         floor: friction parameters of the floor.
         workspace: work arrays, a `WorkArrays`.
 
@@ -579,7 +579,7 @@ class WorkArrays(NamedTuple):
 
     @classmethod
     def of(cls, n: int, states: int = 0) -> WorkArrays:
-        """Allocate arrays for n connectors and states with `states` entries."""
+        """Allocate arrays for n connectors and a state with `states` entries."""
         shapes = [
             (ROWS, n),
             (n - 1, _LINK_COLUMNS),
@@ -720,9 +720,9 @@ class CompliantState(NamedTuple):
     """State of a body with compliant bends.
 
     Attributes:
-        state: state of `kernels`, followed by bends (rad) and the momenta of the bends
-            (kg·m²/s). With obstacles, the state also contains the impulses on each
-            point (N·s) and the time (s).
+        state: state in the layout of `kernels`, followed by the bends (rad) and the
+            momenta of the bends (kg·m²/s). With obstacles, the state also contains the
+            impulses on each point (N·s) and the time (s).
         velocity: velocities in the layout of `balance`. The next Newton solve starts
             from these velocities.
     """

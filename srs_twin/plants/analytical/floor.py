@@ -27,9 +27,9 @@ Negative loads are replaced by 0. Derivatives are computed at constant loads and
 therefore symmetric. This simplification does not change the solution, but the Newton
 method needs a few more iterations.
 
-**Skin** has different coefficients for slip towards the tail and towards the head. The
-law `cosine` has no potential, so its derivatives are not symmetric. Skin and `cosine`
-are therefore compiled separately from the kernels of other floors.
+**Skin** has different friction coefficients for slip towards the tail and towards the
+head. The law `cosine` has no potential, so its derivatives are not symmetric. Skin and
+`cosine` are therefore compiled separately from the kernels of other floors.
 """
 
 from __future__ import annotations
@@ -121,8 +121,8 @@ def _one_contact(friction_law, along, across, spin, weight, floor):  # type: ign
 
 @kernel_only
 def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
-    # `left` and `right` are results of a friction law, which are multiplied by `a` and
-    # `b`. `arm` is the distance of the two contacts from the centre line (m).
+    # `left` and `right` are outputs of a friction law, to be multiplied by `a` and `b`.
+    # `arm` is the distance of the two contacts from the centre line (m).
     a_t, a_n, a_tt, a_tn, a_nt, a_nn = left
     b_t, b_n, b_tt, b_tn, b_nt, b_nn = right
     return ContactTerms(
@@ -204,7 +204,7 @@ def floor_friction(
     load_transfer: float = 0.0,
     mu_back: float | None = None,
 ) -> FloorFriction:
-    """Return a level floor without drag at a time unit of 1.
+    """Return the friction of a level floor without drag, at a time unit of 1.
 
     Args:
         friction_law: friction law, one of `robot.friction.FRICTION_LAWS`.
@@ -343,7 +343,7 @@ class Twist(NamedTuple):
 
 
 class BodyForces(NamedTuple):
-    """Net force and moment of the floor on a body in its frame, with derivatives.
+    """Net force and moment exerted by the floor, in the body frame, with derivatives.
 
     In the names of derivatives, the first letter denotes the force and the second
     letter the velocity. The letter z stands for the moment and for the yaw rate.
@@ -469,7 +469,7 @@ def _forces_of_case(case: int) -> Any:
 
 
 def forces_and_derivatives(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-def]
-    """Return the `BodyForces` of the floor on a body with prescribed bends.
+    """Return the `BodyForces` exerted on a body with prescribed bends.
 
     Args:
         body: posed body, shape (ROWS, N).
@@ -488,7 +488,7 @@ def _compile_forces_and_derivatives(body, mass, u, floor):  # type: ignore[no-un
 
 @compiled
 def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
-    """Compute the floor's force along and across (N) and moment (N·m) on connectors.
+    """Compute the floor forces along and across (N) and moments (N·m) on connectors.
 
     Args:
         body: posed body, shape (ROWS, N).
@@ -512,7 +512,7 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         force[i, 2] = terms.m
 
 
-# At this ratio of speed to slip speed, the force of a law is within 1e-4 of its limit,
+# At this ratio of speed to slip speed, the friction force is within 1e-4 of its limit,
 # even for a friction ellipse with an axis ratio of 1:14.
 _SLIDING_RATIO = 1000.0
 
@@ -524,7 +524,7 @@ _COASTING_SLIP_SPEED = (
 
 
 def spin_fraction(spec: RobotSpec) -> float:
-    """Return the relative inertia s of the wheels, which are solid discs."""
+    """Return the relative inertia s of the wheels, modelled as solid discs."""
     return 2 * spec.geometry.connectors * (spec.mass.wheel / 2) / spec.mass.total
 
 

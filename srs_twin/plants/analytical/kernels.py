@@ -10,11 +10,11 @@ centre of mass and the angular momentum L obey
 $$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i, \qquad
    L = I(q)\,\dot\theta + h(q, \dot q). $$
 
-Here f_i is the friction force on a connector and n_i the yaw moment of its wheels. The
-body has the moment of inertia I = Σ m_i |ρ_i|² + J_i. The bend rates contribute h = Σ
-m_i ρ_i × ρ̇_i + J_i φ̇_i to L. The equations are Eq. 11 multiplied by eᵀ, which
-eliminates the segment torques. Because L is a state, the scheme does not need q̈, and
-discontinuities of q̈ at valve events do not reduce the order of the scheme.
+Here f_i is the friction force on connector i and n_i the yaw moment exerted by its
+wheels. The body has the moment of inertia I = Σ m_i |ρ_i|² + J_i. The bend rates
+contribute h = Σ m_i ρ_i × ρ̇_i + J_i φ̇_i to L. The equations are Eq. 11 multiplied by
+eᵀ, which eliminates the segment torques. Because L is a state, the scheme does not need
+q̈, and discontinuities of q̈ at valve events do not reduce the order of the scheme.
 
 Friction is stiff, so the velocities are integrated by the two-stage, second-order,
 L-stable SDIRK method of Alexander (1977). At each stage, the Newton method solves for
@@ -243,9 +243,8 @@ def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
-    # `remainder` is the moment of the loads about the centre of mass (N·m). A bend
-    # rotates the whole body, because the mean heading is constant, so the remainder
-    # does work.
+    # `remainder` is the moment of the loads about the centre of mass (N·m). The mean
+    # heading is constant, so a bend rotates the whole body and the remainder does work.
     chords = workspace.chords
     load = workspace.load
     n = load.shape[0]
@@ -283,14 +282,14 @@ _NEWTON_TOLERANCE = 1e-8  # Tolerance of the velocities at a time unit of 1, m/s
 _NEWTON_ARM = 0.1
 """Lever arm that converts a yaw rate to a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
-"""Fraction of the derivative by which a Newton step may reverse the derivative."""
+"""Maximum overshoot of a Newton step, relative to the derivative before the step."""
 
 
 @inlined
 def is_too_long(derivative_before, derivative_after):  # type: ignore[no-untyped-def]
     """Return whether a Newton step went beyond the minimum of the potential.
 
-    The derivative of the potential along the step then changes its sign.
+    The derivative of the potential along the step then changes sign.
     """
     return derivative_after < -_OVERSHOOT * derivative_before
 
@@ -550,8 +549,8 @@ def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
         bends: bends and rates at the two stages, shape (2, segments).
         model: constants of body and floor.
         workspace: work arrays. The state at the end is written to `after`, and the
-            derivatives at the stages to `rates`. The call replaces `guess` and `pace`
-            at the start of the step by the values at the end.
+            derivatives at the stages to `rates`. `guess` and `pace` are updated from
+            the start to the end of the step.
     """
     u = workspace.guess
     pace = workspace.pace
@@ -589,7 +588,7 @@ class Observation(NamedTuple):
     Attributes:
         position: positions of the connectors, shape (samples, N, 2), m.
         connector_heading: headings of the connectors, shape (samples, N), rad.
-        force: force of the floor on the connectors, shape (samples, N, 2), N.
+        force: force exerted by the floor on the connectors, shape (samples, N, 2), N.
         energy: kinetic energy, shape (samples,), J.
     """
 
@@ -609,7 +608,7 @@ def observe(
     """Compute the observable quantities of several states.
 
     Args:
-        states: states with the indices `STATE_X` to `ENERGY_LOSS`, shape (samples,
+        states: states with the entries `STATE_X` to `ENERGY_LOSS`, shape (samples,
             STATES or more).
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and
             yaw rate (rad/s), shape (samples, 3 or more).

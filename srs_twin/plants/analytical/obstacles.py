@@ -76,7 +76,9 @@ The value is a numerical setting and not a property of the robot.
 """
 
 _LOSS_S_PER_M = 20.0
-"""Dissipation coefficient χ at a speed unit of 1, s/m. Rebound speeds stay below 1/χ.
+"""Dissipation coefficient χ at a speed unit of 1, s/m.
+
+It limits rebound speeds to 1/χ.
 """
 
 # Columns of `Obstacles.shape`, m.

@@ -128,7 +128,7 @@ def make_constants(
 
 
 class QuasistaticArcs(Body):
-    """Body of the model `quasistatic`, with the state indices of `spatial_kinematics`.
+    """Body of the model `quasistatic`, with states as in `spatial_kinematics`.
 
     Attributes:
         constants: constants of the body and of the floor.

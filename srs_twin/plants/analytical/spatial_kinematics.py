@@ -16,8 +16,8 @@ import numpy as np
 from srs_twin.compute.compiled import allocating, compiled, inlined
 
 # A state contains the position and the rotation matrix (by rows) of the head connector,
-# the quantities below, the bends, the impulses of the floor on all points, shape
-# (points, 3), and the normal loads of the points.
+# the quantities below, the bends, the impulses exerted by the floor on all points,
+# shape (points, 3), and the normal loads of the points.
 ROTATION = 3
 WORK = 12  # Work of the compressed air, J.
 FRICTION_LOSS = 13  # Energy dissipated by the floor, J.
@@ -69,7 +69,7 @@ class QuasistaticBody(NamedTuple):
             twist, shape (3,).
         radius, depth: radius of the body, and depth of its resting points in the floor,
             m.
-        friction: friction of the skin.
+        friction: friction parameters of the skin.
         drag_time: ratio τ of mass to drag coefficient for vertical and rolling motion,
             s.
         longest_move: maximum motion of a point in a substep, m.
@@ -196,8 +196,8 @@ def rotate(turn, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _spin(turn, axis):  # type: ignore[no-untyped-def]
-    # A column of the left Jacobian of exp([turn]), that is the angular velocity per
-    # unit rate of one component of `turn`.
+    # The result is a column of the left Jacobian of exp([turn]), which is the angular
+    # velocity per unit rate of one component of `turn`.
     x, y, z = turn
     square = x * x + y * y + z * z
     angle = math.sqrt(square)

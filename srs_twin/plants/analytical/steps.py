@@ -3,8 +3,8 @@ r"""Time steps of the analytical models and adaptive division of the steps.
 Every valve event ends a step (`TimeSteps`). Where the slip velocity of a connector
 changes sign, the friction force reverses within a few multiples of the slip speed ε.
 The reversal usually takes far less time than a step. If a step misses the reversal, its
-error is as large as the whole impulse of friction. The models `complete` and
-`simplified` therefore divide steps in which friction reverses.
+error is as large as the whole friction impulse. The models `complete` and `simplified`
+therefore divide steps in which friction reverses.
 
 **Error estimate.** A step of length h has two stages, at γ h and h after its start. The
 rate of the momentum is k₀ at the start of the step, k₁ at the first stage and k₂ at the
@@ -213,8 +213,8 @@ class PrescribedState(NamedTuple):
     """State of a body with prescribed bends.
 
     Attributes:
-        state, rate: state with the indices of `kernels`, and time derivative of the
-            state at the end of the previous step, shape (STATES,).
+        state, rate: state in the layout of `kernels`, and time derivative of the state
+            at the end of the previous step, shape (STATES,).
         velocity: velocity in the body frame (m/s) and yaw rate (rad/s), shape (3,). The
             next solution starts from these velocities.
     """

@@ -1,10 +1,10 @@
-"""Class `TwinBatch` for many twins with individual parameters, stepped by threads.
+"""`TwinBatch` steps many twins with individual parameters in parallel threads.
 
 Each run has its own `TwinSnake`. The results are bit-identical to those of twins that
 run alone. Each distinct robot is compiled once, and the compiled model is copied for
 equal robots.
 
-A thread simulates whole twins, including chambers and observation. Every call of the
+A thread simulates whole twins, including chambers and observation. Every call to the
 engine releases the global interpreter lock. The class `mujoco.batch.Batch` is not used,
 because its threads wait while Python runs. The class `mujoco.rollout.Rollout` does not
 return the solver's warm start, so a run divided into chunks would not be bit-identical.
@@ -118,7 +118,7 @@ class TwinBatch(Claimable):
     def reset(
         self, *, poses: Sequence[Pose] | None = None, seed: int = 0
     ) -> SnakeState:
-        """Reset all snakes to straight bodies at rest with empty chambers.
+        """Reset all snakes to a straight shape at rest with empty chambers.
 
         Args:
             poses: centre of mass x, y (m) and mean heading (rad) of each run. The

@@ -166,7 +166,7 @@ class LoadedStepper(Stateful):
         """Compute the constants of the contacts and allocate the arrays of a step.
 
         Args:
-            model: model compiled from `settings`.
+            model: MuJoCo model compiled from `settings`.
             data: engine data that the steps advance.
             spec: robot of the model.
             settings: settings with the time step and a `LoadedContact`.
@@ -259,7 +259,7 @@ class LoadedStepper(Stateful):
     def reset(self) -> None:
         """Sink the snake into the floor until it rests, and set the static loads.
 
-        The snake sinks by some micrometres. During this time the floor is level and
+        The snake sinks by a few micrometres. During this time the floor is level and
         frictionless, because friction would preserve small horizontal displacements.
         Obstacles are disabled, so that an overlap can still be detected at the start of
         a run.
@@ -293,7 +293,7 @@ class LoadedStepper(Stateful):
             array[:] = 0.0
 
     def roll(self) -> None:
-        """Set the rim speeds of the wheels to the speeds of rolling without slip."""
+        """Set the rim speeds of the wheels so that they roll without slip."""
         contacts = self._contacts
         velocity = np.empty(6)
         for w in range(contacts.wheels):
@@ -466,13 +466,13 @@ def _damping_matrices(
 
     Under a force f, the step (M + C)(v − v₋) = h (f − D v₋) then has the exact
     exponential decay. The step is accurate to second order, and fast modes do not
-    oscillate. M is the inertia matrix of the straight snake. The order of accuracy does
-    not depend on the shape.
+    oscillate. M is the inertia matrix of the straight snake, but the order of accuracy
+    does not depend on the shape.
 
     The compressed air in the chambers acts as a further spring K_a, whose force is
     evaluated at mid-step. In the fastest oscillation of this spring, a connector
     vibrates between two closed chambers. The term h² K_a/4 in A keeps the step stable
-    for this oscillation. The term changes the results only to second order in h.
+    for this oscillation and changes the results only to second order in h.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     rates = h * model.dof_damping

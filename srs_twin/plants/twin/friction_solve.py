@@ -177,7 +177,7 @@ class Contacts(NamedTuple):
 
 
 class ContactState(NamedTuple):
-    """State of the contacts that one time step passes to the next step.
+    """Contact state that one time step passes to the next.
 
     Attributes:
         force: friction along and across the heading, and part of the friction that
@@ -214,7 +214,8 @@ class Workspace(NamedTuple):
             (nv, 6).
         motion: spatial velocities of δ, or the spatial forces exerted by friction,
             shape (nv, 6).
-        impulse: spatial impulses of the changed contact forces, shape (nv, 6).
+        impulse: spatial impulses due to the change of the contact forces, shape (nv,
+            6).
         derivative: spatial derivatives of the contact forces, shape (nv, 6, 6).
         inertia, newton_matrix: A and the Newton matrix, shape (nM,). In numba, the
             Newton matrix overwrites the engine's M.

@@ -59,7 +59,7 @@ _DERIVATIVE_ACROSS = 4
 
 
 class ObjectState(NamedTuple):
-    """State of the contacts that one time step passes to the next step.
+    """Contact state that one time step passes to the next.
 
     Attributes:
         force: friction along and across the contact surface, shape (C, 2), N.

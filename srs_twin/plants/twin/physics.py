@@ -97,15 +97,15 @@ class Sensors(NamedTuple):
     """Addresses of all sensor components, with x, y and z in the last axis of vectors.
 
     Attributes:
-        floor_force: force of the floor on each wheel, shape (axles, 2, 3).
+        floor_force: force exerted by the floor on each wheel, shape (axles, 2, 3).
         foot_velocity: velocity of each foot, shape (axles, 2, 3). Under loaded contact
             the array is empty.
-        collision_force: force of the obstacles on each collision geom, shape (collision
-            geoms, 3).
+        collision_force: force exerted by the obstacles on each collision geom, shape
+            (collision geoms, 3).
         collision_velocity: velocity of each collision geom's centre, shape (collision
             geoms, 3).
-        object_force: force of each object on each collision geom, shape (objects,
-            collision geoms, 3).
+        object_force: force exerted by each object on each collision geom, shape
+            (objects, collision geoms, 3).
         drag_force: axial drag on each connector, shape (N,). Without drag the array is
             empty.
         drag_velocity: velocity of each connector along its heading, shape (N,).
@@ -256,8 +256,8 @@ class SnakePhysics(Stateful):
         # and bounds share one compiled model.
         matters = world is not None and (world.is_solid or world.uneven)
         relevant = world if matters else None
-        # Changes of one twin's model must not affect other twins, so the model is
-        # copied.
+        # The model is copied, because changes of one twin's model must not affect other
+        # twins.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
         return cls(model, spec, settings, chambers, world or World())
 
@@ -651,7 +651,7 @@ class SnakePhysics(Stateful):
         return float(momentum @ data.qvel) / 2
 
     def bend_angles(self) -> np.ndarray:
-        """Return the bends (rad), which have two columns for a spatial robot."""
+        """Return the bends (rad), with two columns for a spatial robot."""
         return self._by_segment(self._angles @ self.data.qpos)
 
     def bend_rates(self) -> np.ndarray:
@@ -741,7 +741,7 @@ def _compile_scene(
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     # MuJoCo ends the solver when the improvement of the cost is less than the tolerance
     # times the mean diagonal element of M. The moments of inertia on the diagonal
-    # depend on the length unit. The factor compensates for this dependence.
+    # depend on the length unit. The factor compensates for it.
     if settings.base == "free":
         masses = 3 * model.body_subtreemass[_SNAKE]
     else:

@@ -141,7 +141,7 @@ class TwinSnake(PneumaticPlant):
                 has no obstacles.
             base: support of the snake, "free" on the floor, or with its head "clamped"
                 in the air.
-            numerics: switches for studies of the twin itself.
+            numerics: settings that only studies of the twin itself change.
 
         Raises:
             InputError: a name is unknown, the tick is not a multiple of the time step,

@@ -1,9 +1,9 @@
 """Bodies and contact points of a robot with skin and distributed mass.
 
 Hinges divide the body into rods. A rod is either a connector with the adjoining ends of
-its segments, or a link between two hinges of a segment. The mass of a rod is the mass
-of its part of the body. A rod has the inertia of a block that is as wide as the body
-and twice as high as the centre of mass.
+its segments, or a link between two hinges of a segment. A rod has the mass of its part
+of the body and the inertia of a block that is as wide as the body and twice as high as
+the centre of mass.
 
 A rod is divided into equally long patches. Two contact points are side by side in the
 middle of each patch. The contact geoms are frictionless spheres centred at the height

@@ -69,8 +69,8 @@ class LoadedContact:
             the default "instantaneous" are only for comparison.
         slip_speed: slip speed ε, m/s. The default is `SLIP_SPEED_M_S` times the time
             unit of the robot (`robot.scale`). Below the friction limit μN, the force
-            changes by μN/ε times the velocity, so that a resting contact does not creep
-            (`stick_slip`).
+            changes in each step by μN/ε times the velocity, so that a resting contact
+            does not creep (`stick_slip`).
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -86,7 +86,7 @@ class LoadedContact:
         _check_positive(self, "slip_speed")
 
     def for_robot(self, spec: RobotSpec) -> LoadedContact:
-        """Return the contact with default values for a robot instead of None."""
+        """Return a copy in which the robot's default values replace None."""
         return replace(self, slip_speed=_scaled(self.slip_speed, SLIP_SPEED_M_S, spec))
 
 
@@ -127,7 +127,7 @@ class PreloadedContact:
             )
 
     def for_robot(self, spec: RobotSpec) -> PreloadedContact:
-        """Return the contact with default values for a robot instead of None."""
+        """Return a copy in which the robot's default values replace None."""
         return replace(
             self,
             slip_time=_scaled(self.slip_time, SLIP_TIME_S, spec),
@@ -164,7 +164,7 @@ def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
 
 
 def stated(setting: float | None) -> float:
-    """Return a contact setting. `for_robot` must have replaced None by the default."""
+    """Return a contact setting, which `for_robot` must have set if it was None."""
     assert setting is not None
     return setting
 
@@ -189,7 +189,7 @@ def as_contact(contact: Contact | str) -> Contact:
 
 @dataclass(frozen=True)
 class Numerics:
-    """Switches for studies of the twin itself.
+    """Settings that only studies of the twin itself change.
 
     Attributes:
         link_fraction: fraction of the lightest connector's mass that is placed between
@@ -217,7 +217,7 @@ class ModelSettings:
         contact: contact with the floor.
         base: support of the chain, "free" or "clamped". A chain with a clamped head
             hangs in the air and bends only in the horizontal plane.
-        numerics: switches for studies of the twin itself.
+        numerics: settings that only studies of the twin itself change.
     """
 
     timestep: float = TIMESTEP_S

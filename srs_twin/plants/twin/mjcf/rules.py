@@ -16,7 +16,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 
 ROUNDING = 1 + 1e-9
-"""Factor that allows for rounding in a comparison of two times."""
+"""Factor that allows for rounding when two times are compared."""
 
 LEAST_INERTIA = 1e-15
 """Minimum moment of inertia that MuJoCo accepts (mjMINVAL), kg·m².
@@ -29,7 +29,7 @@ def check(spec: RobotSpec, settings: ModelSettings, world: World) -> None:
     """Check that a twin supports a robot with these settings in a world.
 
     Raises:
-        InputError: the twin does not support the combination. The message states all
+        InputError: the twin does not support the combination. The message lists all
             violations.
     """
     refused = refusals("contact", settings.contact.name, spec, world)

@@ -36,8 +36,8 @@ from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sens
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, FloorStep, MovableObject, World
 
-# MuJoCo's contype of obstacles and conaffinity of collision geoms. Floor and wheels
-# have explicit contact pairs.
+# MuJoCo's `contype` of obstacles and `conaffinity` of collision geoms. Floor and wheels
+# have explicit contact pairs instead.
 CONTACT_BIT = 2
 HEIGHT_RATIO = 2.0  # Half height of a round obstacle, relative to the body's width.
 _MIN_CONTACT_STEPS = 2.0  # Minimum ratio of contact time to time step in MuJoCo.
@@ -77,9 +77,9 @@ def add_collision_class(
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the obstacles of a world, and sensors on each collision geom.
 
-    The sensors measure the force of all obstacles on the collision geom (N), the point
-    of application of this force (m), and the velocity of the collision geom's centre
-    (m/s). All sensors use the world frame.
+    The sensors measure the force exerted by all obstacles on the collision geom (N),
+    the point of application of this force (m), and the velocity of the collision geom's
+    centre (m/s), all in the world frame.
     """
     solid = mj.add_default("obstacle", mj.default).geom
     solid.type = mjtGeom.mjGEOM_CAPSULE
@@ -235,9 +235,9 @@ _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the objects of a world after the robot, and their poses to keyframe ``home``.
 
-    Sensors measure the force of each object on each collision geom and the point of
-    application of the force. Further sensors measure the velocity and the angular
-    velocity of each object. All sensors use the world frame.
+    Sensors measure the force exerted by each object on each collision geom, the point
+    of application of the force, and the velocity and angular velocity of each object,
+    all in the world frame.
     """
     default = mj.add_default("object", mj.default)
     collision_geom = mj.find_default("collision").geom

@@ -281,9 +281,9 @@ def add_contacts(
 ) -> None:
     """Add the contact pairs of wheels or skids with the floor, and force sensors.
 
-    The sensors measure the force of the floor on each wheel in the world frame (N).
-    Under a preloaded contact, further sensors measure the velocity of each foot in the
-    world frame (m/s). `levels` contains the names of raised levels of the floor.
+    The sensors measure the force exerted by the floor on each wheel in the world frame
+    (N). Under a preloaded contact, further sensors measure the velocity of each foot in
+    the world frame (m/s). `levels` contains the names of raised levels of the floor.
     """
     if settings.contact.rolling:
         name = "wheel_on_floor"
@@ -360,10 +360,10 @@ def _contact_time_factors(
 ) -> np.ndarray:
     """Return factors on the contact time constant that make all wheels sink equally.
 
-    MuJoCo computes the regularisation R of a contact from the tree of bodies. For gen
-    2, R is 1.25 times as large at the root as at the ends. Without these factors,
-    contacts with a larger R would sink deeper and transfer part of their load to
-    neighbouring contacts. The factors are 1 or more.
+    MuJoCo computes the regularisation R of a contact from the body tree. For gen 2, R
+    is 1.25 times as large at the root as at the ends. Without these factors, contacts
+    with a larger R would sink deeper and transfer part of their load to neighbouring
+    contacts. The factors are 1 or more.
     """
     depth = contact_regularisation(mj.compile(), spec, settings)
     depth *= static_loads(spec, settings).ravel()
