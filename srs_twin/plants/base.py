@@ -290,9 +290,6 @@ class Plant(Claimable, Stateful, ABC):
     def restore(self, state: PlantState) -> SnakeState:
         """Continue from a saved state, with results bit-identical to the original run.
 
-        Returns:
-            The state of the snake at the time of the saved state.
-
         Raises:
             InputError: the saved state belongs to another plant or robot.
         """
@@ -360,8 +357,8 @@ class Plant(Claimable, Stateful, ABC):
         if samples != 1:
             raise InputError(
                 f"plant '{self.name}' provides one sample per tick, but {samples} are"
-                f" requested; `record_hz` must be {format_exact(1 / self.tick)} or a"
-                " whole fraction of it"
+                f" requested; `record_hz` must be {format_exact(1 / self.tick)}"
+                " divided by a whole number"
             )
         return [self.step(valves)]
 
@@ -395,13 +392,7 @@ class Plant(Claimable, Stateful, ABC):
 
 
 class PneumaticPlant(Plant):
-    """Plant with chambers and curvature sensors. Subclasses implement `_simulate`.
-
-    Attributes:
-        pneumatics: model of the chambers and valves.
-        sensor: model of the curvature sensors.
-        seed: random seed of the sensor noise.
-    """
+    """Plant with chambers and curvature sensors. Subclasses implement `_simulate`."""
 
     state_attributes: ClassVar[tuple[str, ...]] = (
         "_ticks",

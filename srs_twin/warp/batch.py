@@ -1,8 +1,8 @@
 """`WarpBatch` simulates many twins together on a GPU with MuJoCo Warp.
 
-Tests also use Warp on the CPU. The equations of engine, chambers and friction are those
-of `TwinSnake`, in single precision. The model of each distinct robot is built on the
-CPU and copied to the device.
+The equations of engine, chambers and friction are those of `TwinSnake`, in single
+precision. The model of each distinct robot is built on the CPU and copied to the
+device.
 """
 
 from __future__ import annotations

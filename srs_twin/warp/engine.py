@@ -53,7 +53,6 @@ class DeviceEngine:
         loaded: whether the twins have loaded contact.
         slots: number of valve slots per time step.
         steps: number of time steps per control tick.
-        data: MuJoCo Warp's data of all worlds.
         structs: structs of all worlds, keyed by the names in `build_kernels`.
         count: device array with the number of time steps since the reset.
         widths: number of columns of each part of an observation (kernel `observe`).

@@ -110,7 +110,6 @@ _OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
 """Kernel options. A kernel is a module, because its constants depend on the batch."""
 
 Kernels = dict[str, Any]
-"""Kernels, keyed by name."""
 
 
 def build_kernels(

@@ -63,7 +63,6 @@ _SPATIAL_ALGEBRA = (
     "factor",
     "substitute",
 )
-"""Functions of `spatial_algebra`."""
 
 _FRICTION_SOLVE = (
     "solve_direction_portably",
@@ -191,7 +190,6 @@ def _struct(name: str, fields: Mapping[str, Any]) -> Any:
 
 
 _TRACTION = _struct("Traction", dict.fromkeys(stick_slip.Traction._fields, float))
-"""Warp version of `stick_slip.Traction`."""
 
 
 def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> Any:

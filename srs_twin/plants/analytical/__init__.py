@@ -68,10 +68,7 @@ class AnalyticalSnake(PneumaticPlant):
     straight segment. In the model `compliant`, load and inertia deflect the bends.
 
     Attributes:
-        options: assumptions and numerical settings.
         timestep: maximum step of the integrator, s. Valve events also end a step.
-        body: mechanics of the model.
-        friction: friction law of the floor, one of `robot.friction.FRICTION_LAWS`.
     """
 
     name = "analytical"
@@ -128,7 +125,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def friction(self) -> str:
-        """Friction law of the floor."""
+        """Friction law of the floor, one of `robot.friction.FRICTION_LAWS`."""
         return self.options.friction_law_on(self.spec)
 
     def _make_floor(self) -> FloorFriction:
@@ -204,8 +201,8 @@ class AnalyticalSnake(PneumaticPlant):
         if done < len(steps.ends):
             state = ", ".join(f"{value:.4g}" for value in self.body.state)
             text = (
-                f"step {done + 1} of {len(steps.ends)} has no plausible solution, state"
-                f" {state}"
+                f"step {done + 1} of {len(steps.ends)} has no plausible solution; last"
+                f" state: {state}"
             )
             raise DivergedError(
                 self.name, begun + steps.ends[done], text, history=history

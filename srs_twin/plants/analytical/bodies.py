@@ -75,9 +75,6 @@ class Body(Stateful, ABC):
         state: current state in the layout of `kernels`. `CompliantBends` adds further
             entries.
         velocity: current velocities, in the format of `Motion.velocities`.
-        solid: constants of the body for the kernels.
-        floor: friction parameters of the floor for the kernels.
-        cells: division of the segments.
         obstacles: obstacles that the body can touch, or None if contact is disabled.
     """
 
@@ -232,7 +229,7 @@ class PrescribedBends(Body):
 
 
 class ClampedBends(Body):
-    """Chain with a clamped head in the air. See the module docstring."""
+    """Chain with a clamped head in the air."""
 
     state_attributes = ("_head_pose",)
 

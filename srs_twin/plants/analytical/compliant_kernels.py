@@ -158,11 +158,8 @@ class CompliantModel(NamedTuple):
     """Constants of the body, the floor and the obstacles.
 
     Attributes:
-        solid: constants of the body.
-        segments: number of segments.
         stiffness, damping: stiffness k (N·m/rad) and damping c (N·m·s/rad) of each
             cell, shape (cells,). An undivided segment is one cell.
-        floor: friction parameters of the floor.
         obstacles: obstacles that the body can touch, or None if contact is disabled.
     """
 

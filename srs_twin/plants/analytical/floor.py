@@ -332,10 +332,7 @@ def derivatives_of_force(terms, c, s):  # type: ignore[no-untyped-def]
 
 
 class Twist(NamedTuple):
-    """Planar velocity (m/s, rad/s) or momentum (kg·m/s, kg·m²/s).
-
-    The component `yaw` is the component about the vertical.
-    """
+    """Planar velocity (m/s, rad/s) or momentum (kg·m/s, kg·m²/s)."""
 
     x: float
     y: float

@@ -76,8 +76,6 @@ class PrescribedModel(NamedTuple):
     """Constants of the body and the floor.
 
     Attributes:
-        solid: constants of the body.
-        floor: friction parameters of the floor.
         friction_moment: whether the moment of friction about the centre of mass acts.
     """
 

@@ -70,10 +70,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, World
 
 CONTACT_TIME_S = 0.001
-"""Time constant T of a contact at a time unit of 1 (`robot.scale`), s.
-
-The value is a numerical setting and not a property of the robot.
-"""
+"""Time constant T of a contact at a time unit of 1 (`robot.scale`), s."""
 
 _LOSS_S_PER_M = 20.0
 """Dissipation coefficient χ at a speed unit of 1, s/m.

@@ -90,9 +90,9 @@ def make_constants(
     )
     if skin.friction_law != "ellipse":
         raise InputError(
-            "model 'quasistatic' supports only the friction law 'ellipse', which has"
-            f" a potential, not {skin.friction_law!r}; set `contact.law` of the robot to"
-            " ellipse"
+            "model 'quasistatic' does not support the friction law"
+            f" {skin.friction_law!r}, because it has no potential; set `contact.law`"
+            " of the robot to 'ellipse'"
         )
     if spec.actuator.extension:
         raise InputError(

@@ -69,7 +69,6 @@ class QuasistaticBody(NamedTuple):
             twist, shape (3,).
         radius, depth: radius of the body, and depth of its resting points in the floor,
             m.
-        friction: friction parameters of the skin.
         drag_time: ratio τ of mass to drag coefficient for vertical and rolling motion,
             s.
         longest_move: maximum motion of a point in a substep, m.

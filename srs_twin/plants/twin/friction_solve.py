@@ -41,9 +41,8 @@ moved only by its connector and the ancestors of the connector. The matrix there
 the sparsity pattern of M, and its factorisation has no fill-in. The derivatives of the
 contact forces are summed as spatial 6 × 6 matrices from the ends of the chain to its
 root, and then projected on the joint axes. The composite-rigid-body algorithm sums
-inertias in the same way (Featherstone 2008, Section 6.2). In spatial vectors the
-rotation comes first. The reference point of spatial vectors is the centre of mass of
-the snake, as for `cdof` in MuJoCo.
+inertias in the same way (Featherstone 2008, Section 6.2). The module `spatial_algebra`
+defines the spatial vectors.
 
 **Loads.** Friction depends on the normal forces, which depend on δ. The first Newton
 step uses the normal forces at v̂. The equation is then solved to the required tolerance
@@ -141,7 +140,6 @@ class Contacts(NamedTuple):
     The wheels precede the collision geoms that may touch an obstacle.
 
     Attributes:
-        wheels: number of wheels.
         body: id of the body of each contact, shape (C,).
         last_dof: last degree of freedom that moves each contact, shape (C,).
         centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.

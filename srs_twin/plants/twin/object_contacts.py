@@ -79,7 +79,6 @@ class ObjectContacts(NamedTuple):
     Pairs of an object and a collision geom precede the support points.
 
     Attributes:
-        pairs: number of pairs.
         first: index of the objects' first degree of freedom.
         slip: slip speed ε, m/s.
         dof: last degree of freedom of the collision geom and of the object, shape (C,

@@ -224,9 +224,7 @@ class SnakePhysics(Stateful):
 
     Attributes:
         model: compiled model, which no other object uses.
-        data: current state of the bodies.
         free: whether the snake moves on a floor instead of having a clamped head.
-        internal_joints: springs and dampers of the segments.
         stepper: integrator for loaded contact, or None under a preloaded contact or
             without a floor.
     """

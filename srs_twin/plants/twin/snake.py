@@ -77,11 +77,11 @@ class Loads(NamedTuple):
 
 
 class TwinSnake(PneumaticPlant):
-    """Twin in MuJoCo with rigid bodies in three dimensions, on wheels, skids or a skin.
+    """Three-dimensional MuJoCo twin of a snake on wheels, skids or a skin.
 
-    Each segment bends at several hinges. A segment with the bend q exerts the moment k
-    (q_f − q) + c (q̇_f − q̇), with the free bend q_f, the stiffness k and the damping
-    c. A massless segment without load therefore obeys Eq. 14.
+    A segment with the bend q exerts the moment k (q_f − q) + c (q̇_f − q̇), with the
+    free bend q_f, the stiffness k and the damping c. A massless segment without load
+    therefore obeys Eq. 14.
 
     Attributes:
         max_chunk_s: maximum interval that the engine simulates in one call, s. It

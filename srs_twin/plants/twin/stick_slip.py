@@ -85,7 +85,7 @@ class Traction(NamedTuple):
 
 @compiled
 def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the `Traction` of a contact that can stick. See the module docstring.
+    """Return the `Traction` of a contact that can stick.
 
     Args:
         v_t, v_lat: velocity along and across the heading, m/s.
@@ -129,7 +129,7 @@ def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # ty
 
 @compiled
 def skin_friction(v_t, v_lat, load, friction_law, p_t, p_lat, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the friction of a skin that can stick. See the module docstring.
+    """Return the friction of a skin that can stick.
 
     Args:
         v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.

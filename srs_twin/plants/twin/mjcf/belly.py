@@ -65,7 +65,6 @@ class Patch(NamedTuple):
     """Part of a rod within one segment, with contact points in the middle.
 
     Attributes:
-        rod: rod that contains the patch.
         place: distance of the patch's middle from the head, m.
         length: length of the patch, m.
         mass: mass of the patch, kg.

@@ -1,8 +1,7 @@
 """Default classes of the MJCF, with common properties of joints, geoms and actuators.
 
-Elements state only their class and individual properties. The individual properties are
-the name, the position, and values that depend on the mass of a connector, such as axle
-friction and preload.
+Elements state only their class, name and position, and values that depend on the mass
+of a connector, such as axle friction and preload.
 """
 
 from __future__ import annotations

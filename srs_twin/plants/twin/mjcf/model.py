@@ -6,7 +6,7 @@ robot with skin lies on the floor with its whole body (`belly`).
 
 A segment with the stiffness k and the damping c is a chain of n equal bending hinges,
 each with the stiffness n k and the damping n c. One pitch hinge and one roll hinge in
-the middle of the segment distribute the load of the floor. The controls are the chamber
+the middle of the segment distribute the floor load. The controls are the chamber
 pressures p⁺ and p⁻ in Pa. The actuators ``plus_j`` and ``minus_j`` exert the moment k G
 (p⁺ − p⁻), with the gain G, on the tendon ``bend_j``, whose length is the bend q_j of
 the segment.

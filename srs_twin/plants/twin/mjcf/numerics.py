@@ -46,7 +46,6 @@ Wheels = Literal["rolling", "skid"]
 WHEELS: tuple[Wheels, ...] = get_args(Wheels)
 
 FRICTION_LAW_OF: dict[Wheels, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
-"""Friction law of wheels and of skids."""
 
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
 """Preload κ of a wheel and of a skid, dimensionless.
@@ -214,7 +213,6 @@ class ModelSettings:
     Attributes:
         timestep: time step, s.
         hinges_per_segment: number of bending hinges per segment, 1 or more.
-        contact: contact with the floor.
         base: support of the chain, "free" or "clamped". A chain with a clamped head
             hangs in the air and bends only in the horizontal plane.
         numerics: settings that only studies of the twin itself change.
