@@ -1,4 +1,4 @@
-"""GPU twins, which add the CPU twins' friction and chamber laws to MuJoCo Warp."""
+"""GPU twins: MuJoCo Warp with the friction and chamber laws of the CPU twins."""
 
 import warp
 

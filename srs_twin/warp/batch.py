@@ -36,8 +36,8 @@ _MAX_START_DISTANCE = 16.0
 """Maximum distance of a start from the origin of the device coordinates, m.
 
 Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 1 µm at 16 m. A snake
-with 0.1 m/s travels 0.1 mm per step of 1 ms, so the rounding error at 16 m is 1 % of
-the motion.
+at 0.1 m/s moves 0.1 mm per step of 1 ms, so the rounding error at 16 m is 1 % of this
+motion.
 """
 
 _MEMORY_FRACTION = 0.5
@@ -135,13 +135,13 @@ class WarpBatch(Claimable):
 
     @staticmethod
     def max_worlds(twin: TwinSnake, samples: int, device: str | None = None) -> int:
-        """Return how many worlds of a twin fit into half of the free memory.
+        """Return how many copies of a twin fit into half of the free memory.
 
         The device memory limits the states. The CPU memory limits the twins and the
         recorded trajectories.
 
         Args:
-            twin: twin with the robot and the settings of the worlds.
+            twin: twin with the robot and the settings of all worlds.
             samples: number of recorded samples per run.
             device: device name, as in `WarpBatch`.
         """
@@ -150,7 +150,8 @@ class WarpBatch(Claimable):
         state_bytes = allocated_bytes(engine.data)
         state = twin.reset()
         values = sum(np.size(getattr(state, item.name)) for item in fields(state))
-        # A trajectory exists twice while its samples are joined.
+        # While the samples of a trajectory are joined, the memory holds the trajectory
+        # twice.
         run_bytes = _TWIN_BYTES + 2 * samples * values * np.dtype(float).itemsize
         if place.is_cpu:
             run_bytes += state_bytes

@@ -32,7 +32,7 @@ _TOLERANCES = {
 def as_warp_functions(
     functions: Sequence[Callable[..., Any]], **translated: Any
 ) -> dict[str, Any]:
-    """Return the Warp versions of functions by name, together with `translated`.
+    """Return the Warp versions of `functions` and `translated`, keyed by name.
 
     Args:
         functions: functions compiled by numba. Callees precede their callers.

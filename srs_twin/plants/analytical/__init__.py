@@ -247,7 +247,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def jumps(self) -> int:
-        """Number of jumps between resting poses, counted by the model "quasistatic"."""
+        """Number of jumps between resting poses in the model "quasistatic"."""
         return self.body.jumps
 
     def describe(self) -> dict[str, Any]:

@@ -131,7 +131,7 @@ class Obstacles(NamedTuple):
 def make_obstacles(
     world: World, spec: RobotSpec, cells: LumpedSegments, slip: float
 ) -> Obstacles:
-    """Convert the obstacles of a world for the kernels. `slip` is ε in m/s."""
+    """Convert obstacles for the kernels. `slip` is the slip speed ε in m/s."""
     shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, _SHAPE_COLUMNS)
     half = np.broadcast_to(
         (np.asarray(cells.length) + cells.gap) / 2, len(cells.mass) - 1

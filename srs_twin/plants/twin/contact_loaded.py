@@ -148,7 +148,7 @@ class LoadedStepper(Stateful):
     Attributes:
         contact_state: friction, rim speeds and normal forces of the previous step.
         object_state: friction and slip speeds of the object contacts.
-        collision_jacobian: Jacobians of the previous step's friction on collision
+        collision_jacobian: Jacobians for the previous step's friction on collision
             geoms, shape (collision geoms, 4, 6).
     """
 

@@ -99,8 +99,8 @@ class ObjectContacts(NamedTuple):
             mixed and across (N·s/m), shape (C, 5).
         coupling, solved: matrices B and B P⁻¹, shape (m, nv), where m is the number of
             degrees of freedom of all objects.
-        matrix: matrix of the objects, with the right-hand side as last column, shape
-            (m, m + 1).
+        matrix: matrix of the linear system for y, with the right-hand side as last
+            column, shape (m, m + 1).
     """
 
     pairs: int
@@ -187,7 +187,7 @@ def object_contacts(
 
 
 def has_objects(engine: types.NamedTuple) -> bool:
-    """Return whether a numba type of `EngineData` includes contacts of objects."""
+    """Return whether a numba type of `EngineData` includes object contacts."""
     return not isinstance(engine[engine.fields.index("objects")], types.NoneType)
 
 

@@ -233,7 +233,7 @@ _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 
 
 def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
-    """Add the objects of a world after the robot, and their poses to keyframe ``home``.
+    """Add a world's objects after the robot, and their poses to keyframe ``home``.
 
     Sensors measure the force exerted by each object on each collision geom, the point
     of application of the force, and the velocity and angular velocity of each object,
