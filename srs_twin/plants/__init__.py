@@ -1,1 +1,1 @@
-"""Simulated snakes: the analytical model and the MuJoCo twin share one interface."""
+"""Simulated snakes. The analytical model and the MuJoCo twin implement `Plant`."""

@@ -1,4 +1,4 @@
-"""Interface `Plant` of simulated snakes, and `SnakeState`, their observable state.
+"""Interface `Plant` of simulated snakes and their observable state `SnakeState`.
 
 The integrators do not detect every divergence. `check_plausible`, `check_before_step`
 and `check_commands` therefore check the states and the commands of each tick.
@@ -45,10 +45,7 @@ SUPPORTS = {
     "contact 'loaded'": _FLAT | {"spatial", "skin", "tail", "objects", "steps"},
     "contact 'preloaded'": frozenset({"planar", "spatial", "obstacles"}),
 }
-"""Names of the features of robots and worlds that each kind of plant supports.
-
-The keys are the models of `AnalyticalSnake` and the contacts of `TwinSnake`.
-"""
+"""Robot and world features that each kind of plant supports."""
 
 _TERRAIN = "terrain"
 """Name of a feature that no plant supports: a spatial robot on an uneven floor."""
@@ -57,7 +54,7 @@ _TERRAIN = "terrain"
 def refusals(
     option: str, value: str, spec: RobotSpec | None, world: World
 ) -> Iterator[Violation]:
-    """Yield the features of a robot and a world that a plant does not support.
+    """Yield a violation for each robot or world feature that a plant does not support.
 
     Args:
         option: option that selects the kind of plant, "model" of the analytical plant
@@ -65,8 +62,8 @@ def refusals(
             their parameter.
         value: value of the option.
         spec: robot. If `spec` is None, only the features of the world are checked.
-        world: world around the robot. Violations due to the world name its section as
-            their parameter.
+        world: world around the robot. Violations due to the world name the section of
+            the world, such as "obstacles", as their parameter.
     """
     plant = f"{option} '{value}'"
     used = list(_features(option, spec, world))
@@ -118,7 +115,7 @@ class SnakeState:
 
     The z axis points up, yaw is counter-clockwise, and connectors are numbered from the
     head. A history is an object of the same class in which every field has a leading
-    axis of samples. The method `at` returns the state of one sample.
+    axis of samples.
 
     Attributes:
         time: time since the start of the run, s.
@@ -133,20 +130,20 @@ class SnakeState:
         pressure: gauge pressures of the + and − chambers, shape (segments, 2), Pa.
         valves: valve states during the preceding interval, shape (segments, 2).
         measured_bend: bends measured by the curvature sensors, shape (segments,), rad.
-        contact_force: horizontal force of the floor on each connector, shape (N, 2), N.
-            The analytical model reports the instantaneous force. The twin reports the
-            mean force since the previous sample, because the contact forces of the twin
-            fluctuate between steps.
-        obstacle_force: horizontal force of all obstacles on each connector and the
-            adjoining halves of its segments, shape (N, 2), N. The force is averaged
-            since the previous sample. The force is 0 on plants without obstacles.
+        contact_force: horizontal force exerted by the floor on each connector, shape
+            (N, 2), N. The analytical model reports the instantaneous force. The twin
+            reports the mean force since the previous sample, because the contact forces
+            of the twin fluctuate between steps.
+        obstacle_force: horizontal force exerted by all obstacles on each connector and
+            the adjoining halves of its segments, shape (N, 2), N. The value is the mean
+            since the previous sample, and 0 on plants without obstacles.
         torque: net moment of each segment on the connectors that it joins, shape
             (segments,), N·m. For compliant bends the moment is k (q_f − q) + c (q̇_f −
             q̇), where q_f is the free bend, k the stiffness and c the damping.
         work: work ∫ Σ T_j q̇_f,j dt of the compressed air since the start, J, where T_j
             is the torque and q_f,j the free bend of segment j.
-        internal_loss: part of the work that the material of the segments has
-            dissipated, J. The planar analytical models report 0.
+        internal_loss: part of the work that has been dissipated in the material of the
+            segments, J. The planar analytical models report 0.
         pneumatic_energy: pneumatic energy drawn from the supply since the start, J. See
             `Pneumatics.pneumatic_energy`.
         qpos: generalised positions of the twin, or an empty array on other plants.
@@ -198,17 +195,16 @@ class SpatialState(SnakeState):
     """State of a snake whose segments bend in two directions.
 
     The fields `bend`, `bend_rate`, `measured_bend` and `torque` have the shape
-    (segments, 2). The last axis of these fields holds the components to the left and
-    upwards. The fields `pressure` and `valves` have one column per chamber.
-    `connector_heading` is the heading of the connector's axis after projection onto the
-    floor.
+    (segments, 2), with the components to the left and upwards. The fields `pressure`
+    and `valves` have one column per chamber. `connector_heading` is the heading of the
+    connector's axis after projection onto the floor.
 
     Attributes:
         height: heights of the connectors above the floor, shape (N,), m.
         orientation: unit quaternions of the connectors, with the real part first, shape
             (N, 4). The x axis points forward and the z axis up.
-        load: mean vertical force of the floor on each connector since the previous
-            sample, shape (N,), N.
+        load: mean vertical force exerted by the floor on each connector since the
+            previous sample, shape (N,), N.
     """
 
     height: np.ndarray
@@ -266,8 +262,8 @@ class Plant(Claimable, Stateful, ABC):
     def sample_step(self) -> float | None:
         """Smallest interval between samples, s.
 
-        Longer intervals must be multiples of the smallest interval. The value is None
-        if any interval is possible.
+        Longer intervals must be multiples of this value. None means that any interval
+        is allowed.
         """
         if type(self).advance is Plant.advance:
             return self.tick
@@ -283,7 +279,7 @@ class Plant(Claimable, Stateful, ABC):
         """
 
     def save(self) -> PlantState:
-        """Return the state of the plant, which `restore` accepts in any process.
+        """Return the plant's state, which `restore` also accepts in another process.
 
         Raises:
             InputError: the class does not list its `state_attributes`.
@@ -293,9 +289,6 @@ class Plant(Claimable, Stateful, ABC):
 
     def restore(self, state: PlantState) -> SnakeState:
         """Continue from a saved state, with results bit-identical to the original run.
-
-        Returns:
-            The state of the snake at the time of the saved state.
 
         Raises:
             InputError: the saved state belongs to another plant or robot.
@@ -353,8 +346,8 @@ class Plant(Claimable, Stateful, ABC):
 
         Args:
             valves: valve states as in `step`.
-            samples: number of states, 1 or more, such that tick / samples is a multiple
-                of the time step.
+            samples: number of states, 1 or more. The interval tick / samples must be a
+                multiple of the time step.
 
         Raises:
             InputError: the shape is wrong, a valve state is not −1, 0 or +1, or the
@@ -364,8 +357,8 @@ class Plant(Claimable, Stateful, ABC):
         if samples != 1:
             raise InputError(
                 f"plant '{self.name}' provides one sample per tick, but {samples} are"
-                f" requested; `record_hz` must be {format_exact(1 / self.tick)} or a"
-                " whole fraction of it"
+                f" requested; `record_hz` must be {format_exact(1 / self.tick)}"
+                " divided by a whole number"
             )
         return [self.step(valves)]
 
@@ -374,11 +367,12 @@ class Plant(Claimable, Stateful, ABC):
 
         Args:
             schedule: valve states over a whole number of ticks.
-            samples: number of equally spaced samples. The last sample is at the end.
+            samples: number of equally spaced samples. The last sample is at the end of
+                the schedule.
 
         Returns:
-            The history of the samples. Plants that can only advance tick by tick return
-            None.
+            The history of the samples, or None if the plant can only advance tick by
+            tick.
 
         Raises:
             InputError: the valve layout does not allow a commanded state.
@@ -398,13 +392,7 @@ class Plant(Claimable, Stateful, ABC):
 
 
 class PneumaticPlant(Plant):
-    """Plant with chambers and curvature sensors. Subclasses implement `_simulate`.
-
-    Attributes:
-        pneumatics: model of the chambers and valves.
-        sensor: model of the curvature sensors.
-        seed: random seed of the sensor noise.
-    """
+    """Plant with chambers and curvature sensors. Subclasses implement `_simulate`."""
 
     state_attributes: ClassVar[tuple[str, ...]] = (
         "_ticks",
@@ -493,26 +481,26 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
             " of at least 0 Pa"
         )
     if 0 < supply_pa < _LEAST_SUPPLY_FRACTION * nominal:
-        # Choose the unit with which the pressure is closest to the nominal pressure.
+        # Suggest the unit in which the given number is closest to the nominal pressure.
         unit = min(
             _PA_PER_UNIT,
             key=lambda unit: abs(np.log(supply_pa * _PA_PER_UNIT[unit] / nominal)),
         )
         raise InputError(
-            f"`supply_pa` {supply_pa:g} means {supply_pa / 1e3:g} kPa, because its"
-            f" unit is Pa, but {spec.name} needs about {nominal:g} Pa; did you mean"
+            f"`supply_pa` is in Pa, so {supply_pa:g} means {supply_pa / 1e3:g} kPa,"
+            f" but {spec.name} needs about {nominal:g} Pa; did you mean"
             f" {supply_pa * _PA_PER_UNIT[unit]:g} ({supply_pa:g} {unit})?"
         )
     return supply_pa
 
 
 def check_initial_state(snake: SnakeState, yaw_rate: float, segments: int) -> None:
-    """Check that a plant with `segments` segments can start in a state.
+    """Check that a snake with `segments` segments can start from a state.
 
     Args:
         snake: physical state as in `Plant.set_state`.
         yaw_rate: rate of the mean heading, rad/s.
-        segments: number of segments of the plant.
+        segments: number of segments of the snake.
 
     Raises:
         InputError: a field has the wrong shape, a value is not finite, or `snake` is a
@@ -543,14 +531,14 @@ _VALVE_STATE_RANGE = np.iinfo(np.int8)
 
 
 def check_plausible(plant: str, state: SnakeState) -> SnakeState:
-    """Return a state or a history if all its values are finite and plausible.
+    """Return the given state or history if all its values are finite and plausible.
 
     Raises:
         DivergedError: a value is infinite, NaN or implausibly large. The attribute
             `history` of the error holds the earlier samples.
     """
-    # The other fields of a state are computed from the fields checked here. Scalars are
-    # compared in Python, because NumPy takes as long for a scalar as for an array.
+    # All other fields are computed from the fields checked here. Scalars are compared
+    # in Python, because NumPy takes as long for a scalar as for an array.
     scalars: tuple[Any, ...] = (state.heading, state.work, state.pneumatic_energy)
     single = not isinstance(state.time, np.ndarray)
     if single:
@@ -604,7 +592,7 @@ def check_commands(source: str, time: float, valves: object) -> None:
         valves: commanded valve states, any shape.
 
     Raises:
-        DivergedError: a valve state is NaN, infinite, or out of the range of int8.
+        DivergedError: a valve state is NaN, infinite or outside the range of int8.
     """
     states = np.asarray(valves)
     if states.dtype == np.int8 or states.dtype.kind not in "fiu":
@@ -616,5 +604,6 @@ def check_commands(source: str, time: float, valves: object) -> None:
         raise DivergedError(
             source,
             time,
-            f"the commanded valve state {diverged.flat[0]:g} is not possible",
+            f"the commanded valve state {diverged.flat[0]:g} is not a number from -128"
+            " to 127",
         )

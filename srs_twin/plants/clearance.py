@@ -1,12 +1,12 @@
 r"""Distance of the body from obstacles and objects, and overlaps at the start of a run.
 
-On every plant the body has the collision geom of the twin, which has a capsule of the
-body's width between every two adjacent hinges. The axes of the capsules are computed
-from the recorded poses of the connectors. These poses determine the first and the last
-hinge of each segment. Hinges between the first and the last one are assumed to have
-equal bends. For plants without hinges, the default number of hinges is used.
+On every plant, the body has the collision geoms of the twin: a capsule of the body's
+width between every two adjacent hinges. The axes of the capsules are computed from the
+recorded connector poses, which determine the first and the last hinge of each segment.
+The hinges in between are assumed to have equal angles. For plants without hinges, the
+default number of hinges is used.
 
-The axes are straight between two hinges. In a segment with two hinges, the length l and
+The axes are straight between two hinges. In a segment of length l with two hinges and
 the bend q, the middle of the axis lies inside the arc of constant curvature by
 
 $$ l\,|q|/24 . $$
@@ -43,10 +43,10 @@ The maximum error of a depth is half the distance between neighbouring points.
 
 
 class Solid(NamedTuple):
-    """Obstacle or object, given as all points within `radius` of `core`.
+    """Obstacle or object that consists of all points within `radius` of `core`.
 
     Attributes:
-        name: name in messages, such as "obstacle 2 at (0.5, 0.1) m".
+        name: name used in messages, such as "obstacle 2 at (0.5, 0.1) m".
         core: point or area in the frame of the obstacle or object.
         radius: distance between the surface and the core, m.
         pose: position x, y (m) and heading (rad) of the frame.
@@ -102,8 +102,8 @@ def collision_lines(
     )
     directions = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
     line = position[:, :-1, None] - np.cumsum(capsules[:, None] * directions, axis=2)
-    # The line must end at the rear connector, so the closing error is distributed
-    # linearly over the points of the segment.
+    # The line must end at the rear connector. The closing error is therefore
+    # distributed linearly over the points of the segment.
     weight = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
     line += weight * (position[:, 1:, None] - line[:, :, -1:])
     return np.concatenate([position[:, :1], line.reshape(len(line), -1, 2)], axis=1)
@@ -145,7 +145,7 @@ class Overlap(NamedTuple):
 
     Attributes:
         number: index into `solids`.
-        name: name of the obstacle or object in messages.
+        name: name of the obstacle or object used in messages.
         depth: maximum overlap, m.
     """
 
@@ -155,7 +155,7 @@ class Overlap(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Message that follows the name."""
+        """Text that follows `name` in a message."""
         return (
             f"overlaps the body at the start by {1e3 * self.depth:.3g} mm; move it or"
             " start elsewhere"
@@ -165,7 +165,7 @@ class Overlap(NamedTuple):
 def start_overlaps(
     world: World, lines: np.ndarray, half_width: float, *, allowed: float = TOUCHING_M
 ) -> list[Overlap]:
-    """Return the overlaps of a body with obstacles and objects, the deepest first.
+    """Return the overlaps of a body with obstacles and objects, deepest first.
 
     Objects are at their initial poses.
 

@@ -1,4 +1,4 @@
-"""Twins on a GPU: MuJoCo Warp with the friction and chamber laws of the CPU twins."""
+"""GPU twins: MuJoCo Warp with the friction and chamber laws of the CPU twins."""
 
 import warp
 

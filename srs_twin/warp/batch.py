@@ -1,8 +1,8 @@
 """`WarpBatch` simulates many twins together on a GPU with MuJoCo Warp.
 
-Tests also use Warp on the CPU. Engine, chambers and friction have the same equations as
-in `TwinSnake`, in single precision. The model of each distinct robot is built on the
-CPU and copied to the device.
+The equations of engine, chambers and friction are those of `TwinSnake`, in single
+precision. The model of each distinct robot is built on the CPU and copied to the
+device.
 """
 
 from __future__ import annotations
@@ -36,16 +36,17 @@ _MAX_START_DISTANCE = 16.0
 """Maximum distance of a start from the origin of the device coordinates, m.
 
 Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 1 µm at 16 m. A snake
-with 0.1 m/s travels 0.1 mm per step of 1 ms, so the rounding error at 16 m is 1 % of
-the motion.
+at 0.1 m/s moves 0.1 mm per step of 1 ms, so the rounding error at 16 m is 1 % of this
+motion.
 """
 
 _MEMORY_FRACTION = 0.5
-"""Fraction of the free memory that the worlds of one batch may take."""
+"""Fraction of the free memory that the worlds of one batch may occupy."""
 
 _TWIN_BYTES = 3_000_000
-"""Memory of a twin on the CPU, which each distinct robot needs. 50 twins of
-generation 2 took 2.8 MB each.
+"""CPU memory of the twin of each distinct robot, in bytes.
+
+50 twins of generation 2 took 2.8 MB each.
 """
 
 
@@ -62,8 +63,8 @@ class WarpBatch(Claimable):
         errors: error that ended each run, or None for runs that have not diverged.
         device: Warp device.
         origins: origin of each run's device coordinates in the world, shape (runs, 2),
-            m. If a run starts more than 16 m from the world's origin, the device origin
-            is at the start, because of single precision.
+            m. Due to single precision, a run that starts more than 16 m from the
+            world's origin has the device origin at its start.
     """
 
     claiming_methods = (*Claimable.claiming_methods, "run", "follow", "command")
@@ -134,13 +135,13 @@ class WarpBatch(Claimable):
 
     @staticmethod
     def max_worlds(twin: TwinSnake, samples: int, device: str | None = None) -> int:
-        """Return how many worlds like that of a twin fit into half of the free memory.
+        """Return how many copies of a twin fit into half of the free memory.
 
-        The memory of the device limits the states. The memory of the CPU limits the
-        twins and the recorded trajectories.
+        The device memory limits the states. The CPU memory limits the twins and the
+        recorded trajectories.
 
         Args:
-            twin: twin with the robot and the settings of the worlds.
+            twin: twin with the robot and the settings of all worlds.
             samples: number of recorded samples per run.
             device: device name, as in `WarpBatch`.
         """
@@ -149,7 +150,8 @@ class WarpBatch(Claimable):
         state_bytes = allocated_bytes(engine.data)
         state = twin.reset()
         values = sum(np.size(getattr(state, item.name)) for item in fields(state))
-        # A trajectory exists twice while its samples are joined.
+        # While the samples of a trajectory are joined, the memory holds the trajectory
+        # twice.
         run_bytes = _TWIN_BYTES + 2 * samples * values * np.dtype(float).itemsize
         if place.is_cpu:
             run_bytes += state_bytes
@@ -211,7 +213,7 @@ class WarpBatch(Claimable):
             poses: centre of mass x, y (m) and mean heading (rad) of each run that is
                 reset. The default is the origin.
             seed: random seed of the sensor noise.
-            worlds: indices of the runs to reset. By default all runs and the time are
+            worlds: indices of the runs to reset. By default, all runs and the clock are
                 reset.
 
         Raises:
@@ -281,7 +283,7 @@ class WarpBatch(Claimable):
     def advance(self, valves: Any, samples: int) -> list[SnakeState | None]:
         """Advance all runs by one tick. See `TwinBatch.advance`.
 
-        The valve commands are an array or an object with the DLPack interface.
+        `valves` is an array or an object with the DLPack interface.
         """
         self.command(valves)
         return self._run_observed(self._engine.steps, samples, gait=False)
@@ -291,8 +293,8 @@ class WarpBatch(Claimable):
 
         Args:
             valves: valve states −1 or 1, shape (runs, segments, 2) or (runs, slots,
-                segments, 2). The values of a NumPy array are checked. The values of an
-                int32 array on the device (DLPack) are not checked.
+                segments, 2). Only the values of NumPy arrays are checked, not those of
+                int32 arrays on the device (DLPack).
 
         Raises:
             InputError: the shape or type is wrong, or the valve layout does not allow a
@@ -375,7 +377,8 @@ class WarpBatch(Claimable):
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
         """Simulate the gaits of `set_gaits` for a duration (s).
 
-        The samples are equally spaced, and the last sample is at the end.
+        The samples are equally spaced, and the last sample is at the end of the
+        duration.
         """
         return self._run_observed(
             count_steps("duration", duration, "time step", self._h), samples, gait=True

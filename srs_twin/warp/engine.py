@@ -35,7 +35,7 @@ from srs_twin.warp.translation import (
 )
 
 _CAPACITY_FACTOR = 4
-"""Capacity for contacts and constraint rows, relative to their number at rest."""
+"""Ratio of the capacity for contacts and constraint rows to their number at rest."""
 
 _UNUSED_FIELDS = ("dof_length",)
 """Model fields that may differ between runs, because only sleeping bodies use them."""
@@ -53,7 +53,6 @@ class DeviceEngine:
         loaded: whether the twins have loaded contact.
         slots: number of valve slots per time step.
         steps: number of time steps per control tick.
-        data: MuJoCo Warp's data of all worlds.
         structs: structs of all worlds, keyed by the names in `build_kernels`.
         count: device array with the number of time steps since the reset.
         widths: number of columns of each part of an observation (kernel `observe`).
@@ -141,7 +140,7 @@ class DeviceEngine:
             for name in ("contacts", "sparsity", "contact_state", "workspace"):
                 records[name] = [solve[name] for solve in solves]
         structs = {name: warp_struct(values[0]) for name, values in records.items()}
-        # `values` has a single record for all robots, or one record per robot.
+        # `values` holds either one record for all robots or one record per robot.
         self.structs = {
             name: stack_records(
                 structs[name],
@@ -273,7 +272,7 @@ class DeviceEngine:
     def rest(
         self, chosen: np.ndarray, qpos: np.ndarray, contacts: Sequence[ContactState]
     ) -> None:
-        """Set worlds to rest with empty chambers.
+        """Put worlds at rest with empty chambers.
 
         Args:
             chosen: indices of the worlds.
@@ -316,7 +315,7 @@ class DeviceEngine:
             wp.copy(getattr(self.structs["wave"], name), getattr(stacked, name))
 
     def command(self, commands: wp.array) -> None:
-        """Set the valve states per tick, shape (worlds, slots, segments, 2)."""
+        """Set the valve states of a tick, shape (worlds, slots, segments, 2)."""
         if commands.shape != self._commands.shape:
             self._commands = wp.empty_like(commands)
             self._graphs = {}

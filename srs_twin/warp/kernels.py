@@ -1,11 +1,11 @@
 """Warp kernels for chambers, loaded contacts and sums of forces.
 
 The kernels are executed before and after the steps of MuJoCo Warp. A kernel has one
-thread per world, or one thread per world and segment. The struct of a single world is a
-view of the struct of all worlds.
+thread per world, or one thread per world and segment. The struct for one world is a
+view into the struct for all worlds.
 """
 
-# Without `from __future__ import annotations`, because Warp needs types, not strings.
+# No `from __future__ import annotations` here, because Warp needs types, not strings.
 from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -19,15 +19,15 @@ from srs_twin.warp.translation import WarpStruct, as_warp_functions, warp_functi
 
 
 class StepSettings(NamedTuple):
-    """Constants of the kernels.
+    """Constants that are compiled into the kernels.
 
     Attributes:
         h: time step, s.
         slot: duration of a valve slot, s.
         slots: number of valve slots per time step.
         tick: number of time steps per tick.
-        mean_control: whether the bodies are driven by the mean control over a step. By
-            default the bodies are driven by the control at the beginning of the step.
+        mean_control: whether the mean control over a step drives the bodies. If false,
+            the control at the beginning of the step drives the bodies.
     """
 
     h: float
@@ -89,7 +89,7 @@ class BodyViews(NamedTuple):
 
 
 class Accumulators(NamedTuple):
-    """Forces of one world that are summed between samples.
+    """Forces in one world, summed between samples.
 
     Attributes:
         mid_qpos: qpos in the middle of the step, shape (nq,).
@@ -107,10 +107,9 @@ class Accumulators(NamedTuple):
 
 
 _OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
-"""Options of the kernels. Constants depend on the batch, so each kernel is a module."""
+"""Kernel options. A kernel is a module, because its constants depend on the batch."""
 
 Kernels = dict[str, Any]
-"""Kernels, keyed by name."""
 
 
 def build_kernels(
@@ -206,8 +205,9 @@ def _chamber_kernel(
         relaxation = relaxation_of(relaxations, i)
         air = chambers_of(all_chambers, i)
         pressure = air.pressure[j]
-        # With this drive, the bend of a segment with the damping time c/k equals the
-        # free bend without lag. The free bend is at the beginning of the step.
+        # With this drive, the bend of a segment with the damping time c/k follows the
+        # free bend without lag. The free bend is the value at the beginning of the
+        # step.
         driven = air.bend[j] + relaxation.damping_time * air.bend_rate[j]
         bend = air.bend[j] + relaxation.bias[j]
         for s in range(SLOTS):
@@ -296,7 +296,6 @@ def _observation_kernel(
         internal_loss: wp.array(dtype=wp.float64),
         out: wp.array2d(dtype=float),
     ):
-        # One row per world.
         i = wp.tid()
         body = bodies_of(bodies, i)
         sums = accumulators_of(all_accumulators, i)
@@ -315,7 +314,7 @@ def _observation_kernel(
 def advance_slot(relaxation, air, state, j, before):  # type: ignore[no-untyped-def]
     """Advance the chambers of segment j by a valve slot, and return the new bend, rad.
 
-    The argument `before` is the bend at the beginning of the slot.
+    `before` is the bend at the beginning of the slot.
     """
     pressure = air.pressure[j]
     content_before = filling_content(
@@ -325,7 +324,7 @@ def advance_slot(relaxation, air, state, j, before):  # type: ignore[no-untyped-
     after, _, _ = apply_bend_law(x, relaxation)
     after += relaxation.bias[j]
     content = filling_content(state, plus, minus, after, relaxation, AMBIENT_PA)
-    # The supply delivers the increase of the amount of air in chambers that fill.
+    # The air that is added to filling chambers comes from the supply.
     air.drawn[j] = air.drawn[j] + relaxation.worth * (content - content_before)
     pressure[0] = plus
     pressure[1] = minus
@@ -453,7 +452,7 @@ _PARTS = (
 def integrate_position(
     qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float
 ):
-    """Integrate the positions over the time h (s) for constant velocities.
+    """Integrate the positions over the time h (s) at constant velocities.
 
     The coordinates of the free joint precede the coordinates of the hinges.
     """

@@ -1,10 +1,10 @@
 """Translation of numba kernels and their records for Warp.
 
-Warp functions require argument types, single precision and Warp versions of the called
-functions. A function that both compilers accept is copied with these changes, and
-tolerances for single precision replace its tolerances. A record is a named tuple of
-arrays, numbers and further records. The Warp versions of a record are a struct of one
-world and a struct of all worlds.
+Warp functions need argument types, single precision and callees that are Warp
+functions. Each numba function is copied with these changes, and its tolerances are
+replaced by tolerances for single precision. A record is a named tuple of arrays,
+numbers and further records. The Warp versions of a record are a struct of one world and
+a struct of all worlds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _TOLERANCES = {
 def as_warp_functions(
     functions: Sequence[Callable[..., Any]], **translated: Any
 ) -> dict[str, Any]:
-    """Return the Warp versions of functions by name, together with `translated`.
+    """Return the Warp versions of `functions` and `translated`, keyed by name.
 
     Args:
         functions: functions compiled by numba. Callees precede their callers.
@@ -63,7 +63,6 @@ _SPATIAL_ALGEBRA = (
     "factor",
     "substitute",
 )
-"""Functions of `spatial_algebra`."""
 
 _FRICTION_SOLVE = (
     "solve_direction_portably",
@@ -98,7 +97,7 @@ _OBJECT_FUNCTIONS = (
     "add_object_jacobian",
     "couple_objects",
 )
-"""Functions of the friction solve that have no effect without movable objects."""
+"""Functions of the friction solve that only act on movable objects."""
 
 
 def _no_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
@@ -106,7 +105,7 @@ def _no_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
 
 
 def warp_functions() -> dict[str, Any]:
-    """Return the Warp versions of chamber laws, friction laws and friction solve."""
+    """Return Warp versions of the chamber laws, the friction laws and the solve."""
     functions = as_warp_functions(
         [
             stick_slip.stick_slip_friction,
@@ -135,7 +134,7 @@ class WarpStruct(NamedTuple):
     """Warp versions of a record.
 
     Attributes:
-        single: struct of one world, which is the argument of translated functions.
+        single: struct of one world, which translated functions take as argument.
         batched: struct of all worlds, whose fields have a leading axis of worlds.
         select: Warp function that returns the struct of one world from a batched struct
             and an index.
@@ -191,11 +190,10 @@ def _struct(name: str, fields: Mapping[str, Any]) -> Any:
 
 
 _TRACTION = _struct("Traction", dict.fromkeys(stick_slip.Traction._fields, float))
-"""Warp version of `stick_slip.Traction`."""
 
 
 def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> Any:
-    """Copy the records of several worlds to a device as one batched struct."""
+    """Stack the records of several worlds in one batched struct on a device."""
     batched = struct.batched()
     for name in records[0]._fields:
         values = [getattr(record, name) for record in records]

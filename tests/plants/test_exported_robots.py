@@ -286,7 +286,7 @@ def test_lines_state_the_field_the_value_and_the_consequence(tmp_path, srs_twin)
         ),
         (
             "limited: modules.sensor_gain = [1.0, 1.1, 1.0, 1.0] is left out, because"
-            " the lengths of the tendons are the exact bends"
+            " the tendon lengths are the exact bends"
         ),
         (
             "limited: friction.mu_n = 0.57 is approximate, because it acts on the"

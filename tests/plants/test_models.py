@@ -317,6 +317,6 @@ def test_models_command_exports_and_checks(srs_twin, tmp_path):
     )
     left_out = (
         "gen4: actuator.tau_fill_s = 0.1107 s is left out, because the controls are"
-        " pressures, which change at once"
+        " pressures, which change instantly"
     )
     assert left_out in done.stderr.splitlines()

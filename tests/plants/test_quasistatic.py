@@ -309,7 +309,7 @@ def test_robots_worlds_and_laws_that_have_no_solution_are_refused():
         InputError, match="'quasistatic' does not support the planar robot 'gen2'"
     ):
         AnalyticalSnake(load_robot("gen2"), model="quasistatic")
-    with pytest.raises(InputError, match="which has a potential, not 'cosine'"):
+    with pytest.raises(InputError, match="'cosine', because it has no potential"):
         AnalyticalSnake(replace(SPEC, skin=Skin("cosine")), model="quasistatic")
     with pytest.raises(InputError, match="level floor"):
         AnalyticalSnake(SPEC, model="quasistatic", world=World(floor=Floor(tilt=0.1)))

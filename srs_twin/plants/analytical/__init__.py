@@ -1,9 +1,4 @@
-"""Plant `AnalyticalSnake` with the dissertation's planar model and its variants.
-
-The module `bodies` defines the mechanics of planar bodies. The module `quasistatic`
-defines a body whose segments bend in two directions. Planar bodies with skin are
-divided into `cells`.
-"""
+"""Plant `AnalyticalSnake` with the dissertation's planar model and its variants."""
 
 from __future__ import annotations
 
@@ -57,26 +52,23 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
-# Maximum interval between exchanges of bends and pressures for point masses, at a time
-# unit of 1, s. With an interval of 0.25 ms the pressures oscillate below ambient
-# pressure. Half of the chosen interval gives the same results.
+# Maximum interval at which body and chambers exchange bends and pressures if the
+# connectors are point masses, at a time unit of 1, s. With an interval of 0.25 ms the
+# pressures oscillate below ambient pressure. Halving the interval does not change the
+# results.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
 class AnalyticalSnake(PneumaticPlant):
     """Planar model of the dissertation (Section 3.1) and its variants.
 
-    The snake consists of masses on arcs of constant curvature, which move under the
-    friction of the floor. The equation of motion is Eq. 11, summed over the body (E22).
-    The bends are given by Eq. 14. In the model `simplified`, each chord has the length
-    of the straight segment. In the model `compliant`, load and inertia deflect the
-    bends.
+    The snake is a chain of masses on arcs of constant curvature and moves under floor
+    friction. The equation of motion is Eq. 11, summed over the body (E22). The bends
+    are given by Eq. 14. In the model `simplified`, each chord has the length of the
+    straight segment. In the model `compliant`, load and inertia deflect the bends.
 
     Attributes:
-        options: assumptions and numerical settings.
         timestep: maximum step of the integrator, s. Valve events also end a step.
-        body: mechanics of the model.
-        friction: friction law of the floor, one of `robot.friction.FRICTION_LAWS`.
     """
 
     name = "analytical"
@@ -107,14 +99,14 @@ class AnalyticalSnake(PneumaticPlant):
             pneumatics: "lag", "orifice", or a `Pneumatics` object.
             sensor: curvature sensor, which is "ideal", "hall" with its defaults, or a
                 `Sensor` object.
-            world: slope of the floor and obstacles. Without `world`, the floor is level
-                and has no obstacles.
+            world: floor slope and obstacles. Without `world`, the floor is level and
+                has no obstacles.
             **options: fields of `AnalyticalOptions`, such as model="compliant" or
                 friction="wheel".
 
         Raises:
-            InputError: an option or the tick is not allowed, or options, robot and
-                world cannot be combined.
+            InputError: an option or the tick is not allowed, or the options do not fit
+                the robot or the world.
         """
         self.spec = spec
         self.world: World = world or World()
@@ -133,7 +125,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def friction(self) -> str:
-        """Friction law of the floor."""
+        """Friction law of the floor, one of `robot.friction.FRICTION_LAWS`."""
         return self.options.friction_law_on(self.spec)
 
     def _make_floor(self) -> FloorFriction:
@@ -209,8 +201,8 @@ class AnalyticalSnake(PneumaticPlant):
         if done < len(steps.ends):
             state = ", ".join(f"{value:.4g}" for value in self.body.state)
             text = (
-                f"step {done + 1} of {len(steps.ends)} has no plausible solution, state"
-                f" {state}"
+                f"step {done + 1} of {len(steps.ends)} has no plausible solution; last"
+                f" state: {state}"
             )
             raise DivergedError(
                 self.name, begun + steps.ends[done], text, history=history
@@ -255,7 +247,7 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def jumps(self) -> int:
-        """Number of jumps between resting poses of the model "quasistatic"."""
+        """Number of jumps between resting poses in the model "quasistatic"."""
         return self.body.jumps
 
     def describe(self) -> dict[str, Any]:
@@ -295,8 +287,8 @@ class AnalyticalSnake(PneumaticPlant):
         inertia = self._connector_inertia(cells.mass)
         solid = BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen)
         if isinstance(cells, Cells):
-            # The law states the drag of one connector. On a divided body the total drag
-            # is distributed over all points.
+            # `floor.drag` is the drag on one connector. On a divided body, the total
+            # drag is distributed over all points.
             drag = floor.drag * self.spec.geometry.connectors / len(cells.mass)
             floor = floor._replace(drag=drag)
         if options.base == "clamped":

@@ -1,9 +1,5 @@
 r"""Bodies of the planar analytical models: connectors on arcs of constant curvature.
 
-In `PrescribedBends` the chambers determine the bends regardless of load (models
-`complete` and `simplified`). `ClampedBends` is a chain with a clamped head. In
-`CompliantBends` the bends have stiffness and damping (model `compliant`).
-
 The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. No floor
 or obstacle acts on the chain, so the bends alone determine its motion. The recursive
 Newton–Euler algorithm computes the moments of the segments in two loops. The loop from
@@ -53,14 +49,15 @@ class Motion(NamedTuple):
     """Motion of a body at several times.
 
     Attributes:
-        states: states with the indices of `kernels`, shape (samples, STATES or more).
-            With obstacles, the last columns hold the mean obstacle forces on each point
+        states: states in the layout of `kernels`, shape (samples, STATES or more). With
+            obstacles, the last columns hold the mean obstacle forces on each point
             since the previous sample.
         velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw
             rate (rad/s) and, for compliant bends, bend rates (rad/s), shape (samples, 3
             or more).
         bend, bend_rate: bends (rad) and bend rates (rad/s) of the segments, shape
-            (samples, segments). On a body with skin, each cell has a column.
+            (samples, segments). On a body with skin, the arrays have one column per
+            cell.
         torque: net moment of each segment, shape (samples, segments), N·m.
     """
 
@@ -75,12 +72,9 @@ class Body(Stateful, ABC):
     """Abstract base class for the mechanics of an analytical model.
 
     Attributes:
-        state: current state with the indices of `kernels`. `CompliantBends` adds
-            further entries.
+        state: current state in the layout of `kernels`. `CompliantBends` adds further
+            entries.
         velocity: current velocities, in the format of `Motion.velocities`.
-        solid: constants of the body for the kernels.
-        floor: friction parameters of the floor for the kernels.
-        cells: division of the segments.
         obstacles: obstacles that the body can touch, or None if contact is disabled.
     """
 
@@ -112,7 +106,7 @@ class Body(Stateful, ABC):
         return 0
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Return bends (rad) and rates (rad/s), or (None, None) if prescribed."""
+        """Return the bends (rad) and rates (rad/s), or (None, None) if prescribed."""
         return None, None
 
     def reset(self, pose: Pose) -> None:
@@ -190,7 +184,7 @@ class Body(Stateful, ABC):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """Return the motion from states, velocities and chamber states."""
+        """Compute the motion from states, velocities and chamber states."""
 
 
 class PrescribedBends(Body):
@@ -235,7 +229,7 @@ class PrescribedBends(Body):
 
 
 class ClampedBends(Body):
-    """Chain with a clamped head in the air. See the module docstring."""
+    """Chain with a clamped head in the air."""
 
     state_attributes = ("_head_pose",)
 
@@ -271,7 +265,7 @@ class ClampedBends(Body):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`. The motion is computed from the bends alone."""
+        """See `Body.motion`. Only the bends determine the motion."""
         trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
@@ -308,7 +302,7 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
         solid: constants of the chain.
         head: pose of the head: x, y (m) and heading (rad).
         states: output for pose and velocity of the centre of mass in the world frame,
-            with the indices of `kernels`.
+            in the layout of `kernels`.
         velocities: output for the velocity in the mean-heading frame (m/s) and the mean
             yaw rate (rad/s), shape (samples, 3).
         torque: output for net moments of the segments, shape (samples, segments), N·m.
@@ -335,9 +329,9 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
 
 @inlined
 def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-untyped-def]
-    # The head stays at the origin with the heading `heading` (rad). `total` is the mass
-    # of the chain (kg). The result is the motion of the centre of mass and of the mean
-    # heading.
+    # `heading` is the heading of the head (rad), which stays at the origin. `total` is
+    # the mass of the chain (kg). The result is the motion of the centre of mass and of
+    # the mean heading.
     n = solid.mass.shape[0]
     position = chain.position
     acceleration = chain.acceleration
@@ -436,8 +430,8 @@ class CompliantBends(Body):
             compliant_kernels.BENDS + self._bends,
             compliant_kernels.BENDS + 2 * self._bends,
         )
-        # The momenta are followed by the obstacles' impulses on each point and the
-        # time.
+        # After the momenta, the state holds the impulses of the obstacles on each
+        # point, and the time.
         self._impulses = slice(self._momenta.stop, None)
         count = 0 if obstacles is None else obstacles.force.size + 1
         self._shapes = self._momenta.stop + count, self._shapes[1]

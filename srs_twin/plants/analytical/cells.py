@@ -1,9 +1,9 @@
-"""Division of segments into cells, for bodies with skin or among obstacles.
+"""Division of segments into cells, for bodies with skin or with obstacle contact.
 
 A segment of constant curvature with the bend q is divided into a chain of arcs, which
 are called cells. Cell c has the bend s_c q, where s_c is the cell's fraction of the
-bend. The masses and contact points of the body are at the ends of the cells. The masses
-have the weights of the trapezoidal rule along the arcs. The kernels treat the cells as
+bend. The contact points of the body are at the ends of the cells, and the mass is
+distributed over these points by the trapezoidal rule. The kernels treat the cells as
 the segments of a longer chain. The mean heading over all contact points differs from
 the mean heading over the connectors by a linear function of the bends.
 
@@ -11,11 +11,10 @@ For prescribed bends, the moment of a segment is T_j = Σ s_c T_c, where T_c is 
 moment of cell c. This sum follows from the virtual work T_j δq_j. In the `compliant`
 model the bends of the cells are degrees of freedom. A cell has the stiffness k/s_c and
 the damping c/s_c, so that the cells in series have the segment's stiffness k and
-damping c. Cells of the rigid gap are far stiffer.
+damping c. Cells in the rigid gap are much stiffer.
 
-A body on wheels among obstacles is divided as well, because a load between two
-connectors bends a segment unevenly. The masses and wheels of such a body stay at the
-connectors.
+A wheeled robot is also divided if it can touch obstacles, because a load between two
+connectors bends a segment unevenly. Its masses and wheels stay at the connectors.
 """
 
 from __future__ import annotations
@@ -72,13 +71,15 @@ class Discretisation(NamedTuple):
 
 
 class LumpedSegments:
-    """Segments of a robot on wheels, whose masses and contacts are at the connectors.
+    """Undivided segments of a wheeled robot.
+
+    The masses and the contacts are at the connectors.
 
     Attributes:
         spec: robot whose body is divided.
         mass: mass at each connector or end of a cell, shape (points,), kg.
         length: length of each segment's arc or of each cell, shape (cells,), m.
-        gap: length of the straight part that belongs to each arc, m.
+        gap: length of the straight part of each segment, m.
         inverse_fraction: inverse 1/s_c of each cell's fraction of the bend, shape
             (segments, cells per segment), or 1 for segments without cells.
     """
@@ -114,11 +115,11 @@ class LumpedSegments:
         return torque
 
     def lead(self, bend: Array) -> float:
-        """Return the mean heading of the points relative to the connectors, rad."""
+        """Return the mean heading of all points minus that of the connectors, rad."""
         return 0.0
 
     def at_connectors(self, values: Array) -> Array:
-        """Return the values at the connectors, shape (samples, N, …)."""
+        """Select the values at the connectors, shape (samples, N, …)."""
         return values
 
     def on_connectors(self, force: Array) -> Array:
@@ -191,7 +192,7 @@ class Cells(LumpedSegments):
         return shared
 
     def obstacle_force(self, force: Array) -> Array:
-        """Return the forces on each connector and the adjoining half segments, N."""
+        """Return the force on each connector and its adjoining half segments, N."""
         stations = self._behind_head / self.spec.geometry.pitch
         distance = np.abs(np.arange(self.spec.geometry.connectors)[:, None] - stations)
         weights = np.clip(0.5 + (0.5 - distance) / _MIDDLE, 0.0, 1.0)
@@ -207,7 +208,7 @@ A force within the transition is divided between the two halves.
 
 
 def cells_of_skin(spec: RobotSpec) -> Cells:
-    """Return the cells of a robot with skin, with masses from the trapezoidal rule."""
+    """Divide a robot with skin into cells, with masses from the trapezoidal rule."""
     assert spec.skin is not None and spec.mass.segments is not None, "a robot with skin"
     discretisation = Discretisation.of(spec.geometry, spec.skin.points)
     cells = np.outer(
@@ -219,7 +220,7 @@ def cells_of_skin(spec: RobotSpec) -> Cells:
 
 
 def cells_of_wheels(spec: RobotSpec, count: int) -> Cells:
-    """Return about `count` cells per segment of a robot on wheels."""
+    """Divide each segment of a wheeled robot into about `count` cells."""
     discretisation = Discretisation.of(spec.geometry, count)
     mass = np.zeros(spec.segments * len(discretisation.fraction) + 1)
     mass[:: len(discretisation.fraction)] = spec.mass.array()

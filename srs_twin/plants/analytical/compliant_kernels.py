@@ -15,16 +15,14 @@ damping, and f_i the friction force and moment on a connector. The compressed ai
 the moment τ = k G (p⁺ − p⁻), where G is the gain and p⁺, p⁻ are the chamber pressures.
 The first three momenta are the linear momentum and the angular momentum L, as in
 `complete`. Only the floor changes these momenta, so they are conserved exactly without
-friction. The equations contain no acceleration.
+friction.
 
-**Integration.** The SDIRK2 method of `kernels` is used. At each stage, the Newton
-method solves for u. The Newton matrix contains friction, stiffness, damping and the
-antisymmetric matrix of the gyroscopic forces. The Newton matrix neglects the changes of
-friction and M with q, which are of order γ² h² for a step h. The gyroscopic forces are
-necessary in the straight shape, where alternating rotations of the connectors move no
-point mass. M is then singular, and only damping resists such rotations. Friction has a
-convex potential, whose derivative along a Newton step shows whether the step was too
-long.
+**Integration.** The equations are integrated by the SDIRK2 method of `kernels`, with a
+Newton solve for u at each stage. The Newton matrix contains friction, stiffness,
+damping and the antisymmetric matrix of the gyroscopic forces. It neglects the changes
+of friction and M with q, which are of order γ² h² for a step h. The gyroscopic forces
+are necessary in the straight shape, where alternating rotations of the connectors move
+no point mass. M is then singular, and only damping resists such rotations.
 
 **Linear cost.** The cost of a solve is proportional to the number of segments. Let z
 contain the velocity of a connector, its spin ω, and the rate of change of its velocity
@@ -38,7 +36,7 @@ over the connectors, where Z maps u to z. The matrix B of a connector contains t
 m, the derivatives of friction and, between velocities and rates, ± a m with a = γ h.
 The linear system is solved by the articulated-body algorithm. A loop from tail to head
 eliminates each bend from the Newton matrix of the body behind the segment. A loop from
-head to tail substitutes the bends.
+head to tail then computes the bends by back substitution.
 
 The vector z of the head is initially unknown. Rates must be relative to the centre of
 mass, which gives the constraint Σ m ż = 0. The two Lagrange multipliers of this
@@ -119,17 +117,17 @@ BENDS = STATES
 """Index of the first bend in the state. The momenta of the bends follow the bends."""
 
 _NEWTON_STEPS = 1000
-"""Maximum number of Newton iterations, which bodies at rest on a slope approach."""
+"""Maximum number of Newton iterations, nearly reached by bodies at rest on a slope."""
 _NEWTON_TOLERANCE = 1e-9
 """Tolerance of velocities in the Newton method, at a time unit of 1, m/s."""
 _NEWTON_ARM = 0.1
 """Lever arm that converts rates into velocities, at a length unit of 1, m."""
 _MOST_PASSES = 10
-"""Maximum number of updates of the normal forces in the obstacles' friction."""
+"""Maximum number of updates of the normal forces that determine obstacle friction."""
 _LOAD_TOLERANCE = 1e-4
 """Tolerance of the obstacles' normal forces, relative to the weight of the body."""
 _MARGIN = SPEED_LIMIT / 10
-"""Margin on the speed of the body in the search for nearby obstacles, m/s."""
+"""Speed added to that of the body in the search for nearby obstacles, m/s."""
 
 # Columns of `WorkArrays.links`, the coefficients τ and t that propagate z over a
 # segment. Coefficients τ multiply the spin, and coefficients t the bend rate. The
@@ -157,14 +155,11 @@ _RIGHT = 7  # column of the right-hand side
 
 
 class CompliantModel(NamedTuple):
-    """Constants of the kernels.
+    """Constants of the body, the floor and the obstacles.
 
     Attributes:
-        solid: constants of the body.
-        segments: number of segments.
         stiffness, damping: stiffness k (N·m/rad) and damping c (N·m·s/rad) of each
             cell, shape (cells,). An undivided segment is one cell.
-        floor: friction parameters of the floor.
         obstacles: obstacles that the body can touch, or None if contact is disabled.
     """
 
@@ -184,7 +179,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model. Stiffness and damping may be arrays (segments, cells)."""
+        """Return the model. An array argument has the shape (segments, cells)."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells
@@ -226,8 +221,9 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
-    # The columns of `loads` are named in `kinematics`. The result is the force of the
-    # floor (x, y), its moment about the centre of mass, and the dissipated power (W).
+    # The columns of `loads` are named in `kinematics`. The result is the force exerted
+    # by the floor (x, y), the moment of this force about the centre of mass, and the
+    # dissipated power (W).
     fx = fy = moment = power = 0.0
     for i in range(solid.mass.shape[0]):
         mass = solid.mass[i]
@@ -277,7 +273,7 @@ def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
 
 @compiled
 def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untyped-def]
-    """Compute momenta and forces of Lagrange's equations, and the input of `solve`.
+    """Compute the momenta and forces of the equations of motion, as input of `solve`.
 
     All quantities are expressed in the frame of the mean heading.
 
@@ -288,7 +284,7 @@ def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untype
         moment: moment k q_f + c q̇_f on each segment due to its free bend q_f, shape
             (segments,), N·m.
         a: implicit step γ h for `solve`, s.
-        model: constants, a `CompliantModel`, whose obstacles hold the pose of the body.
+        model: constants, a `CompliantModel`. Its obstacles hold the pose of the body.
         floor: friction parameters of the floor.
         workspace: work arrays, a `WorkArrays`.
 
@@ -327,9 +323,8 @@ def _sum_behind(q, u, moment, model, workspace):  # type: ignore[no-untyped-def]
     fx = force[0]
     fy = force[1]
     floor_moment = force[2]
-    # The sums are over all connectors behind a segment. Moments are about the connector
-    # at the front end of the segment. The sums px, py and pm are momenta, x and y are
-    # forces, and m is a moment.
+    # Sum the momenta (px, py, pm), forces (x, y) and moment (m) of all connectors
+    # behind a segment. Moments are about the connector at the front end of the segment.
     px = py = pm = x = y = m = 0.0
     for j in range(n - 2, -1, -1):
         load = workspace.loads[j + 1]
@@ -553,8 +548,8 @@ class WorkArrays(NamedTuple):
             (segments, _UNKNOWNS + 1).
         matrix: Newton matrix of the body behind a connector, with the right-hand side
             last, shape (_UNKNOWNS, _UNKNOWNS + 1).
-        bend, moment: bends (rad) and moments of the free bends (N·m) at a stage, shape
-            (segments,).
+        bend, moment: bends (rad) and moments due to the free bends (N·m) at a stage,
+            shape (segments,).
         momentum, force: momenta p and their rates dp/dt, shape (3 + segments,).
         residual, step: residual of a stage, and Newton step, shape (3 + segments,).
         last, drift: velocities before a stage, and time derivatives of the velocities
@@ -581,7 +576,7 @@ class WorkArrays(NamedTuple):
 
     @classmethod
     def of(cls, n: int, states: int = 0) -> WorkArrays:
-        """Allocate arrays for n connectors and states with `states` entries."""
+        """Allocate arrays for n connectors and a state with `states` entries."""
         shapes = [
             (ROWS, n),
             (n - 1, _LINK_COLUMNS),
@@ -722,11 +717,11 @@ class CompliantState(NamedTuple):
     """State of a body with compliant bends.
 
     Attributes:
-        state: state of `kernels`, followed by bends (rad) and the momenta of the bends
-            (kg·m²/s). With obstacles, the state also contains the impulses on each
-            point (N·s) and the time (s).
-        velocity: velocities in the layout of `balance`, from which the next solution
-            starts.
+        state: state in the layout of `kernels`, followed by the bends (rad) and the
+            momenta of the bends (kg·m²/s). With obstacles, the state also contains the
+            impulses on each point (N·s) and the time (s).
+        velocity: velocities in the layout of `balance`. The next Newton solve starts
+            from these velocities.
     """
 
     state: np.ndarray

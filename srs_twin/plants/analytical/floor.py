@@ -1,4 +1,4 @@
-r"""Compiled functions for the friction on connectors and the derivatives of friction.
+r"""Compiled functions for the friction on connectors and its derivatives.
 
 **Coasting.** In `slide`, a straight body slides without rotation, and all connectors
 have the same velocity. The body therefore moves like a point. Its mass cancels from the
@@ -7,12 +7,12 @@ equation of motion
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}. $$
 
 Here f is the friction law with the coefficients μ_t along and μ_n across the heading,
-for a load equal to gravity per unit mass. Wheel w has the radius R and the moment of
-inertia I_w about its axle, and M is the mass of the robot. The spin of the wheels adds
-the relative inertia s along the heading, which increases the stopping distance by the
-factor 1 + s. No other force acts, so neither component of the velocity v changes its
-sign. The midpoint rule integrates each component until the component is 0. Positions
-are smooth functions of the velocities and coefficients, as fits require.
+for a normal load of g per unit mass. Wheel w has the radius R and the moment of inertia
+I_w about its axle, and M is the mass of the robot. The spin of the wheels adds the
+relative inertia s along the heading, which increases the stopping distance by the
+factor 1 + s. No other force acts, so neither component of v changes sign. Each
+component is integrated by the midpoint rule until it is 0. The positions depend
+smoothly on the velocities and coefficients, as parameter fits require.
 
 **Instantaneous loads.** A connector of weight W has two wheels at the distance a on
 either side of its centre line, and its centre of mass is at the height h. A lateral
@@ -27,9 +27,9 @@ Negative loads are replaced by 0. Derivatives are computed at constant loads and
 therefore symmetric. This simplification does not change the solution, but the Newton
 method needs a few more iterations.
 
-**Skin** has different coefficients for slip towards the tail and towards the head. The
-law `cosine` has no potential, so its derivatives are not symmetric. Skin and `cosine`
-are therefore compiled separately from the kernels of other floors.
+**Skin** has different friction coefficients for slip towards the tail and towards the
+head. The law `cosine` has no potential, so its derivatives are not symmetric. Skin and
+`cosine` are therefore compiled separately from the kernels of other floors.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class FloorFriction(NamedTuple):
     Attributes:
         case: tuple of None whose length is the index into `_CASES`. The length of a
             tuple is part of its numba type. A kernel is therefore compiled only for the
-            contacts and the law of its floor.
+            number of contacts and the friction law of its floor.
         track: distance of the two contacts of a connector from the centre line, m. The
             value 0 means one contact per connector.
         mu_t, mu_n: friction coefficients along and across the heading, dimensionless.
@@ -86,8 +86,8 @@ class ContactTerms(NamedTuple):
     In the names of derivatives, the first letter denotes the force or moment, and the
     second letter the velocity. The letters stand for the directions along (t), across
     (n) and about the vertical (m). The derivative `mt` is not stored, because `mt` =
-    `tm`. Friction is the gradient of a potential, so the derivatives are symmetric,
-    except under the law `cosine`.
+    `tm`. Except under the law `cosine`, friction is the gradient of a potential, so the
+    derivatives are symmetric.
 
     Attributes:
         t, n: forces along and across the heading, N.
@@ -121,8 +121,8 @@ def _one_contact(friction_law, along, across, spin, weight, floor):  # type: ign
 
 @kernel_only
 def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
-    # `left` and `right` are results of a friction law, which are multiplied by `a` and
-    # `b`. `arm` is the distance of the two contacts from the centre line (m).
+    # `left` and `right` are outputs of a friction law, to be multiplied by `a` and `b`.
+    # `arm` is the distance of the two contacts from the centre line (m).
     a_t, a_n, a_tt, a_tn, a_nt, a_nn = left
     b_t, b_n, b_tt, b_tn, b_nt, b_nn = right
     return ContactTerms(
@@ -162,7 +162,7 @@ def _loaded_pair(friction_law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # 
     a_n = left[1]
     b_n = right[1]
     lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
-    # The left wheel has the load a, and the right wheel the rest of the weight.
+    # `a` is the load on the left wheel. The right wheel carries the rest of the weight.
     a = min(max(weight / 2 - floor.load_transfer * lateral_force, 0.0), weight)
     return _sum_pair(left, right, a, weight - a, floor.track)
 
@@ -204,7 +204,7 @@ def floor_friction(
     load_transfer: float = 0.0,
     mu_back: float | None = None,
 ) -> FloorFriction:
-    """Return a level floor without drag at a time unit of 1.
+    """Return the friction of a level floor without drag, at a time unit of 1.
 
     Args:
         friction_law: friction law, one of `robot.friction.FRICTION_LAWS`.
@@ -249,8 +249,8 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     """Return a floor on which a body at rest does not creep down a slope.
 
     Under a regularised friction law, any force moves a contact. On a slope, the slip
-    speed is therefore reduced in proportion to `speed`, the approximate maximum speed
-    of the body (m/s).
+    speed is therefore reduced in proportion to `speed`, which is the approximate
+    maximum speed of the body in m/s.
     """
     slip = floor.slip
     if floor.pull_x != 0.0 or floor.pull_y != 0.0:
@@ -332,10 +332,7 @@ def derivatives_of_force(terms, c, s):  # type: ignore[no-untyped-def]
 
 
 class Twist(NamedTuple):
-    """Planar velocity (m/s, rad/s) or momentum (kg·m/s, kg·m²/s).
-
-    The component `yaw` is the component about the vertical.
-    """
+    """Planar velocity (m/s, rad/s) or momentum (kg·m/s, kg·m²/s)."""
 
     x: float
     y: float
@@ -343,7 +340,7 @@ class Twist(NamedTuple):
 
 
 class BodyForces(NamedTuple):
-    """Net force and moment of the floor on a body in its frame, with derivatives.
+    """Net force and moment exerted by the floor, in the body frame, with derivatives.
 
     In the names of derivatives, the first letter denotes the force and the second
     letter the velocity. The letter z stands for the moment and for the yaw rate.
@@ -469,7 +466,7 @@ def _forces_of_case(case: int) -> Any:
 
 
 def forces_and_derivatives(body, mass, u, floor) -> Any:  # type: ignore[no-untyped-def]
-    """Return the `BodyForces` of the floor on a body with prescribed bends.
+    """Return the `BodyForces` exerted on a body with prescribed bends.
 
     Args:
         body: posed body, shape (ROWS, N).
@@ -488,7 +485,7 @@ def _compile_forces_and_derivatives(body, mass, u, floor):  # type: ignore[no-un
 
 @compiled
 def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
-    """Compute the floor's force along and across (N) and moment (N·m) on connectors.
+    """Compute the floor forces along and across (N) and moments (N·m) on connectors.
 
     Args:
         body: posed body, shape (ROWS, N).
@@ -512,7 +509,7 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         force[i, 2] = terms.m
 
 
-# At this ratio of speed to slip speed, the force of a law is within 1e-4 of its limit,
+# At this ratio of speed to slip speed, the friction force is within 1e-4 of its limit,
 # even for a friction ellipse with an axis ratio of 1:14.
 _SLIDING_RATIO = 1000.0
 
@@ -524,7 +521,7 @@ _COASTING_SLIP_SPEED = (
 
 
 def spin_fraction(spec: RobotSpec) -> float:
-    """Return the relative inertia s of the wheels, which are solid discs."""
+    """Return the relative inertia s of the wheels, modelled as solid discs."""
     return 2 * spec.geometry.connectors * (spec.mass.wheel / 2) / spec.mass.total
 
 

@@ -10,17 +10,16 @@ centre of mass and the angular momentum L obey
 $$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i, \qquad
    L = I(q)\,\dot\theta + h(q, \dot q). $$
 
-Here f_i is the friction force on a connector and n_i the yaw moment of its wheels. The
-body has the moment of inertia I = Σ m_i |ρ_i|² + J_i. The bend rates contribute h = Σ
-m_i ρ_i × ρ̇_i + J_i φ̇_i to L. The equations are Eq. 11 multiplied by eᵀ, which
-eliminates the segment torques. Because L is a state, the scheme does not need q̈, and
-discontinuities of q̈ at valve events do not reduce the order of the scheme.
+Here f_i is the friction force on connector i and n_i the yaw moment exerted by its
+wheels. The body has the moment of inertia I = Σ m_i |ρ_i|² + J_i. The bend rates
+contribute h = Σ m_i ρ_i × ρ̇_i + J_i φ̇_i to L. The equations are Eq. 11 multiplied by
+eᵀ, which eliminates the segment torques. Because L is a state, the scheme does not need
+q̈, and discontinuities of q̈ at valve events do not reduce the order of the scheme.
 
 Friction is stiff, so the velocities are integrated by the two-stage, second-order,
 L-stable SDIRK method of Alexander (1977). At each stage, the Newton method solves for
 the three velocities. Friction has a convex potential, whose derivative along a Newton
-step shows whether the step was too long. The module `steps` chooses the lengths of the
-time steps.
+step shows whether the step was too long.
 
 **Inverse dynamics.** The function `inverse_dynamics` computes the moments of the
 segments from given bends by the recursive Newton–Euler algorithm. A loop from head to
@@ -74,11 +73,9 @@ from srs_twin.pneumatics import Trace
 
 
 class PrescribedModel(NamedTuple):
-    """Constants of the kernels.
+    """Constants of the body and the floor.
 
     Attributes:
-        solid: constants of the body.
-        floor: friction parameters of the floor.
         friction_moment: whether the moment of friction about the centre of mass acts.
     """
 
@@ -95,7 +92,7 @@ class Bends(NamedTuple):
 
 
 class Samples(NamedTuple):
-    """States and velocities that a kernel writes at the samples, shape (samples, …)."""
+    """States and velocities recorded by a kernel, shape (samples, …) each."""
 
     states: np.ndarray
     velocities: np.ndarray
@@ -244,9 +241,8 @@ def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
-    # `remainder` is the moment of the loads about the centre of mass (N·m). A bend
-    # rotates the whole body, because the mean heading is constant, so the remainder
-    # does work.
+    # `remainder` is the moment of the loads about the centre of mass (N·m). The mean
+    # heading is constant, so a bend rotates the whole body and the remainder does work.
     chords = workspace.chords
     load = workspace.load
     n = load.shape[0]
@@ -255,8 +251,8 @@ def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
         fx = fx + load[j + 1, 0]
         fy = fy + load[j + 1, 1]
         moment = moment + load[j + 1, 2]
-        # In the symbols of the module docstring, arm is L e × F and lengthening L' F ·
-        # e.
+        # In the symbols of the module docstring, `arm` is L e × F and `lengthening` is
+        # L' F · e.
         arm = chords[j, _SPAN_X] * fy - chords[j, _SPAN_Y] * fx
         lengthening = chords[j, _DERIVATIVE_X] * fx + chords[j, _DERIVATIVE_Y] * fy
         torque[j] = arm / 2 - lengthening - moment + (n - 1 - j) / n * remainder
@@ -284,14 +280,14 @@ _NEWTON_TOLERANCE = 1e-8  # Tolerance of the velocities at a time unit of 1, m/s
 _NEWTON_ARM = 0.1
 """Lever arm that converts a yaw rate to a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
-"""Minimum ratio of the derivatives after and before a Newton step that is too long."""
+"""Maximum overshoot of a Newton step, relative to the derivative before the step."""
 
 
 @inlined
 def is_too_long(derivative_before, derivative_after):  # type: ignore[no-untyped-def]
     """Return whether a Newton step went beyond the minimum of the potential.
 
-    The derivative of the potential along the step then changes its sign.
+    The derivative of the potential along the step then changes sign.
     """
     return derivative_after < -_OVERSHOOT * derivative_before
 
@@ -336,7 +332,7 @@ def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def copy(values, out):  # type: ignore[no-untyped-def]
-    """Copy an array without the overlap check of numba's assignment to a slice."""
+    """Copy an array without the overlap check that numba adds to slice assignments."""
     for j in range(out.shape[0]):
         out[j] = values[j]
 
@@ -349,7 +345,7 @@ def is_slow(state):  # type: ignore[no-untyped-def]
 
 @inlined
 def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-untyped-def]
-    """Copy state and velocity to all samples that follow step number `done`.
+    """Copy state and velocity to all samples that are due after `done` steps.
 
     Args:
         state: state after the step.
@@ -543,7 +539,7 @@ class StepArrays(NamedTuple):
 
 @kernel_only
 def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
-    """Compute one step of the SDIRK2 method, and return whether both stages converged.
+    """Compute an SDIRK2 step and return whether both stages converged.
 
     Args:
         state: state at the start, shape (STATES,).
@@ -551,8 +547,8 @@ def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
         bends: bends and rates at the two stages, shape (2, segments).
         model: constants of body and floor.
         workspace: work arrays. The state at the end is written to `after`, and the
-            derivatives at the stages to `rates`. The call replaces `guess` and `pace`
-            at the start of the step by the values at the end.
+            derivatives at the stages to `rates`. `guess` and `pace` are updated from
+            the start to the end of the step.
     """
     u = workspace.guess
     pace = workspace.pace
@@ -590,7 +586,7 @@ class Observation(NamedTuple):
     Attributes:
         position: positions of the connectors, shape (samples, N, 2), m.
         connector_heading: headings of the connectors, shape (samples, N), rad.
-        force: force of the floor on the connectors, shape (samples, N, 2), N.
+        force: force exerted by the floor on the connectors, shape (samples, N, 2), N.
         energy: kinetic energy, shape (samples,), J.
     """
 
@@ -610,7 +606,7 @@ def observe(
     """Compute the observable quantities of several states.
 
     Args:
-        states: states with the indices `STATE_X` to `ENERGY_LOSS`, shape (samples,
+        states: states with the entries `STATE_X` to `ENERGY_LOSS`, shape (samples,
             STATES or more).
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and
             yaw rate (rad/s), shape (samples, 3 or more).

@@ -130,9 +130,9 @@ def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_chords(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    # A separate loop, which the compiler can vectorise. `out` serves as a buffer. The
-    # result is the heading of the head relative to the mean heading (rad), and its rate
-    # (rad/s).
+    # The loop is separate so that the compiler can vectorise it. `out` serves as a
+    # buffer. The result is the heading of the head relative to the mean heading (rad),
+    # and its rate (rad/s).
     cosine = out[COS]
     sine = out[SIN]
     span = out[X]
@@ -160,7 +160,7 @@ class _Centre(NamedTuple):
 
 @compiled
 def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Compute a posed body, and return I (kg·m²) and h (kg·m²/s) of `kernels`.
+    """Compute a posed body, and return I (kg·m²) and h (kg·m²/s) as in `kernels`.
 
     Args:
         q: bends, shape (segments,), rad.

@@ -1,11 +1,10 @@
 r"""Contact of the `compliant` model with obstacles.
 
-**Shapes.** At each point of the chain of `cells`, the body is a straight stretch along
-the heading of the point. The stretch reaches half way to the neighbouring points, and
-it has round ends and the half width w. An obstacle is a line segment with a radius,
-which represents a circle or one side of a polygon. A contact force acts on a single
-stretch, at the closest points of stretch and obstacle. The contact force therefore
-changes force and moment at only one point of the chain.
+**Shapes.** The body is a chain of straight stretches, one around each point of the
+chain of `cells`. A stretch has the heading of its point, round ends and the half width
+w, and it reaches half way to the neighbouring points. Each circle and each side of a
+polygon is represented by a line segment with a radius. A contact force acts where a
+stretch is closest to an obstacle, and it loads only the point of this stretch.
 
 **Law.** The normal force N and the friction f_t of a contact depend on the overlap δ
 and on the normal and tangential velocities v_n and v_t of the body at the contact. A
@@ -30,8 +29,8 @@ The Newton method relies on a convex potential. Friction has such a potential on
 the normal forces are constant. Each stage is therefore solved repeatedly, with friction
 computed from the normal forces of the previous solution.
 
-The twin has an independent contact model with rods between hinges, different shapes
-and MuJoCo's constraint forces.
+The contact model of the twin is independent of this one. It has rods between hinges,
+different shapes and MuJoCo's constraint forces.
 """
 
 from __future__ import annotations
@@ -71,13 +70,13 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, World
 
 CONTACT_TIME_S = 0.001
-"""Time constant T of a contact at a time unit of 1 (`robot.scale`), s.
-
-The value is a numerical setting and not a property of the robot.
-"""
+"""Time constant T of a contact at a time unit of 1 (`robot.scale`), s."""
 
 _LOSS_S_PER_M = 20.0
-"""Coefficient χ at a speed unit of 1, s/m, which limits rebound speeds to 1/χ."""
+"""Dissipation coefficient χ at a speed unit of 1, s/m.
+
+It limits rebound speeds to 1/χ.
+"""
 
 # Columns of `Obstacles.shape`, m.
 _BEGIN_X = 0
@@ -99,8 +98,8 @@ class Obstacles(NamedTuple):
 
     Attributes:
         shape: start point (x, y), end point (x, y) and radius of each line segment,
-            shape (obstacles, _SHAPE_COLUMNS), m. The line segment of a circle has the
-            length 0.
+            shape (obstacles, _SHAPE_COLUMNS), m. A circle is a line segment of length
+            0.
         stretch: length of the body ahead of and behind each point, shape (points, 2),
             m.
         half_width: half width w of the body, m.
@@ -109,10 +108,10 @@ class Obstacles(NamedTuple):
         pose: pose of the body at the end of a stage, shape (4,).
         near: number of obstacles within reach of the body, followed by the indices of
             these obstacles.
-        force: force of the obstacles on each point at the latest evaluation, world
-            frame, shape (points, 2), N.
+        force: force exerted by the obstacles on each point at the latest evaluation, in
+            the world frame, shape (points, 2), N.
         normal: normal forces at the latest evaluation, shape (obstacles, points), N.
-        load: normal forces that the friction law uses, shape (obstacles, points), N.
+        load: normal forces used by the friction law, shape (obstacles, points), N.
     """
 
     shape: np.ndarray
@@ -132,7 +131,7 @@ class Obstacles(NamedTuple):
 def make_obstacles(
     world: World, spec: RobotSpec, cells: LumpedSegments, slip: float
 ) -> Obstacles:
-    """Return the obstacles of a world for friction with a slip speed (m/s)."""
+    """Convert obstacles for the kernels. `slip` is the slip speed ε in m/s."""
     shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, _SHAPE_COLUMNS)
     half = np.broadcast_to(
         (np.asarray(cells.length) + cells.gap) / 2, len(cells.mass) - 1
@@ -240,8 +239,8 @@ class _Stretch(NamedTuple):
 
 
 class _Gap(NamedTuple):
-    # `place` is the distance (m) of the closest point of the body from the chain point,
-    # along the heading. (x, y) is the vector from the obstacle to the body (m).
+    # `place` is the distance (m) along the heading from the chain point to the closest
+    # point of the body. (x, y) is the vector from the obstacle to the body (m).
 
     place: float
     x: float
@@ -290,10 +289,10 @@ def _closest(stretch, line):  # type: ignore[no-untyped-def]
 
 
 class _Contact(NamedTuple):
-    # In the frame of the mean heading: the unit normal points away from the obstacle,
-    # and the lever arm (m) points from the chain point to the contact on the body's
-    # surface. The derivatives of N and f_t are with respect to v_n and v_t (N·s/m).
-    # `power` is the power dissipated by the contact (W).
+    # Vectors are in the frame of the mean heading. The unit normal points away from the
+    # obstacle, and the lever arm (m) points from the chain point to the contact on the
+    # body's surface. The derivatives of N and f_t are with respect to v_n and v_t
+    # (N·s/m). `power` is the power dissipated by the contact (W).
 
     n_x: float
     n_y: float
@@ -343,7 +342,7 @@ def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-unty
 
 @compiled_if(is_given, otherwise=(0.0, 0.0, 0.0, 0.0))
 def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
-    """Add the forces of nearby obstacles and their derivatives to the points' loads.
+    """Add the forces of nearby obstacles and their derivatives to `loads`.
 
     Args:
         obstacles: `Obstacles` that contain the pose of the body and receive the forces.
@@ -447,16 +446,15 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given)
 def fill_rates(obstacles, model, free, free_rates, rates, workspace):  # type: ignore[no-untyped-def]
-    """Compute the rates of the impulses, the time and the energy column.
+    """Compute the time derivatives of the impulses, the time and `ENERGY_LOSS`.
 
-    Without obstacles, the energy column (`ENERGY_LOSS`) holds the losses, and the work
-    of the torques is the energy of the body plus these losses. With obstacles, the
-    integral of the losses would miss the energy dissipated in impacts. The implicit
-    method evaluates the stiff normal forces at the end of a stage, when an impact has
-    almost stopped the body. With obstacles, the column therefore holds the work of the
-    air. The rate of this work is Σ T_j q̇_f,j, which is smooth. T = k (q_f − q) + c
-    (q̇_f − q̇) is the torque of a whole segment with the bend q, the free bend q_f, the
-    stiffness k and the damping c.
+    Without obstacles, `ENERGY_LOSS` holds the dissipated energy, and the work of the
+    torques is the energy of the body plus this loss. With obstacles, the integral of
+    the losses would miss the energy dissipated in impacts. The reason is that the
+    implicit method evaluates the stiff normal forces when an impact has almost stopped
+    the body. `ENERGY_LOSS` then holds the work of the compressed air, whose rate Σ T_j
+    q̇_f,j is smooth. Here T = k (q_f − q) + c (q̇_f − q̇) is the torque of a whole
+    segment with the bend q, the free bend q_f, the stiffness k and the damping c.
 
     Args:
         obstacles: obstacles with the forces of the stage.

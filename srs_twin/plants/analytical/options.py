@@ -65,26 +65,26 @@ class AnalyticalOptions:
         friction: friction law of a robot on wheels. "axis" is the law of the
             dissertation, with one contact per connector. In "wheel" each connector has
             two wheels. In "ellipse" and "cosine" each connector has two skids.
-            "viscous" is a law for tests. On robots with skin the law of the skin
-            applies instead.
+            "viscous" is only for tests. A robot with skin has the friction law of the
+            skin instead.
         load: load of a wheel or skid. "static" is half of the weight of its connector.
             "instantaneous" adds the load transfer due to the lateral force (module
             `floor`).
         friction_torque: whether the moment of friction about the centre of mass acts.
             The value False requires "simplified" and selects the first model of the
             dissertation.
-        inertia: moment of inertia of each connector. "point" sets the moment to 0.
-            "connector" assumes a compact body with two wheels, as in the twin. "lumped"
-            is the dissertation's j(i) = Σ m L²/3, which counts the masses of the
-            segments twice (E19).
+        inertia: moment of inertia of each connector. "point" sets it to 0. "connector"
+            assumes a compact body with two wheels, as in the twin. "lumped" is the
+            dissertation's j(i) = Σ m L²/3, which counts the masses of the segments
+            twice (E19).
         base: support of the snake, "free" on the floor, or with its head "clamped" in
             the air. "compliant" bodies cannot be clamped.
         track: distance of the two contacts of a connector from the centre line, m. The
             default for laws with wheels or skids is the robot's half track. The default
             for other laws is 0, and each connector then has one contact.
         contact: whether the body touches obstacles (module `obstacles`), which requires
-            "compliant". Without contact the body passes through obstacles.
-        cells: approximate number of cells per segment of a robot on wheels that can
+            the model "compliant". Without contact, the body passes through obstacles.
+        cells: approximate number of cells per segment, for a wheeled robot that can
             touch obstacles.
         timestep: maximum time step, s. The default is `TIMESTEP_S` times the time unit
             of the robot (`robot.scale`), adjusted so that it divides the tick.
@@ -128,7 +128,7 @@ class AnalyticalOptions:
             )
 
     def friction_law_on(self, spec: RobotSpec) -> str:
-        """Return the law of the robot's skin, or `friction` without a skin."""
+        """Return the friction law of the skin, or `friction` for a robot without skin."""
         return self.friction if spec.skin is None else spec.skin.friction_law
 
     def track_of(self, spec: RobotSpec) -> float:
@@ -143,14 +143,14 @@ class AnalyticalOptions:
         """Check that a robot in a world can be simulated with these options.
 
         Raises:
-            InputError: the robot cannot be simulated. The message states all reasons.
+            InputError: the robot cannot be simulated. The message lists all reasons.
         """
         raise_violations(
             (*refusals("model", self.model, spec, world), *self.violations(spec))
         )
 
     def violations(self, spec: RobotSpec | None) -> Iterator[Violation]:
-        """Yield a violation for each conflict of options with others or the robot."""
+        """Yield each conflict between two options or an option and the robot."""
         if not self.friction_torque and self.model != "simplified":
             yield Violation(
                 "friction_torque",

@@ -19,22 +19,22 @@ $$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,\dot q^2
 divided by h. The first three terms are the elastic energy, the dissipation in the
 segments, and the potential energy of the weight. The floor has the stiffness κ_i = m_i
 g/δ, so that a resting point sinks by δ. D(s_i) is the dissipation potential of a
-friction law. The slip s_i is the velocity of the material vertically below the axis.
-The last term is a drag with the time constant τ. As a result, the pose at rest has the
-minimum potential energy, and the body moves along the floor with the minimum dissipated
-power. Friction also bends the segments.
+friction law. The slip s_i is the velocity of the material point vertically below the
+axis. The last term is a drag with the time constant τ. As a result, the pose at rest
+has the minimum potential energy, and the body moves along the floor with the minimum
+dissipated power.
 
 The normal loads N_i that multiply D depend on the solution. A step is therefore solved
 up to four times, each time with the loads of the previous solution. Friction laws
-without a potential, such as `cosine`, cannot be used, because the minimised function
-does not exist for such laws.
+without a potential, such as `cosine`, cannot be used, because they leave no function to
+minimise.
 
 **Jumps.** The resting pose can become unstable. A real body then topples within a time
-that depends on its inertia. This model contains the drag instead of inertia. The drag
-acts on the vertical velocity ż_i and on the surface velocity ρ̇_i of rolling. Between
-jumps the drag changes the loads by the fraction ż/(g τ), which is below 0.01. Steps in
-which a point moves too far are divided. A jump is counted when the speed of a point
-exceeds √(g r)/4.
+that depends on its inertia. In this model, the drag takes the place of inertia. It acts
+on the vertical velocity ż_i and on the surface velocity ρ̇_i of rolling. Between jumps
+the drag changes the loads by the fraction ż/(g τ), which is below 0.01. Steps in which
+a point moves too far are divided. A jump is counted when the speed of a point exceeds
+√(g r)/4.
 
 **Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small,
 where f is the gait frequency, A the amplitude of the lateral motion and μ the friction
@@ -61,7 +61,7 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 _DEPTH_RATIO = 1 / 2000
 """Depth of a resting point in the floor, relative to the radius of the body."""
 _DRAG_TIME_S = 0.5
-"""Drag time τ of vertical motion and of rolling at a time unit of 1, s."""
+"""Time constant τ of the drag on vertical motion and rolling at a time unit of 1, s."""
 _MOVE_RATIO = 0.05
 """Maximum motion of a point in a substep, relative to the radius of the body."""
 _JUMP_RATIO = 0.25
@@ -71,7 +71,7 @@ _JUMP_RATIO = 0.25
 def make_constants(
     spec: RobotSpec, slip_speed: float, base: str
 ) -> kinematics.QuasistaticBody:
-    """Return the constants of a robot on a level floor or with a clamped head.
+    """Compute the constants of a robot on a level floor or with a clamped head.
 
     Args:
         spec: spatial robot to simulate.
@@ -90,9 +90,9 @@ def make_constants(
     )
     if skin.friction_law != "ellipse":
         raise InputError(
-            "model 'quasistatic' supports only the friction law 'ellipse', which has"
-            f" a potential, not {skin.friction_law!r}; set `contact.law` of the robot to"
-            " ellipse"
+            "model 'quasistatic' does not support the friction law"
+            f" {skin.friction_law!r}, because it has no potential; set `contact.law`"
+            " of the robot to 'ellipse'"
         )
     if spec.actuator.extension:
         raise InputError(
@@ -128,7 +128,7 @@ def make_constants(
 
 
 class QuasistaticArcs(Body):
-    """Body of the model `quasistatic`, with the state indices of `spatial_kinematics`.
+    """Body of the model `quasistatic`, with states as in `spatial_kinematics`.
 
     Attributes:
         constants: constants of the body and of the floor.
@@ -138,7 +138,7 @@ class QuasistaticArcs(Body):
     state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_connector_heading")
 
     def __init__(self, spec: RobotSpec, slip_speed: float, base: str) -> None:
-        """Compute the constants of the body. See `make_constants` for the arguments."""
+        """Create the body. See `make_constants` for the arguments."""
         self._spec = spec
         self.constants = make_constants(spec, slip_speed, base)
         points = len(self.constants.mass)
@@ -209,7 +209,7 @@ class QuasistaticArcs(Body):
     def observe(
         self, time: np.ndarray, motion: Motion, trace: Trace, measured_bend: np.ndarray
     ) -> SpatialState:
-        """Return the history of a motion.
+        """Return the observable states of a motion as a history.
 
         Args:
             time: times of the samples, shape (samples,), s.

@@ -32,7 +32,7 @@ _MAX_SWEEPS = 4
 """Maximum number of solves per step, each with updated normal forces."""
 _MAX_ITERATIONS = 30
 _SOFTER = (1e3, 1e2, 10.0, 1.0)
-"""Descending factors on the slip speed, which are applied if the Newton method fails.
+"""Factors on the slip speed that are tried in this order if the Newton method fails.
 
 Each solve starts from the solution with the previous factor.
 """
@@ -61,8 +61,8 @@ def _begin_step(state, body, workspace, h):  # type: ignore[no-untyped-def]
     for p in range(workspace.point.shape[0]):
         rows = workspace.rows[p]
         mass = body.mass[p]
-        # A point moves only with the head and with the segments up to its own segment.
-        # The first `used` velocities belong to the head and to these segments.
+        # The velocity of a point depends only on the head and on the segments up to the
+        # point. The first `used` velocities belong to these parts of the body.
         used = 9 + 3 * (p // count)
         drag = mass / body.drag_time
         for i in range(used):
@@ -107,8 +107,7 @@ def _residual(velocity, body, workspace, h, slip, out, with_matrix):  # type: ig
         up = 0.0
         for i in range(used):
             up += rows[UP, i] * velocity[i]
-        # The floor is a spring, whose force is computed from the height at the end of
-        # the step.
+        # The floor is a spring. Its force depends on the height at the end of the step.
         spring = body.free * body.mass[p] * GRAVITY / body.depth
         load = spring * max(0.0, body.radius - workspace.point[p, 2] - h * up)
         workspace.load[p] = load
@@ -383,7 +382,7 @@ def advance(now, steps, free, sample_steps, body, workspace, samples):  # type: 
                     )
                 if h * fastest <= body.longest_move:
                     break
-                # Reject the step, and start a shorter step from the same velocity.
+                # Reject the step and retry from the old velocity with half the length.
                 h /= 2
                 fastest = np.inf
                 copy(start, velocity)

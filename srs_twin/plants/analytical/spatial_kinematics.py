@@ -1,4 +1,4 @@
-"""Compiled kinematics of a spatial body of arcs with curvature and twist.
+"""Compiled kinematics of a chain of arcs with curvature and twist in space.
 
 The module `quasistatic` describes the model. The first six velocities are the velocity
 and the angular velocity of the head connector in the world frame. The other velocities
@@ -16,8 +16,8 @@ import numpy as np
 from srs_twin.compute.compiled import allocating, compiled, inlined
 
 # A state contains the position and the rotation matrix (by rows) of the head connector,
-# the quantities below, the bends, the impulses of the floor on all points, shape
-# (points, 3), and the normal loads of the points.
+# the quantities below, the bends, the impulses exerted by the floor on all points,
+# shape (points, 3), and the normal loads of the points.
 ROTATION = 3
 WORK = 12  # Work of the compressed air, J.
 FRICTION_LOSS = 13  # Energy dissipated by the floor, J.
@@ -50,7 +50,7 @@ class SkinFriction(NamedTuple):
 
 
 class QuasistaticState(NamedTuple):
-    """State of a spatial body in the layout of this module, and its velocities."""
+    """State (in the layout of this module) and velocities of a spatial body."""
 
     state: np.ndarray
     velocity: np.ndarray
@@ -69,8 +69,8 @@ class QuasistaticBody(NamedTuple):
             twist, shape (3,).
         radius, depth: radius of the body, and depth of its resting points in the floor,
             m.
-        friction: friction of the skin.
-        drag_time: ratio τ of mass to drag for vertical and rolling motion, s.
+        drag_time: ratio τ of mass to drag coefficient for vertical and rolling motion,
+            s.
         longest_move: maximum motion of a point in a substep, m.
         jump_speed: minimum speed of a point in a jump, m/s.
         free: 1 if the body is on the floor, or 0 if its head is clamped in the air.
@@ -106,7 +106,7 @@ class Workspace(NamedTuple):
             each point, shape (S P, 6, velocities).
         rows: Jacobian from the body's velocities to the contact velocities of each
             point, shape (S P, ROWS, velocities).
-        load, friction_load: normal force on each point, and normal force in the
+        load, friction_load: normal force on each point, and normal force used by the
             friction law, shape (S P,), N.
         force: friction along and across the body, shape (S P, 2), N.
         linear: derivative of the residual without contacts, shape (velocities,
@@ -141,7 +141,7 @@ class Workspace(NamedTuple):
 
 
 def work_arrays(segments: int, points: int) -> Workspace:
-    """Allocate the arrays for a number of segments and of points per segment."""
+    """Allocate the arrays for `segments` segments with `points` points each."""
     n = segments + 1
     count = segments * points
     velocities = 6 + 3 * segments
@@ -195,8 +195,8 @@ def rotate(turn, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _spin(turn, axis):  # type: ignore[no-untyped-def]
-    # A column of the left Jacobian of exp([turn]), that is the angular velocity per
-    # unit rate of one component of `turn`.
+    # The result is a column of the left Jacobian of exp([turn]), which is the angular
+    # velocity per unit rate of one component of `turn`.
     x, y, z = turn
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
@@ -405,8 +405,8 @@ def _fill_point(j, p, radius, place, workspace):  # type: ignore[no-untyped-def]
     rows = workspace.rows[p]
     _fill_motion(motion, workspace.point[p], j, workspace, place.derivatives)
     for i in range(9 + 3 * j):
-        # The first rows are the velocity of the material vertically below the axis. The
-        # last row is the rolling velocity of the surface.
+        # The first rows are the velocity of the material point vertically below the
+        # axis. The last row is the rolling velocity of the surface.
         v_x = motion[0, i] - radius * motion[4, i]
         v_y = motion[1, i] + radius * motion[3, i]
         rows[ALONG, i] = c * v_x + s * v_y

@@ -1,10 +1,10 @@
 r"""Time steps of the analytical models and adaptive division of the steps.
 
-Every valve event ends a step (`TimeSteps`). Where the slip of a connector changes its
-sign, the friction force reverses within a few multiples of the slip speed ε. The
-reversal usually takes far less time than a step. If a step misses the reversal, its
-error is as large as the whole impulse of friction. The models `complete` and
-`simplified` therefore divide steps in which friction reverses.
+Every valve event ends a step (`TimeSteps`). Where the slip velocity of a connector
+changes sign, the friction force reverses within a few multiples of the slip speed ε.
+The reversal usually takes far less time than a step. If a step misses the reversal, its
+error is as large as the whole friction impulse. The models `complete` and `simplified`
+therefore divide steps in which friction reverses.
 
 **Error estimate.** A step of length h has two stages, at γ h and h after its start. The
 rate of the momentum is k₀ at the start of the step, k₁ at the first stage and k₂ at the
@@ -21,8 +21,8 @@ force.
 
 A step with η above the tolerance is repeated in two or four substeps, which may be
 divided again. If η is well below the tolerance, the next substep is twice as long.
-Within a step, the bends are interpolated by cubic Hermite polynomials from the bends
-and rates of the chambers at the start and the stages.
+Within a step, cubic Hermite polynomials interpolate the bends and bend rates given by
+the chambers at the start and at the stages.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from srs_twin.pneumatics import Trace
 
 @dataclass(frozen=True)
 class TimeSteps:
-    """Time steps of a schedule. Equal schedules may share one immutable object.
+    """Time steps of a schedule, immutable because equal schedules may share them.
 
     Attributes:
         ends: end of each step after the start of the schedule, ascending, shape
@@ -82,7 +82,8 @@ class TimeSteps:
         Args:
             span: length of the schedule, s.
             events: times of valve events, ascending, s.
-            samples: number of equally spaced samples. The last sample is at the end.
+            samples: number of equally spaced samples. The last sample is at the end of
+                the schedule.
             longest: maximum length of a step, s.
             same: maximum time difference at which two events, or an event and the end
                 of a step, count as simultaneous, s.
@@ -116,7 +117,7 @@ class TimeSteps:
         return times
 
     def chunks(self, length: float) -> Iterator[tuple[float, float, TimeSteps]]:
-        """Yield begin (s), end (s) and steps of chunks of about `length` (s)."""
+        """Yield start (s), end (s) and steps of each chunk of about `length` (s)."""
         firsts = np.unique(
             np.floor(self.ends / length * (1 - 1e-9)), return_index=True
         )[1]
@@ -141,7 +142,7 @@ class TimeSteps:
 
 @lru_cache(maxsize=64)
 def _even(span: float, samples: int, per_sample: int) -> TimeSteps:
-    # Cached, because all ticks of a controller have the same grid.
+    # The result is cached, because all ticks of a run have the same grid.
     count = samples * per_sample
     ends = span / count * np.arange(1, count + 1)
     return TimeSteps(ends, np.arange(per_sample, count + 1, per_sample))
@@ -150,8 +151,8 @@ def _even(span: float, samples: int, per_sample: int) -> TimeSteps:
 MAX_SUBSTEPS = 64
 """Maximum number of substeps of a step, a power of 2."""
 
-# Ratios of the error estimate to the tolerance. Above the first ratio, halves of the
-# step would fail as well, so the step is quartered. Below the second ratio, the length
+# Ratios of the error estimate to the tolerance. Above the first ratio, the step is
+# quartered, because halves of it would fail as well. Below the second ratio, the length
 # of the next substep is doubled.
 _QUARTER_ABOVE = 4.0
 _DOUBLE_BELOW = 0.5
@@ -212,8 +213,8 @@ class PrescribedState(NamedTuple):
     """State of a body with prescribed bends.
 
     Attributes:
-        state, rate: state with the indices of `kernels`, and time derivative of the
-            state at the end of the previous step, shape (STATES,).
+        state, rate: state in the layout of `kernels`, and time derivative of the state
+            at the end of the previous step, shape (STATES,).
         velocity: velocity in the body frame (m/s) and yaw rate (rad/s), shape (3,). The
             next solution starts from these velocities.
     """

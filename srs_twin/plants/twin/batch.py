@@ -1,10 +1,10 @@
-"""Class `TwinBatch` for many twins with individual parameters, stepped by threads.
+"""`TwinBatch` steps many twins with individual parameters in parallel threads.
 
-Each run has its own `TwinSnake`. The results of a run are bit-identical to the results
-of the twin alone. Each distinct robot is compiled once, and the compiled model is
-copied for equal robots.
+Each run has its own `TwinSnake`. The results are bit-identical to those of twins that
+run alone. Each distinct robot is compiled once, and the compiled model is copied for
+equal robots.
 
-A thread simulates whole twins, including chambers and observation. Every call of the
+A thread simulates whole twins, including chambers and observation. Every call to the
 engine releases the global interpreter lock. The class `mujoco.batch.Batch` is not used,
 because its threads wait while Python runs. The class `mujoco.rollout.Rollout` does not
 return the solver's warm start, so a run divided into chunks would not be bit-identical.
@@ -103,8 +103,8 @@ class TwinBatch(Claimable):
 
         Raises:
             InputError: there is no run, the robots differ in the number of connectors,
-                the number of pressures is wrong, the chambers are given as an object,
-                or `TwinSnake` rejects an argument.
+                the number of pressures is wrong, `pneumatics` is an object, or
+                `TwinSnake` rejects an argument.
         """
         self._workers = Workers(threads)
         self.twins = _twins(self._workers, specs, supply_pa, settings)
@@ -118,7 +118,7 @@ class TwinBatch(Claimable):
     def reset(
         self, *, poses: Sequence[Pose] | None = None, seed: int = 0
     ) -> SnakeState:
-        """Reset all snakes to straight bodies at rest with empty chambers.
+        """Reset all snakes to a straight shape at rest with empty chambers.
 
         Args:
             poses: centre of mass x, y (m) and mean heading (rad) of each run. The
@@ -192,7 +192,7 @@ class TwinBatch(Claimable):
             schedules: schedule of each run over a whole number of ticks. Runs with the
                 schedule None are not advanced.
             samples: number of equally spaced samples of each run. The last sample is at
-                the end.
+                the end of the schedule.
 
         Returns:
             The history of each run. If a run diverges, its history ends at the
@@ -218,7 +218,7 @@ class TwinBatch(Claimable):
         return np.array([twin.openings() for twin in self.twins])
 
     def describe(self) -> dict[str, object]:
-        """Return settings of the batch that a recording stores, as JSON values."""
+        """Return the batch settings that a recording stores, as JSON values."""
         return {}
 
     def _command_error(self, k: int, valves: np.ndarray) -> DivergedError | None:
@@ -236,8 +236,7 @@ class TwinBatch(Claimable):
         try:
             return self.twins[k].play(schedule, samples)
         except DivergedError as error:
-            # Without its traceback, the error does not keep the engine's records in
-            # memory.
+            # The traceback would keep the engine's records in memory.
             self.errors[k] = error.with_traceback(None)
             history: SnakeState | None = error.history
             return history

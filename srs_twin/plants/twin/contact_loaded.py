@@ -7,7 +7,7 @@ The module `friction_solve` computes the friction of one step and lists the symb
 
 **Equation of a step.** A step has the length h, the initial velocity v₋ and the final
 velocity v. MuJoCo first solves the step with the friction forces f̂ of the previous
-step. The result is the velocity v̂:
+step, which gives the velocity v̂:
 
 $$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w . $$
 
@@ -29,14 +29,14 @@ $$ \bigl(A + J_n^T R^{-1} J_n\bigr)\,\delta = h \sum_w J_w^T (f_w - \hat f_w)
    + h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
 
 J_n has rows only for wheels that press on the floor, and R is MuJoCo's regularisation.
-The term with J_n on the left side is due to the change of the normal forces, N − N̂ =
-−J_n δ/(h R). Without this term, friction could push wheels into the floor. The force
-c(v̄) is evaluated with v̂ instead of v.
+The term with J_n on the left-hand side is due to the change of the normal forces, N −
+N̂ = −J_n δ/(h R). Without this term, friction could push wheels into the floor. The
+force c(v̄) is evaluated with v̂ instead of v.
 
-**Obstacles** exert normal forces on the collision geoms of the body. The friction of an
-obstacle (`stick_slip`) acts at the point of application of the obstacle's normal force.
-J_n has no row for collision geoms, so the normal force of an obstacle is constant
-during the friction solve. Movable objects have separate contacts (`object_contacts`).
+**Obstacles** exert normal forces on the collision geoms of the body. Obstacle
+friction (`stick_slip`) acts at the points of application of these normal forces. J_n
+has no rows for collision geoms, so the normal forces exerted by obstacles are constant
+during the friction solve.
 
 **Time levels.** Positions are evaluated at mid-step. Springs, friction and Coriolis
 forces are therefore second-order accurate. MuJoCo evaluates the normal contacts at the
@@ -103,7 +103,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import MovableObject
 
 _SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)
-"""Stage after which the engine continues a step whose velocities are known."""
+"""Stage after which the engine continues if the velocities are already computed."""
 
 _SINKING_TIME = 0.05
 """Time in which a resting snake sinks into the floor, at a time unit of 1, s."""
@@ -147,8 +147,8 @@ class LoadedStepper(Stateful):
 
     Attributes:
         contact_state: friction, rim speeds and normal forces of the previous step.
-        object_state: friction and slip speeds of the contacts of objects.
-        collision_jacobian: Jacobians of the previous step's friction on collision
+        object_state: friction and slip speeds of the object contacts.
+        collision_jacobian: Jacobians for the previous step's friction on collision
             geoms, shape (collision geoms, 4, 6).
     """
 
@@ -166,7 +166,7 @@ class LoadedStepper(Stateful):
         """Compute the constants of the contacts and allocate the arrays of a step.
 
         Args:
-            model: model compiled from `settings`.
+            model: MuJoCo model compiled from `settings`.
             data: engine data that the steps advance.
             spec: robot of the model.
             settings: settings with the time step and a `LoadedContact`.
@@ -217,7 +217,7 @@ class LoadedStepper(Stateful):
 
     @property
     def constants(self) -> tuple[Contacts, Sparsity]:
-        """Constants that are computed from the model."""
+        """Constants computed from the model."""
         return self._contacts, self._sparsity
 
     @constants.setter
@@ -226,7 +226,7 @@ class LoadedStepper(Stateful):
 
     @property
     def object_state(self) -> ObjectState:
-        """State of the contacts of objects, as views of the kernels' arrays."""
+        """State of the object contacts, as views of the kernels' arrays."""
         return ObjectState(
             *(getattr(self._objects, name) for name in ObjectState._fields)
         )
@@ -259,7 +259,7 @@ class LoadedStepper(Stateful):
     def reset(self) -> None:
         """Sink the snake into the floor until it rests, and set the static loads.
 
-        The snake sinks by some micrometres. During this time the floor is level and
+        The snake sinks by a few micrometres. During this time the floor is level and
         frictionless, because friction would preserve small horizontal displacements.
         Obstacles are disabled, so that an overlap can still be detected at the start of
         a run.
@@ -293,7 +293,7 @@ class LoadedStepper(Stateful):
             array[:] = 0.0
 
     def roll(self) -> None:
-        """Set the rim speeds of the wheels to the speeds of rolling without slip."""
+        """Set the rim speeds of the wheels so that they roll without slip."""
         contacts = self._contacts
         velocity = np.empty(6)
         for w in range(contacts.wheels):
@@ -315,13 +315,13 @@ class LoadedStepper(Stateful):
             states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq +
                 nv). Rows after a diverged step are NaN.
             sensors: sensor values of each step, shape (steps, nsensordata).
-            floor_force: force of the floor on each wheel in the world frame, shape
-                (steps, axles, 2, 3), N.
+            floor_force: force exerted by the floor on each wheel in the world frame,
+                shape (steps, axles, 2, 3), N.
             power: power dissipated by friction and by the normal forces on collision
                 geoms, shape (steps,), W.
-            obstacle_friction: friction of the obstacles, then of each object, on the
-                collision geoms in the world frame, shape (steps, 1 + objects, collision
-                geoms, 3), N.
+            obstacle_friction: friction exerted by the obstacles, then by each object,
+                on the collision geoms in the world frame, shape (steps, 1 + objects,
+                collision geoms, 3), N.
         """
         model = self._model
         data = self._data
@@ -466,13 +466,13 @@ def _damping_matrices(
 
     Under a force f, the step (M + C)(v − v₋) = h (f − D v₋) then has the exact
     exponential decay. The step is accurate to second order, and fast modes do not
-    oscillate. M is the inertia matrix of the straight snake. The order of accuracy does
-    not depend on the shape.
+    oscillate. M is the inertia matrix of the straight snake, but the order of accuracy
+    does not depend on the shape.
 
     The compressed air in the chambers acts as a further spring K_a, whose force is
     evaluated at mid-step. In the fastest oscillation of this spring, a connector
     vibrates between two closed chambers. The term h² K_a/4 in A keeps the step stable
-    for this oscillation. The term changes the results only to second order in h.
+    for this oscillation and changes the results only to second order in h.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     rates = h * model.dof_damping
@@ -481,8 +481,8 @@ def _damping_matrices(
     )
     decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
     shapes = mass @ modes
-    # Rigid motions are undamped. Rounding errors in the decay rates of rigid motions
-    # would add an inertia that does not rotate with the snake.
+    # Rigid motions are undamped. Rounding errors in their decay rates would add an
+    # inertia that does not rotate with the snake.
     damped = decays > _MIN_DECAY
     decays[~damped] = 1.0
     damping: np.ndarray = (
@@ -544,6 +544,6 @@ def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-de
 
 @kernel_only
 def _copy(source, target):  # type: ignore[no-untyped-def]
-    # A loop, because numba takes seconds to compile an assignment to a slice.
+    # This is a loop, because numba takes seconds to compile an assignment to a slice.
     for k in range(source.shape[0]):
         target[k] = source[k]

@@ -1,4 +1,4 @@
-"""C functions and data of MuJoCo for compiled kernels."""
+"""Access to MuJoCo's C functions and data for compiled kernels."""
 
 from __future__ import annotations
 

@@ -25,10 +25,10 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
   across the heading.
 - J_n: Jacobian that maps generalised velocities to the normal velocities of the wheels
   that press on the floor.
-- R: MuJoCo's regularisation of the normal forces on wheels, 1/kg. - r: residual of the
-equation, kg·m/s or kg·m²/s. - u_w: velocity of contact w at which the friction law is
-evaluated,
-  u_w = J_w (v₋ + θ (v − v₋)).
+- R: MuJoCo's regularisation of the normal forces on wheels, 1/kg.
+- r: residual of the equation, kg·m/s or kg·m²/s.
+- u_w: velocity J_w (v₋ + θ (v − v₋)) of contact w, at which the friction law is
+  evaluated.
 - θ: fraction of the step at which friction is evaluated (`_evaluation_fraction`). A
   sliding contact has θ = 1/2, which gives second-order accuracy. For a sticking contact
   θ tends to 1.
@@ -36,24 +36,23 @@ evaluated,
 The part of a wheel's friction that accelerates the spin of the wheel (`_SPIN_FORCE`)
 acts at the hub. The remaining friction acts at the contact point.
 
-**The Newton matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact moves
-only with the ancestors of its connector. The matrix therefore has the sparsity pattern
-of M, and its factorisation has no fill-in. The derivatives of the contact forces are
-summed as spatial 6 × 6 matrices from the ends of the chain to its root, and then
-projected on the joint axes. The composite-rigid-body algorithm sums inertias in the
-same way (Featherstone 2008, Section 6.2). In spatial vectors the rotation comes first.
-The reference point of spatial vectors is the centre of mass of the snake, as for `cdof`
-in MuJoCo.
+**The Newton matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact is
+moved only by its connector and the ancestors of the connector. The matrix therefore has
+the sparsity pattern of M, and its factorisation has no fill-in. The derivatives of the
+contact forces are summed as spatial 6 × 6 matrices from the ends of the chain to its
+root, and then projected on the joint axes. The composite-rigid-body algorithm sums
+inertias in the same way (Featherstone 2008, Section 6.2). The module `spatial_algebra`
+defines the spatial vectors.
 
 **Loads.** Friction depends on the normal forces, which depend on δ. The first Newton
-step uses the normal forces at v̂. The equation is then solved to the tolerance with the
-normal forces after the first Newton step.
+step uses the normal forces at v̂. The equation is then solved to the required tolerance
+with the normal forces that follow from this step.
 
 The module `object_contacts` adds the contacts of movable objects to the solve.
 
 Both numba and Warp compile these functions, so the functions use only records of
-arrays, numbers and loops. Warp requires a decimal point in floating-point literals and
-the call of `float` for a variable that a loop changes.
+arrays, numbers and loops. For Warp, floating-point literals need a decimal point, and a
+variable that a loop changes must be initialised with `float(...)`.
 """
 
 from __future__ import annotations
@@ -103,10 +102,10 @@ _MAX_ITERATIONS = 30  # Maximum number of Newton steps with the final loads.
 _MAX_TRIALS = 12  # Maximum number of evaluations in a line search.
 
 # Tolerances of the squared residual. The first tolerance is relative to the squared
-# friction impulse, and friction is then accurate to 1e-7. The second tolerance is
-# relative to the maximum initial residual and allows for rounding errors. The third
-# tolerance is absolute, in (kg·m/s)². Warp computes in single precision and replaces
-# the third tolerance (`warp.translation`).
+# friction impulse and makes friction accurate to 1e-7. The second tolerance is relative
+# to the maximum initial residual and allows for rounding errors. The third tolerance is
+# absolute, in (kg·m/s)². Warp computes in single precision and replaces the third
+# tolerance (`warp.translation`).
 _RELATIVE_TOLERANCE = 1e-14
 _ROUNDING_TOLERANCE = 1e-24
 _ABSOLUTE_TOLERANCE = 0.0
@@ -136,12 +135,11 @@ _STORED_SPIN = 2
 
 
 class Contacts(NamedTuple):
-    """Constants of the C possible contacts of wheels and of collision geoms.
+    """Constants of the C contacts that wheels and collision geoms can make.
 
     The wheels precede the collision geoms that may touch an obstacle.
 
     Attributes:
-        wheels: number of wheels.
         body: id of the body of each contact, shape (C,).
         last_dof: last degree of freedom that moves each contact, shape (C,).
         centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.
@@ -151,10 +149,11 @@ class Contacts(NamedTuple):
             1/kg. The direction is across the heading for wheels, and along the body for
             collision geoms.
         static_load: normal force at rest, shape (C,), N.
-        load_kind: kind of load in the friction law, an index into `numerics.LOADS`.
+        load_kind: kind of load used by the friction law, an index into
+            `numerics.LOADS`.
         sensor: index into `sensordata` of the normal force on a wheel, shape (C,). For
-            a collision geom, the index refers to the force. The point of application
-            follows the force in `sensordata`.
+            a collision geom, the index refers to the contact force, which is followed
+            by the point of application.
         wheel_radius: radius of the wheels, m.
         floor: friction law of the wheels on the floor.
         obstacle_friction: friction coefficient between collision geoms and obstacles,
@@ -176,14 +175,14 @@ class Contacts(NamedTuple):
 
 
 class ContactState(NamedTuple):
-    """State of the contacts that one time step passes to the next step.
+    """Contact state that one time step passes to the next.
 
     Attributes:
         force: friction along and across the heading, and part of the friction that
             spins the wheel, shape (C, 3), N.
         rim_speed, slip_speed: circumferential speed of each wheel, and slip speed of
             each contact, shape (C,), m/s.
-        load: normal force in the friction law, shape (C,), N.
+        load: normal force used by the friction law, shape (C,), N.
     """
 
     force: np.ndarray
@@ -213,7 +212,8 @@ class Workspace(NamedTuple):
             (nv, 6).
         motion: spatial velocities of δ, or the spatial forces exerted by friction,
             shape (nv, 6).
-        impulse: spatial impulses of the changed contact forces, shape (nv, 6).
+        impulse: spatial impulses due to the change of the contact forces, shape (nv,
+            6).
         derivative: spatial derivatives of the contact forces, shape (nv, 6, 6).
         inertia, newton_matrix: A and the Newton matrix, shape (nM,). In numba, the
             Newton matrix overwrites the engine's M.
@@ -291,7 +291,7 @@ def set_mid_velocity(engine, workspace):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def solve_friction(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
-    """Solve for the friction of a step, and set `qvel` to the velocity at its end.
+    """Solve for the friction of a step, and set `qvel` to the velocity after the step.
 
     Before the call, the workspace must contain v₋, v̂ and, in `residual`, c(v̄). The
     engine's `qfrc_bias` must contain c(v₋).
@@ -615,12 +615,12 @@ def _newton(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no
 
 @kernel_only
 def _line_search(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
-    # The search ends when the residual is nearly normal to the Newton step. With given
-    # normal forces, friction maximises dissipation, and the residual is the gradient of
-    # a convex function. This function decreases along the Newton step. The squared
-    # residual may increase where a contact changes between sticking and sliding. A
-    # search that requires a decrease of the squared residual would therefore stall when
-    # the robot stops.
+    # The search ends when the residual is nearly orthogonal to the Newton step. With
+    # given normal forces, friction maximises dissipation, and the residual is the
+    # gradient of a convex function. This function decreases along the Newton step. The
+    # squared residual may increase where a contact changes between sticking and
+    # sliding. A search that requires a decrease of the squared residual would therefore
+    # stall when the robot stops.
     change = workspace.v_change
     direction = workspace.direction
     derivative_start = inner(workspace.residual, direction)
@@ -651,7 +651,7 @@ def _line_search(engine, contacts, sparsity, state, workspace, h):  # type: igno
             low = scale
             derivative_low = derivative
         # The secant step must stay away from both ends of the bracket by at least a
-        # tenth.
+        # tenth of its width.
         scale = low + min(
             max(derivative_low / (derivative_low - derivative_high), 0.1), 0.9
         ) * (high - low)
@@ -715,7 +715,7 @@ def _sum_impulses(contacts, state, workspace, h):  # type: ignore[no-untyped-def
 
 @kernel_only
 def _evaluate_residual(engine, contacts, sparsity, state, workspace, h, out):  # type: ignore[no-untyped-def]
-    """Compute r(δ) and the response of the friction law, and return the square of r."""
+    """Compute r(δ) and the friction response, and return the squared residual."""
     change = workspace.v_change
     spatial_velocities(engine.cdof, sparsity, change, workspace.motion)
     _evaluate_friction(contacts, state, workspace, h)
@@ -748,8 +748,8 @@ def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[
             up = 1.0 / contacts.regularisation[w]
         else:
             up = 0.0
-        # In a rolling wheel the force along the heading spins the wheel. The derivative
-        # of this force then acts on the connector at the hub.
+        # On a rolling wheel, the force along the heading spins the wheel. The
+        # derivative of this force then acts on the connector at the hub.
         forward = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
         lateral = jacobian[w, _ACROSS]
         vertical = jacobian[w, _UP]

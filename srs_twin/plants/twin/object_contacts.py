@@ -1,14 +1,14 @@
 r"""Friction of movable objects on the floor and on the body.
 
-The friction solve of a time step includes the contacts of objects. The module
-`friction_solve` lists the symbols. An object stands on the floor on four support points
-(`MovableObject.supports`) and can touch collision geoms of the body. The friction law
-of all these contacts is the law of `stick_slip`, which is implicit in the velocities.
+The friction solve of a time step includes these contacts. The module `friction_solve`
+lists the symbols. An object stands on the floor on four support points
+(`MovableObject.supports`) and can touch collision geoms of the body. All these contacts
+have the friction law of `stick_slip`, which is implicit in the velocities.
 
-The velocity in the law is the velocity of a collision geom relative to the object. The
-opposite friction force acts on the object. The support points carry constant loads. The
-vertical friction on collision geoms does not change these loads. The normal forces
-between objects and collision geoms are computed from the engine's prediction v̂.
+For a collision geom, the law uses the velocity relative to the object, and the opposite
+friction force acts on the object. The support points carry constant loads, which the
+vertical friction on collision geoms does not change. The normal forces between objects
+and collision geoms are computed from the engine's prediction v̂.
 
 Each object is a separate kinematic tree. The derivatives of contact forces between
 objects and collision geoms couple the motions of objects and snake. The derivatives
@@ -59,7 +59,7 @@ _DERIVATIVE_ACROSS = 4
 
 
 class ObjectState(NamedTuple):
-    """State of the contacts that one time step passes to the next step.
+    """Contact state that one time step passes to the next.
 
     Attributes:
         force: friction along and across the contact surface, shape (C, 2), N.
@@ -79,15 +79,14 @@ class ObjectContacts(NamedTuple):
     Pairs of an object and a collision geom precede the support points.
 
     Attributes:
-        pairs: number of pairs.
         first: index of the objects' first degree of freedom.
         slip: slip speed ε, m/s.
         dof: last degree of freedom of the collision geom and of the object, shape (C,
             2). A support point has −1 instead of a collision geom.
         object_body: body id of the object, shape (C,).
         place: position of a support point in the frame of the object, shape (C, 2), m.
-        sensor: index into `sensordata` of the force on the collision geom, which
-            precedes its point of application, shape (C,).
+        sensor: index into `sensordata` of the force on the collision geom, which is
+            followed by the point of application, shape (C,).
         load: normal force, constant for a support point, shape (C,), N.
         friction: friction coefficient, shape (C,), dimensionless.
         inverse_effective_mass: inverse effective mass, shape (C,), 1/kg.
@@ -99,9 +98,9 @@ class ObjectContacts(NamedTuple):
         response: friction along and across (N), and the derivatives of friction along,
             mixed and across (N·s/m), shape (C, 5).
         coupling, solved: matrices B and B P⁻¹, shape (m, nv), where m is the number of
-            the objects' degrees of freedom.
-        matrix: matrix of the objects, with the right-hand side as last column, shape
-            (m, m + 1).
+            degrees of freedom of all objects.
+        matrix: matrix of the linear system for y, with the right-hand side as last
+            column, shape (m, m + 1).
     """
 
     pairs: int
@@ -130,7 +129,7 @@ def object_contacts(
     slip: float,
     collision_inverse_effective_mass: np.ndarray,
 ) -> ObjectContacts:
-    """Return the contacts of the objects of a compiled scene at rest.
+    """Return the object contacts of a compiled scene at rest.
 
     `slip` is the slip speed (m/s). `collision_inverse_effective_mass` has one value per
     collision geom (1/kg).
@@ -188,7 +187,7 @@ def object_contacts(
 
 
 def has_objects(engine: types.NamedTuple) -> bool:
-    """Return whether a numba type of `EngineData` includes contacts of objects."""
+    """Return whether a numba type of `EngineData` includes object contacts."""
     return not isinstance(engine[engine.fields.index("objects")], types.NoneType)
 
 
@@ -257,7 +256,7 @@ def locate_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-d
                 _locate(item, x - own[0], y - own[1], z - own[2], c, s, -1.0)
         grip = o.friction[w] * o.load[w] / max(o.slip_speed[w], o.slip)
         decay = h * grip * o.inverse_effective_mass[w]
-        # `friction_solve._evaluation_fraction` states the law of θ.
+        # `friction_solve._evaluation_fraction` explains θ.
         if decay > 0.1:
             o.theta[w] = 1.0 / (1.0 - np.exp(-decay)) - 1.0 / decay
         else:

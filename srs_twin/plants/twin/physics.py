@@ -1,4 +1,4 @@
-"""MuJoCo simulation of the snake's bodies, which the chambers drive."""
+"""MuJoCo simulation of the snake's bodies, driven by the chambers."""
 
 from __future__ import annotations
 
@@ -44,11 +44,12 @@ class StepBatch:
 
     Attributes:
         states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq + nv).
-        floor_force: mean force of the floor on each wheel in each step, world frame,
-            shape (steps, axles, 2, 3), N.
+        floor_force: mean force exerted by the floor on each wheel in each step, world
+            frame, shape (steps, axles, 2, 3), N.
         energy: kinetic energy at the beginning of each step, shape (steps,), J.
-        obstacle_force: mean force of all obstacles on each connector and the adjoining
-            halves of its segments in each step, world frame, shape (steps, N, 3), N.
+        obstacle_force: mean force exerted by all obstacles on each connector and the
+            adjoining halves of its segments in each step, world frame, shape (steps, N,
+            3), N.
         power: power dissipated by floor and obstacles, shape (steps,), W.
         internal: power dissipated by the joints of the segments, shape (steps,), W.
     """
@@ -96,15 +97,15 @@ class Sensors(NamedTuple):
     """Addresses of all sensor components, with x, y and z in the last axis of vectors.
 
     Attributes:
-        floor_force: force of the floor on each wheel, shape (axles, 2, 3).
+        floor_force: force exerted by the floor on each wheel, shape (axles, 2, 3).
         foot_velocity: velocity of each foot, shape (axles, 2, 3). Under loaded contact
             the array is empty.
-        collision_force: force of the obstacles on each collision geom, shape (collision
-            geoms, 3).
+        collision_force: force exerted by the obstacles on each collision geom, shape
+            (collision geoms, 3).
         collision_velocity: velocity of each collision geom's centre, shape (collision
             geoms, 3).
-        object_force: force of each object on each collision geom, shape (objects,
-            collision geoms, 3).
+        object_force: force exerted by each object on each collision geom, shape
+            (objects, collision geoms, 3).
         drag_force: axial drag on each connector, shape (N,). Without drag the array is
             empty.
         drag_velocity: velocity of each connector along its heading, shape (N,).
@@ -199,7 +200,7 @@ class EngineWarnings(threading.local):
 
 
 ENGINE_WARNINGS = EngineWarnings()
-"""Warnings for the message of a `DivergedError`.
+"""MuJoCo warnings that a `DivergedError` quotes.
 
 A handler collects the warnings, because MuJoCo otherwise writes a log file.
 """
@@ -223,9 +224,7 @@ class SnakePhysics(Stateful):
 
     Attributes:
         model: compiled model, which no other object uses.
-        data: current state of the bodies.
         free: whether the snake moves on a floor instead of having a clamped head.
-        internal_joints: springs and dampers of the segments.
         stepper: integrator for loaded contact, or None under a preloaded contact or
             without a floor.
     """
@@ -255,8 +254,8 @@ class SnakePhysics(Stateful):
         # and bounds share one compiled model.
         matters = world is not None and (world.is_solid or world.uneven)
         relevant = world if matters else None
-        # Changes of one twin's model must not affect other twins, so the model is
-        # copied.
+        # The model is copied, because changes of one twin's model must not affect other
+        # twins.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
         return cls(model, spec, settings, chambers, world or World())
 
@@ -301,7 +300,7 @@ class SnakePhysics(Stateful):
             )
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Copy model and state. The engine's data contain addresses and are rebuilt."""
+        """Copy model and state. Engine data contain addresses and are rebuilt."""
         arguments = (
             self.model,
             self._spec,
@@ -345,15 +344,15 @@ class SnakePhysics(Stateful):
     def bends_and_rates(
         self, qpos: np.ndarray, qvel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return bends and bend rates, with the leading axes of `qpos` and `qvel`."""
+        """Return bends (rad) and bend rates (rad/s) for each leading axis of `qpos`."""
         bends = self._by_segment(qpos @ self._angles.T)
         return bends, self._by_segment(qvel @ self._rates.T)
 
     def connector_forces(self, collision_force: np.ndarray) -> np.ndarray:
         """Return the obstacles' forces on the connectors, shape (…, N, 3), N.
 
-        The argument contains the forces on the collision geoms, shape (…, collision
-        geoms, 3), N.
+        `collision_force` contains the forces on the collision geoms, shape (…,
+        collision geoms, 3), N.
         """
         force: np.ndarray = np.einsum(
             "ih,...hk->...ik", self._collision_fractions, collision_force
@@ -363,7 +362,7 @@ class SnakePhysics(Stateful):
     def reset_pose(self, pose: Pose) -> None:
         """Reset to a snake at rest with rest bends and empty chambers.
 
-        The pose contains the centre of mass x, y (m) and the mean heading (rad).
+        `pose` contains the centre of mass x, y (m) and the mean heading (rad).
         """
         mujoco.mj_resetData(self.model, self.data)
         hinges = self._angles.sum(axis=1, keepdims=True)
@@ -380,7 +379,7 @@ class SnakePhysics(Stateful):
         self._last_force = self._no_force
         if self.stepper is not None:
             self.stepper.reset()
-            # Sinking into the floor has displaced the snake by some nanometres.
+            # Sinking into the floor has displaced the snake by a few nanometres.
             self._move_to_pose(pose)
             self.refresh()
         if self.free:
@@ -413,8 +412,8 @@ class SnakePhysics(Stateful):
         self._move_to_pose(pose)
         data.qvel[:] = (rate / hinges) @ self._rates
         self.refresh()
-        # A rigid rotation and a translation change the mean velocities to the given
-        # values.
+        # Adding a rigid rotation and a translation gives the snake the required mean
+        # velocities.
         data.qvel[5] += velocity[2] - data.cvel[self._connectors, 2].mean()
         self.refresh()
         data.qvel[:2] += velocity[:2] - data.subtree_linvel[_SNAKE][:2]
@@ -459,7 +458,7 @@ class SnakePhysics(Stateful):
         """
         engine = np.asarray(state.get("engine"))
         if engine.shape != (mujoco.mj_stateSize(self.model, _SAVED_STATE),):
-            raise InputError("the saved value must be a state of MuJoCo for this model")
+            raise InputError("the saved MuJoCo state is missing or of another model")
         super().load_state_dict(state)
         mujoco.mj_setState(self.model, self.data, engine, _SAVED_STATE)
         self.refresh()
@@ -481,14 +480,14 @@ class SnakePhysics(Stateful):
         )
 
     def run(self, trace: Trace) -> StepBatch:
-        """Advance the bodies with given chamber states, and evaluate the steps."""
+        """Advance the bodies under given chamber states, and evaluate the steps."""
         return self.evaluate(trace.bend_rate[1:], *self.advance_bodies(trace))
 
     def advance_bodies(self, trace: Trace) -> tuple[np.ndarray, ...]:
         """Advance the bodies with given chamber states.
 
-        The result contains the arguments of `evaluate` after `free_rate`. Results of
-        several calls may be concatenated before the evaluation.
+        The result contains the arguments of `evaluate` that follow `free_rate`. The
+        results of several calls may be concatenated before they are evaluated.
 
         Args:
             trace: state of the chambers at the beginning of each step and at the end of
@@ -546,9 +545,9 @@ class SnakePhysics(Stateful):
             contact_power: power dissipated by floor, obstacles and objects, shape
                 (steps,), W. Without this argument the power is computed from the
                 sensors.
-            obstacle_friction: friction of obstacles, then of each object, on collision
-                geoms, shape (steps, 1 + objects, collision geoms, 3), N. The sensors do
-                not measure friction under loaded contact.
+            obstacle_friction: friction exerted by obstacles, then by each object, on
+                collision geoms, shape (steps, 1 + objects, collision geoms, 3), N. The
+                sensors do not measure friction under loaded contact.
         """
         self.refresh()
         at = self._sensors
@@ -608,7 +607,7 @@ class SnakePhysics(Stateful):
         self._update_kinematics(self.data)
 
     def kinematics(self, states: np.ndarray) -> Kinematics:
-        """Return positions and velocities in states with the layout of `StepBatch`."""
+        """Compute positions and velocities from states in the layout of `StepBatch`."""
         count = len(states)
         n = len(self._connectors)
         nq = self.model.nq
@@ -650,7 +649,7 @@ class SnakePhysics(Stateful):
         return float(momentum @ data.qvel) / 2
 
     def bend_angles(self) -> np.ndarray:
-        """Return the bends (rad), which have two columns for a spatial robot."""
+        """Return the bends (rad), with two columns for a spatial robot."""
         return self._by_segment(self._angles @ self.data.qpos)
 
     def bend_rates(self) -> np.ndarray:
@@ -680,8 +679,8 @@ class SnakePhysics(Stateful):
     def floor_forces(self) -> np.ndarray:
         """Return the floor's mean force on each wheel in the last `run`, N.
 
-        The preload is subtracted. The force is in the world frame. The axes of the
-        result, shape (axles, 2, 3), are axle, left or right wheel, and x, y, z.
+        The forces are in the world frame, without the preload. The shape is (axles, 2,
+        3), with the left wheel before the right wheel.
         """
         force = self._floor_force.copy()
         force[..., 2] -= self._preload
@@ -740,7 +739,7 @@ def _compile_scene(
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
     # MuJoCo ends the solver when the improvement of the cost is less than the tolerance
     # times the mean diagonal element of M. The moments of inertia on the diagonal
-    # depend on the length unit. The factor compensates for this dependence.
+    # depend on the length unit. The factor compensates for it.
     if settings.base == "free":
         masses = 3 * model.body_subtreemass[_SNAKE]
     else:

@@ -1,4 +1,4 @@
-"""Plant `TwinSnake`, the three-dimensional twin in MuJoCo with compliant bends."""
+"""Plant `TwinSnake`, the three-dimensional MuJoCo twin with compliant bends."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from srs_twin.sensing import Sensor
 _MAX_SPEED = 1e4
 """Speed of a joint above which the simulation counts as diverged, rad/s or m/s."""
 
-# Names of contact options in a recording that differ from the option names.
+# Contact options whose keys in a recording differ from the option names.
 _CONTACT_KEYS = {
     "law": "friction",
     "slip_speed": "slip_speed_m_s",
@@ -60,10 +60,10 @@ class Loads(NamedTuple):
     """Forces and energies at the samples of a history.
 
     Attributes:
-        floor_force: mean force of the floor on each wheel since the previous sample,
-            world frame, shape (samples, axles, 2, 3), N.
-        obstacle_force: mean horizontal force of obstacles on each connector since the
-            previous sample, shape (samples, N, 2), N.
+        floor_force: mean force exerted by the floor on each wheel since the previous
+            sample, world frame, shape (samples, axles, 2, 3), N.
+        obstacle_force: mean horizontal force exerted by obstacles on each connector
+            since the previous sample, shape (samples, N, 2), N.
         body_work: kinetic energy plus the energy dissipated by floor and obstacles,
             shape (samples,), J.
         internal_loss: energy dissipated by the joints of the segments, shape
@@ -77,15 +77,15 @@ class Loads(NamedTuple):
 
 
 class TwinSnake(PneumaticPlant):
-    """Twin in MuJoCo with rigid bodies in three dimensions, on wheels, skids or a skin.
+    """Three-dimensional MuJoCo twin of a snake on wheels, skids or a skin.
 
-    Each segment bends at several hinges. A segment with the bend q exerts the moment k
-    (q_f − q) + c (q̇_f − q̇), with the free bend q_f, the stiffness k and the damping
-    c. A massless segment without load therefore obeys Eq. 14.
+    A segment with the bend q exerts the moment k (q_f − q) + c (q̇_f − q̇), with the
+    free bend q_f, the stiffness k and the damping c. A massless segment without load
+    therefore obeys Eq. 14.
 
     Attributes:
-        max_chunk_s: maximum interval that the engine simulates in one call, s. The
-            interval limits the memory for the results of the steps.
+        max_chunk_s: maximum interval that the engine simulates in one call, s. It
+            limits the memory for the results of the steps.
         physics: engine model and data, a `SnakePhysics`, for quantities that `Plant`
             does not provide.
         timestep: time step, s.
@@ -126,9 +126,9 @@ class TwinSnake(PneumaticPlant):
             spec: robot to simulate.
             contact: contact with the floor. The names "loaded" and "preloaded" select
                 `LoadedContact()` and `PreloadedContact()`.
-            timestep: time step, s, of which the tick must be a multiple. The default is
-                `numerics.TIMESTEP_S` times the time unit of the robot (`robot.scale`),
-                adjusted so that it divides the tick.
+            timestep: time step, s. The tick must be a multiple of the time step. The
+                default is `numerics.TIMESTEP_S` times the time unit of the robot
+                (`robot.scale`), adjusted so that it divides the tick.
             hinges_per_segment: number of bending hinges per segment.
             supply_pa: supply pressure, Pa. The default is the robot's nominal pressure.
             tick: control tick, s. The default is `TICK_S` times the time unit of the
@@ -141,7 +141,7 @@ class TwinSnake(PneumaticPlant):
                 has no obstacles.
             base: support of the snake, "free" on the floor, or with its head "clamped"
                 in the air.
-            numerics: switches for studies of the twin itself.
+            numerics: settings that only studies of the twin itself change.
 
         Raises:
             InputError: a name is unknown, the tick is not a multiple of the time step,
@@ -249,7 +249,7 @@ class TwinSnake(PneumaticPlant):
         return super().identity() | {"world": self._world}
 
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Simulate a schedule in chunks. See `PneumaticPlant._simulate`."""
+        """See `PneumaticPlant._simulate`. Chunks limit the memory."""
         interval = schedule.span / samples
         steps = count_steps("sample interval", interval, "time step", self.timestep)
         chunk_samples = max(1, math.floor(self.max_chunk_s / interval))

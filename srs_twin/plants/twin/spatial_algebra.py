@@ -93,7 +93,7 @@ def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-untyped-def]
-    """Compute the spatial velocities beyond all degrees of freedom, root first."""
+    """Compute the spatial velocity of the bodies beyond each degree of freedom."""
     for i in range(velocity.shape[0]):
         p = sparsity.parent[i]
         for k in range(6):
@@ -104,7 +104,7 @@ def spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-unt
 
 @kernel_only
 def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
-    """Sum spatial forces towards the root, and compute the generalised forces `out`.
+    """Sum spatial forces towards the root, and write the generalised forces to `out`.
 
     The sums replace the values in `force`.
     """

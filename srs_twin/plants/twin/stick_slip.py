@@ -15,8 +15,8 @@ $$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_\mathrm{lat} v_\mathr
 
 For |y| ≤ 1 the contact sticks. The change of the force is then proportional to the
 velocity, and the force is constant at rest. For |y| > 1 the contact slides with the
-force of `robot.friction.ellipse`. With y = q̂ − v/ε, the contact slides with the force
-of `robot.friction.cosine`, which is on the same friction ellipse.
+force of `robot.friction.ellipse`. With y = q̂ − v/ε instead, the contact slides with
+the force of `robot.friction.cosine`, which lies on the same friction ellipse.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 from srs_twin.compute.compiled import compiled
 
 _MIN_LIMIT = 1e-12
-"""Lower bound on the friction limit in the ratio of a force to the limit, N."""
+"""Lower bound on the friction limit by which a force is divided, N."""
 
 _MIN_RATIO = 0.01
 """Lower bound on μ/max(μ_t, μ_lat) in the stiffness 1/(ε μ), dimensionless.
@@ -85,7 +85,7 @@ class Traction(NamedTuple):
 
 @compiled
 def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the `Traction` of a contact that can stick. See the module docstring.
+    """Return the `Traction` of a contact that can stick.
 
     Args:
         v_t, v_lat: velocity along and across the heading, m/s.
@@ -129,7 +129,7 @@ def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # ty
 
 @compiled
 def skin_friction(v_t, v_lat, load, friction_law, p_t, p_lat, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the friction of a skin that can stick. See the module docstring.
+    """Return the friction of a skin that can stick.
 
     Args:
         v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.
@@ -255,7 +255,8 @@ def axis_friction(v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia):  # 
 
     Args:
         v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia: arguments of
-            `rolling_friction`, except that p_t excludes the part that spins the wheel.
+            `rolling_friction`, except that `p_t` excludes the part that spins the
+            wheel.
     """
     mu_t = friction_law.forward
     mu_lat = friction_law.across

@@ -1,9 +1,9 @@
 """Bodies and contact points of a robot with skin and distributed mass.
 
 Hinges divide the body into rods. A rod is either a connector with the adjoining ends of
-its segments, or a link between two hinges of a segment. The mass of a rod is the mass
-of its part of the body. The inertia of a rod is the inertia of a block whose width is
-the width of the body, and whose height is twice the height of the centre of mass.
+its segments, or a link between two hinges of a segment. A rod has the mass of its part
+of the body and the inertia of a block that is as wide as the body and twice as high as
+the centre of mass.
 
 A rod is divided into equally long patches. Two contact points are side by side in the
 middle of each patch. The contact geoms are frictionless spheres centred at the height
@@ -21,7 +21,7 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Length of a rod part, relative to the pitch, below which it is a rounding error."""
+"""Length relative to the pitch below which a rod part is a rounding error."""
 
 
 class Rod(NamedTuple):
@@ -65,7 +65,6 @@ class Patch(NamedTuple):
     """Part of a rod within one segment, with contact points in the middle.
 
     Attributes:
-        rod: rod that contains the patch.
         place: distance of the patch's middle from the head, m.
         length: length of the patch, m.
         mass: mass of the patch, kg.

@@ -1,8 +1,7 @@
 """Default classes of the MJCF, with common properties of joints, geoms and actuators.
 
-Elements state only their class and individual properties. The individual properties are
-the name, the position, and values that depend on the mass of a connector, such as axle
-friction and preload.
+Elements state only their class, name and position, and values that depend on the mass
+of a connector, such as axle friction and preload.
 """
 
 from __future__ import annotations
@@ -106,7 +105,7 @@ def drawn_height(spec: RobotSpec) -> float:
 def _add_joints(
     mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings
 ) -> None:
-    # The integrator evaluates a spring with stiffness k at the end of its step h, which
+    # The integrator evaluates a spring with stiffness k at the end of a step h, which
     # adds the damping h k. The dampers are therefore reduced by h k.
     bending = spec.bending
     n = settings.hinges_per_segment

@@ -11,11 +11,10 @@ time constant τ₂ of the bending mode, each chamber has two actuators. In segm
 example, the control of `plus_1` is the pressure, and the control of `plus_1_lag` is the
 mean pressure over the time step.
 
-MuJoCo's actuators are linear in the pressures, so a limit of the bends becomes a limit
-of the moments. A robot with a dead zone is rejected, unless its pressures are converted
-before they become controls (`equivalent_linear_pressure` of `pneumatics.chambers`).
-The function `describe_departures` lists the properties that the files omit or
-approximate.
+MuJoCo's actuators are linear in the pressures, so the export limits the moments instead
+of the bends. A robot with a dead zone is rejected unless the user converts the
+pressures before they are applied as controls (`equivalent_linear_pressure` of
+`pneumatics.chambers`).
 """
 
 from __future__ import annotations
@@ -38,13 +37,13 @@ SCENE = "scene.xml"
 SCENE_MJX = "scene_mjx.xml"
 
 _LOADS = "is approximate, because it acts on the static loads and no wheel lifts"
-_PRESSURES = "is left out, because the controls are pressures, which change at once"
-_VOLUMES = "is left out, because the controls are pressures, which take no air"
+_PRESSURES = "is left out, because the controls are pressures, which change instantly"
+_VOLUMES = "is left out, because the controls are pressures, which consume no air"
 _CONVERT = "convert pressures with equivalent_linear_pressure (models/README.md)"
 _ONSET = f"is left out; {_CONVERT}"
 _LIMIT = f"is approximate, because bends near it are up to 19 % too large; {_CONVERT}"
-_SENSORS = "is left out, because the lengths of the tendons are the exact bends"
-_DRAWN = "is a single draw, with modules.seed (default 0)"
+_SENSORS = "is left out, because the tendon lengths are the exact bends"
+_DRAWN = "is drawn at random once, with the seed modules.seed (default 0)"
 
 _DEPARTURES = {
     "friction.mu_t": _LOADS,
@@ -68,7 +67,7 @@ _DEPARTURES = {
     "modules.sensor_gain_spread": _SENSORS,
     "modules.sensor_bias_spread_rad": _SENSORS,
 }
-"""Difference between exported model and twin, by key of a robot file."""
+"""How the exported model departs from the twin, by key of a robot file."""
 
 
 def describe_departures(robot: RobotFile) -> Iterator[str]:
@@ -114,9 +113,9 @@ def robot_files(
 
     Args:
         spec: robot to export.
-        supply_pa: upper limit of the controls, Pa. The limits of the robot are used if
-            they are higher.
-        linear: whether to export a robot with a dead zone without its dead zone.
+        supply_pa: upper limit of the controls, Pa, unless the limits of the robot are
+            higher.
+        linear: whether to omit the dead zone of a robot instead of rejecting the robot.
 
     Raises:
         InputError: the robot has a skin or a tail on two axles, or it has a dead zone
@@ -164,7 +163,7 @@ def robot_files(
 
 
 def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
-    """Add a second actuator with a lag behind the pressure to each chamber.
+    """Give each chamber a second actuator that lags behind the pressure.
 
     The compressed air in a nominal segment exerts the moment k x + c ẋ, with the
     stiffness k and the damping c. The free bend x obeys τ₂ ẋ = G (p⁺ − p⁻) − x, where

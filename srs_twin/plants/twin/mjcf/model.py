@@ -6,7 +6,7 @@ robot with skin lies on the floor with its whole body (`belly`).
 
 A segment with the stiffness k and the damping c is a chain of n equal bending hinges,
 each with the stiffness n k and the damping n c. One pitch hinge and one roll hinge in
-the middle of the segment distribute the load of the floor. The controls are the chamber
+the middle of the segment distribute the floor load. The controls are the chamber
 pressures p⁺ and p⁻ in Pa. The actuators ``plus_j`` and ``minus_j`` exert the moment k G
 (p⁺ − p⁻), with the gain G, on the tendon ``bend_j``, whose length is the bend q_j of
 the segment.
@@ -74,8 +74,8 @@ def robot_mjcf(
     Args:
         spec: robot to build.
         settings: time step, discretisation and contact.
-        supply_pa: upper limit of the controls, Pa. The limits of the robot are used if
-            they are higher.
+        supply_pa: upper limit of the controls, Pa, unless the limits of the robot are
+            higher.
         obstacle_friction: friction coefficient of the collision geoms that touch
             obstacles (`surroundings`), dimensionless. Without this argument the body
             has no collision geoms.
@@ -159,8 +159,8 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     option.iterations = 50
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if settings.loaded:
-        # There are few normal forces, and the engine selects a dense or sparse Jacobian
-        # by their number. A strict tolerance is needed, because errors of 1e-7 in the
+        # There are few normal forces, so the engine may choose between a dense and a
+        # sparse Jacobian. A strict tolerance is needed, because errors of 1e-7 in the
         # normal forces would push stopping wheels sideways, in a direction that depends
         # on the processor.
         option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
@@ -227,8 +227,8 @@ class _Chain:
     def _add_segment(self, body: MjsBody, near: int, far: int) -> MjsBody:
         """Add the segment between two neighbouring connectors and return the far one.
 
-        A hinge is the parent of the next hinge. The last hinge is the parent of the far
-        connector.
+        Each hinge is the parent of the next hinge, and the last one is the parent of
+        the far connector.
         """
         spec = self.spec
         g = spec.geometry
@@ -359,7 +359,7 @@ def _set_inertia(
     fixed: FixedInertia = FixedInertia(0.0, np.zeros(3)),  # noqa: B008
     x: float = 0.0,
 ) -> None:
-    # The radius of gyration is the radius of a connector. `mass` excludes the mass of
+    # The body has the radius of gyration of a connector. `mass` excludes the mass of
     # the parts in `fixed`. `x` is the position of the centre of mass along the x axis
     # (m).
     body.mass = mass + fixed.mass

@@ -34,7 +34,7 @@ LAWS_ON_LOADS: tuple[LawOnLoads, ...] = get_args(LawOnLoads)
 """Friction laws for loaded contact."""
 
 LOADS = ("instantaneous", "across", "static")
-"""Values of `LoadedContact.load`, which select the load of a wheel in a friction law.
+"""Values of `LoadedContact.load`, which select the wheel load of the friction law.
 
 - instantaneous: the instantaneous normal force.
 - across: the weight of the connector, divided in the ratio of the normal forces on its
@@ -46,7 +46,6 @@ Wheels = Literal["rolling", "skid"]
 WHEELS: tuple[Wheels, ...] = get_args(Wheels)
 
 FRICTION_LAW_OF: dict[Wheels, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
-"""Friction law of wheels and of skids."""
 
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
 """Preload κ of a wheel and of a skid, dimensionless.
@@ -63,14 +62,14 @@ class LoadedContact:
     """Floor contact with normal forces from MuJoCo and friction from a friction law.
 
     Attributes:
-        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). On
-            a robot with skin, the law of the skin applies instead.
-        load: load of a wheel in the friction law, one of `LOADS`. The default
-            "instantaneous" is recommended. The other loads serve for comparison.
+        law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). A
+            robot with skin has the friction law of the skin instead.
+        load: load of a wheel in the friction law, one of `LOADS`. The values other than
+            the default "instantaneous" are only for comparison.
         slip_speed: slip speed ε, m/s. The default is `SLIP_SPEED_M_S` times the time
             unit of the robot (`robot.scale`). Below the friction limit μN, the force
-            changes by μN/ε times the velocity, so that a resting contact does not creep
-            (`stick_slip`).
+            changes in each step by μN/ε times the velocity, so that a resting contact
+            does not creep (`stick_slip`).
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -86,7 +85,7 @@ class LoadedContact:
         _check_positive(self, "slip_speed")
 
     def for_robot(self, spec: RobotSpec) -> LoadedContact:
-        """Return the contact with default values for a robot instead of None."""
+        """Return a copy in which the robot's default values replace None."""
         return replace(self, slip_speed=_scaled(self.slip_speed, SLIP_SPEED_M_S, spec))
 
 
@@ -127,7 +126,7 @@ class PreloadedContact:
             )
 
     def for_robot(self, spec: RobotSpec) -> PreloadedContact:
-        """Return the contact with default values for a robot instead of None."""
+        """Return a copy in which the robot's default values replace None."""
         return replace(
             self,
             slip_time=_scaled(self.slip_time, SLIP_TIME_S, spec),
@@ -142,7 +141,7 @@ class PreloadedContact:
 
     @property
     def preload_ratio(self) -> float:
-        """Preload κ, which is by default the value in `PRELOAD`, dimensionless."""
+        """Preload κ (dimensionless), by default the value in `PRELOAD`."""
         if self.preload is None:
             return PRELOAD[self.wheels]
         return self.preload
@@ -164,7 +163,7 @@ def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
 
 
 def stated(setting: float | None) -> float:
-    """Return a contact setting. `for_robot` must have replaced None by the default."""
+    """Return a contact setting, which `for_robot` must have set if it was None."""
     assert setting is not None
     return setting
 
@@ -172,11 +171,11 @@ def stated(setting: float | None) -> float:
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
 UNSTATED_CONTACT: ContactName = "preloaded"
-"""Contact of the twin in stored results that do not state a contact."""
+"""Contact assumed for stored results that do not name their contact."""
 
 
 def as_contact(contact: Contact | str) -> Contact:
-    """Return a contact, or the contact of a given name with default options.
+    """Return a contact unchanged, or create the named contact with default options.
 
     Raises:
         InputError: the argument is neither a contact nor a known name.
@@ -189,7 +188,7 @@ def as_contact(contact: Contact | str) -> Contact:
 
 @dataclass(frozen=True)
 class Numerics:
-    """Switches for studies of the twin itself.
+    """Settings that only studies of the twin itself change.
 
     Attributes:
         link_fraction: fraction of the lightest connector's mass that is placed between
@@ -214,10 +213,9 @@ class ModelSettings:
     Attributes:
         timestep: time step, s.
         hinges_per_segment: number of bending hinges per segment, 1 or more.
-        contact: contact with the floor.
         base: support of the chain, "free" or "clamped". A chain with a clamped head
             hangs in the air and bends only in the horizontal plane.
-        numerics: switches for studies of the twin itself.
+        numerics: settings that only studies of the twin itself change.
     """
 
     timestep: float = TIMESTEP_S
@@ -232,7 +230,7 @@ class ModelSettings:
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
     def for_robot(self, spec: RobotSpec) -> ModelSettings:
-        """Return the settings with default contact settings instead of None."""
+        """Return a copy in which the robot's default contact settings replace None."""
         return replace(self, contact=self.contact.for_robot(spec))
 
     def link_mass(self, spec: RobotSpec) -> float:
@@ -269,7 +267,7 @@ the longest round step below the damping time of the segments.
 
 
 def preset_of(settings: ModelSettings) -> str | None:
-    """Return the name of the preset with the same time step, or None."""
+    """Return the name of the preset with the time step of `settings`, or None."""
     if not settings.loaded:
         return None
     for name, preset in PRESETS.items():
@@ -310,7 +308,7 @@ def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
 
 
 def stable_step(step: float, damping_time: float) -> float:
-    """Return the longest stable step of which the time step is a multiple, s.
+    """Return the longest stable step that divides the time step, s.
 
     `damping_time` is the damping time of the segments, s.
     """

@@ -16,7 +16,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 
 ROUNDING = 1 + 1e-9
-"""Factor that allows for rounding in a comparison of two times."""
+"""Factor that allows for rounding when two times are compared."""
 
 LEAST_INERTIA = 1e-15
 """Minimum moment of inertia that MuJoCo accepts (mjMINVAL), kg·m².
@@ -26,10 +26,10 @@ The value is copied, so that scenarios can be checked without an import of MuJoC
 
 
 def check(spec: RobotSpec, settings: ModelSettings, world: World) -> None:
-    """Check that a twin supports robot, settings and world together.
+    """Check that a twin supports a robot with these settings in a world.
 
     Raises:
-        InputError: the twin does not support the combination. The message states all
+        InputError: the twin does not support the combination. The message lists all
             violations.
     """
     refused = refusals("contact", settings.contact.name, spec, world)
@@ -39,7 +39,7 @@ def check(spec: RobotSpec, settings: ModelSettings, world: World) -> None:
 def violations(
     spec: RobotSpec, settings: ModelSettings, world: World
 ) -> Iterator[Violation]:
-    """Yield all violations, whose parameters are arguments of `TwinSnake`."""
+    """Yield all violations. Their parameters are argument names of `TwinSnake`."""
     if world.objects and settings.base != "free":
         yield Violation(
             "objects",
@@ -83,7 +83,7 @@ def violations(
 def coupling_violations(timestep: float, chambers: Pneumatics) -> Iterator[Violation]:
     """Yield a violation if the time step (s) is too long for the chambers.
 
-    The time step is limited if the pressures of the chambers depend on the bends.
+    Only chambers whose pressures depend on the bends limit the time step.
     """
     longest = chambers.coupling_step_s
     if chambers.depends_on_bend and timestep > longest * ROUNDING:

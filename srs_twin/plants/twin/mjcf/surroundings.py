@@ -3,10 +3,10 @@
 **Obstacles** consist of capsules. A circle is represented by an upright capsule with
 the radius of the circle. A polygon has a capsule of 1 mm radius along each side, which
 enlarges the polygon by 1 mm. Obstacles touch only the collision geoms of the body.
-The collision geoms are copies of the capsules of the skin, with the width of the robot,
-at the height of the centres of mass. MuJoCo therefore computes the contact between
-collision geom and obstacle in closed form, in the plane. Only worlds with obstacles or
-objects have collision geoms, so other worlds have no additional cost.
+These are copies of the skin capsules, with the width of the robot, at the height of the
+centres of mass. MuJoCo therefore computes the contact between collision geom and
+obstacle in closed form, in the plane. Only worlds with obstacles or objects have
+collision geoms.
 
 **An object** is a cylinder or a box that slides and rotates on the floor but does not
 tip. The MuJoCo body of an object has two slide joints and a hinge about z. The entries
@@ -36,8 +36,8 @@ from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sens
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, FloorStep, MovableObject, World
 
-# MuJoCo's contype of obstacles and conaffinity of collision geoms. Floor and wheels
-# have explicit contact pairs.
+# MuJoCo's `contype` of obstacles and `conaffinity` of collision geoms. Floor and wheels
+# have explicit contact pairs instead.
 CONTACT_BIT = 2
 HEIGHT_RATIO = 2.0  # Half height of a round obstacle, relative to the body's width.
 _MIN_CONTACT_STEPS = 2.0  # Minimum ratio of contact time to time step in MuJoCo.
@@ -77,9 +77,9 @@ def add_collision_class(
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the obstacles of a world, and sensors on each collision geom.
 
-    The sensors measure the force of all obstacles on the collision geom (N), the point
-    of application of this force (m), and the velocity of the collision geom's centre
-    (m/s). All sensors use the world frame.
+    The sensors measure the force exerted by all obstacles on the collision geom (N),
+    the point of application of this force (m), and the velocity of the collision geom's
+    centre (m/s), all in the world frame.
     """
     solid = mj.add_default("obstacle", mj.default).geom
     solid.type = mjtGeom.mjGEOM_CAPSULE
@@ -119,9 +119,9 @@ def add_steps(
 ) -> list[str]:
     """Lower the floor, add boxes for raised levels, and return the names of the boxes.
 
-    The floor before the first step, at the smallest x, has the height 0. The extent of
-    the model is the length of the robot, because the boxes would enlarge the distance
-    of the cameras.
+    The floor before the step with the smallest x has the height 0. The extent of the
+    model is set to the length of the robot, because the boxes would otherwise move the
+    cameras away.
     """
     if not steps:
         return []
@@ -233,11 +233,11 @@ _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 
 
 def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
-    """Add the objects of a world after the robot, and their poses to keyframe ``home``.
+    """Add a world's objects after the robot, and their poses to keyframe ``home``.
 
-    Sensors measure the force of each object on each collision geom and the point of
-    application of the force. Further sensors measure the velocity and the angular
-    velocity of each object. All sensors use the world frame.
+    Sensors measure the force exerted by each object on each collision geom, the point
+    of application of the force, and the velocity and angular velocity of each object,
+    all in the world frame.
     """
     default = mj.add_default("object", mj.default)
     collision_geom = mj.find_default("collision").geom
@@ -278,7 +278,7 @@ def _add_self_contacts(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def place_of(collision_geom: str) -> tuple[int, int]:
-    """Return the numbers of segment and capsule from the name of a collision geom."""
+    """Extract the segment and capsule numbers from the name of a collision geom."""
     _, segment, number = collision_geom.split("_")
     return int(segment), int(number)
 
@@ -309,7 +309,7 @@ def _add_object(
             default, name=f"{name}_solid", type=mjtGeom.mjGEOM_BOX, size=size, quat=turn
         )
     else:
-        # The geom is a capsule, because contacts between capsules are computed in
+        # The geom is a capsule, because MuJoCo computes contacts between capsules in
         # closed form in the plane.
         ends = [0, 0, -height, 0, 0, height]
         geom = body.add_geom(
@@ -323,7 +323,7 @@ def _names(count: int) -> list[str]:
 
 
 def object_names(model: mujoco.MjModel) -> list[str]:
-    """Return the body names of all objects, in the order of the objects."""
+    """Return the body names of all objects, in the order of their numbers."""
     return _names(
         sum(model.body(k).name.startswith("object_") for k in range(model.nbody))
     )

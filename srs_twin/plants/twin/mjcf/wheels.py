@@ -19,12 +19,12 @@ their contact forces (`contact_loaded`).
 
 MuJoCo's convex friction model lifts a sliding contact off the floor. Without preload,
 the wheels of a snake would be in the air for more than half of the time, and the snake
-would be up to a tenth too fast. The actuators ``press_i``, which have no control,
-therefore press connector i down with κ times its static load. The friction coefficients
-of the contact pairs are the robot's coefficients divided by 1 + κ. The contacts then
-stay closed, and friction equals friction under the static load, as in the analytical
-model. Floor forces minus the preload are the true loads, within 2 % at rest.
-The page docs/twin.md describes the drawbacks.
+would be up to a tenth too fast. The actuator ``press_i``, which has no control,
+therefore presses connector i down with κ times its static load. The friction
+coefficients of the contact pairs are the robot's coefficients divided by 1 + κ. The
+contacts then stay closed, and friction equals friction under the static load, as in the
+analytical model. The floor forces minus the preload equal the true loads within 2 % at
+rest. The page docs/twin.md describes the drawbacks of a preload.
 
 Contacts are explicit pairs that include the floor, so they belong to the scene and not
 to the robot.
@@ -79,7 +79,7 @@ _PRELOAD_SITES = {
 
 
 def axle_masses(spec: RobotSpec, settings: ModelSettings) -> list[float]:
-    """Return the mass on each axle or pair of skin contacts, head first, kg."""
+    """Return the mass carried by each axle or pair of skin contacts, head first, kg."""
     return [
         pair.mass
         for pair in (spec.axles if spec.skin is None else patches(spec, settings))
@@ -114,7 +114,7 @@ def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     """Return the attributes of contact pairs between the floor and wheels or skids.
 
-    The friction coefficient along the heading precedes the coefficient across.
+    In `friction`, the coefficient along the heading precedes that across the heading.
     """
     mu_t = spec.friction.mu_t
     mu_n = spec.friction.mu_n
@@ -152,9 +152,9 @@ def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> FixedInertia:
     """Return the inertia of skids or wheels fixed to a connector.
 
     Skids have the mass of the wheels that they replace. Wheels on axles under a
-    preloaded contact are separate bodies and add no inertia. Without a floor the wheels
-    do not rotate and are fixed. Under loaded contact the friction law includes the spin
-    of the wheels.
+    preloaded contact are separate bodies and add no inertia. Without a floor, the
+    wheels are fixed and do not rotate. Under loaded contact the friction law includes
+    the spin of the wheels.
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
@@ -281,9 +281,9 @@ def add_contacts(
 ) -> None:
     """Add the contact pairs of wheels or skids with the floor, and force sensors.
 
-    The sensors measure the force of the floor on each wheel in the world frame (N).
-    Under a preloaded contact, further sensors measure the velocity of each foot in the
-    world frame (m/s). `levels` contains the names of raised levels of the floor.
+    The sensors measure the force exerted by the floor on each wheel in the world frame
+    (N). Under a preloaded contact, further sensors measure the velocity of each foot in
+    the world frame (m/s). `levels` contains the names of raised levels of the floor.
     """
     if settings.contact.rolling:
         name = "wheel_on_floor"
@@ -360,10 +360,10 @@ def _contact_time_factors(
 ) -> np.ndarray:
     """Return factors on the contact time constant that make all wheels sink equally.
 
-    MuJoCo computes the regularisation R of a contact from the tree of bodies. For gen
-    2, R is 1.25 times as large at the root as at the ends. Without these factors,
-    contacts with a larger R would sink deeper and transfer part of their load to
-    neighbouring contacts. The factors are 1 or more.
+    MuJoCo computes the regularisation R of a contact from the body tree. For gen 2, R
+    is 1.25 times as large at the root as at the ends. Without these factors, contacts
+    with a larger R would sink deeper and transfer part of their load to neighbouring
+    contacts. The factors are 1 or more.
     """
     depth = contact_regularisation(mj.compile(), spec, settings)
     depth *= static_loads(spec, settings).ravel()
