@@ -1,11 +1,9 @@
 r"""Task Module, in which one module tracks a reference bend.
 
-The agent sets the duties of the two chambers.
-
-The module is clamped at its head. Every second the reference bend q_ref changes to a
-random angle that the module can reach at the supply pressure. The reward of a step is
-the negative absolute error at the end of the step, multiplied by the duration Δt of the
-step:
+The module is clamped at its head, and the agent sets the duties of its two chambers.
+Every second the reference bend q_ref changes to a random angle that the module can
+reach at the supply pressure. The reward of a step is the negative absolute error at the
+end of the step, multiplied by the duration Δt of the step:
 
 $$ r = -\frac{|q_{ref} - q|}{1\,\text{rad}}\,\frac{\Delta t}{1\,\text{s}}. $$
 

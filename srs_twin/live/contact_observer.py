@@ -6,8 +6,8 @@ pressures, and the deflection due to the external moment M_j:
 $$ q_j = b_j + \varphi_j(p) + M_j/k . $$
 
 In a steady gait all terms are periodic. The observer learns the means of q_j and φ_j in
-each phase of the gait. Subtracting the means of q_j and φ_j cancels differences between
-modules, sensor offsets and the moments exerted by the floor. The deviation
+each phase of the gait. Subtracting these means cancels sensor offsets, differences
+between modules, and the moments exerted by the floor. The deviation
 
 $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 
@@ -24,8 +24,8 @@ standard deviation of F. A contact is detected if the maximum score exceeds a th
 changes the friction forces and causes inertial forces. `PushedBody` predicts the motion
 of the pushed body for hypotheses about the position, the force and the start of the
 contact. The estimate is the posterior mean of the force at the most probable position.
-The noise variance is multiplied by the mean squared residual of the best hypothesis,
-which accounts for model errors. No means are learnt while the score is high.
+To account for model errors, the noise variance is multiplied by the mean squared
+residual of the best hypothesis. Learning is suspended while the score is high.
 
 **Limits.** A force along the body is not observable. Two simultaneous contacts are
 estimated as one contact. The force is assumed to be constant during a contact.
@@ -55,12 +55,12 @@ SETTLING_S = 2.0
 Samples of the transient are not used for learning.
 """
 LEARNING_S = 10.0
-"""Duration of crawling without contact before estimates begin, s."""
+"""Duration of contact-free crawling before the first estimate, s."""
 THRESHOLD = 6.0
 """Score above which a contact is detected.
 
-The value was chosen with benchmarks/contact_estimate.py for robots with seeds from
-1000.
+The value was chosen with benchmarks/contact_estimate.py for robots with random seeds of
+1000 and above.
 """
 COVERAGE = 0.9
 """Nominal coverage probability of the intervals of the force and the position."""
@@ -73,9 +73,7 @@ _RESOLUTION = 1e-12
 exact.
 """
 _SAME_COMMAND = 0.1
-"""Maximum difference of a duty from the mean for commands that belong to the learnt
-gait.
-"""
+"""Difference between a duty and its learnt mean above which the gait has changed."""
 _STATIONS_PER_SEGMENT = 8
 _FILTER_S = 0.09
 """Time constant of the low-pass filter that suppresses oscillations of the segments, s.
@@ -93,9 +91,7 @@ _PRUNED = 25.0
 """Maximum difference from the minimum cost, in variances, of a hypothesis that is kept.
 """
 _CORRELATION = 2.0
-"""Factor by which the variance is multiplied, because model errors are correlated in
-time.
-"""
+"""Factor on the variance that accounts for the correlation of model errors in time."""
 
 
 class CredibleInterval(NamedTuple):
@@ -236,7 +232,7 @@ class ContactObserver(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, sample_s: float, period: int = 0) -> None:
-        """Create an observer that has not learnt any means.
+        """Create an observer without learnt means.
 
         Args:
             spec: robot specification.
@@ -305,7 +301,7 @@ class ContactObserver(Stateful):
             measured_bend: bend readings, shape (segments,), rad. Missing readings are NaN.
 
         Returns:
-            Contact estimate, or None if the observer has not learnt enough samples.
+            Contact estimate, or None until enough samples have been learnt.
         """
         if not self.period:
             return None

@@ -2,7 +2,7 @@
 
 Topics and keys are described in docs/live.md. Lists begin at the head of the robot, and
 the key ``t`` is the time on the sender's clock. Messages of a spatial robot contain one
-list per chamber, and the bends upwards in addition to the bends to the left.
+list per chamber, and upward bends in addition to leftward bends.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ LATEST_S = 9e9
 With this limit, the time in nanoseconds fits into the 64 bits of a journal entry.
 """
 _SI = {PRESSURES: 1000.0, SUPPLY: 1000.0}
-"""Conversion factor to SI units for each kind of message with other units, Pa/kPa."""
+"""Factor to SI units for each message kind that uses other units, Pa/kPa."""
 _BOUNDS = {
     COMMAND: (-1.0, 1.0),
     VALVES: (-1.0, 1.0),
@@ -65,12 +65,12 @@ class BadMessageError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """Message of a robot, of its controller or of motion capture.
+    """Message from a robot, its controller or a motion capture system.
 
     The values depend on the kind of the message:
 
     - Commands and valve states have the shape (segments, 2), or (segments, chambers)
-      for a spatial robot. Pressures (Pa) have the shape of the commands.
+      for a spatial robot. Pressures (Pa) have the same shape.
     - The supply pressure (Pa) is a scalar.
     - Bends (rad) have the shape (segments,), or (segments, 2) for a spatial robot with
       bends to the left and upwards. Missing bends are NaN.
@@ -97,7 +97,7 @@ class Message:
 
 
 def topic(robot: str, kind: str) -> str:
-    """Return the MQTT topic of a kind of message."""
+    """Return the MQTT topic for one kind of message."""
     return f"{PREFIX}/{robot}/{kind}"
 
 
@@ -127,7 +127,7 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
 
 
 def strict_json(document: Mapping[str, object]) -> bytes:
-    """Encode a document as JSON, in which numbers that are not finite are null."""
+    """Encode a document as JSON, with null for numbers that are not finite."""
     return to_json(document, inf_nan_mode="null")
 
 

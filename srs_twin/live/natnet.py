@@ -2,7 +2,7 @@
 
 The reader supports the NatNet versions 2.6 to 4.2. The writer, which the emulator uses,
 supports version 4.1. Only rigid bodies are read. Lengths are in m. Coordinates refer to
-the axes of Motive, and `rotate` converts them to a z axis that points upwards.
+Motive's axes, and `rotate` converts them to a frame whose z axis points upwards.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Packet(IntEnum):
 
 @dataclass(frozen=True)
 class RigidBody:
-    """Pose of a rigid body in a frame.
+    """Pose of a rigid body in one motion capture frame.
 
     Attributes:
         place: position with respect to the axes of Motive, m.
@@ -231,8 +231,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif kind == _RIGID_BODY:
             number, name = _model(packet, version)
             names[number] = name
-        # If a description of an unknown type has no length, the end of the description
-        # cannot be found.
+        # The end of an unknown description cannot be found without its length.
         elif end is None:
             break
         if end is not None:
@@ -353,8 +352,8 @@ _AFTER_BODIES: Sequence[tuple[Callable[[_Reader, Version], object], Version]] = 
     (_channels, (2, 9)),  # force plates
     (_channels, (2, 11)),  # devices
 )
-"""Readers of the lists after the rigid bodies, with the first version that has the
-list.
+"""Readers of the lists that follow the rigid bodies, each with the first NatNet version
+that contains the list.
 """
 
 

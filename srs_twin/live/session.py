@@ -64,7 +64,6 @@ class EstimateTable:
     """Table of estimates with their standard deviations."""
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Create an empty table."""
         self._spec = spec
         self._rows = list[np.ndarray]()
 
@@ -165,11 +164,7 @@ def _quantiles_ms(durations: Collection[float]) -> dict[str, float | None]:
 
 
 INTERVALS_S = {"predict": 0.5, "view": 0.12, "flush": 0.5, "save": 5.0, "watch": 1.0}
-"""Intervals of periodic work, s.
-
-The periodic work consists of predictions, updates of the views, writing the journal to
-the disk, saving the state, and checks of the computing speed.
-"""
+"""Intervals of predictions, view updates, journal writes, saves and speed checks, s."""
 _MOST_OVERRUNS = 0.5
 """Fraction of slow ticks above which a warning is issued."""
 _WATCHED_TICKS = 50
@@ -180,10 +175,9 @@ _WORK_S = 0.05
 Because of this limit, a slow machine still sends commands and obeys control words.
 """
 STALE_S = 0.2
-"""Maximum age of an estimate for steering, s. Above this age the chambers are vented.
-"""
+"""Age of an estimate above which the chambers of a steered robot are vented, s."""
 TOO_SLOW_S = 1.0
-"""Maximum age of an estimate, s. Above this age the steering is ended."""
+"""Age of an estimate above which the steering ends, s."""
 JOURNALS = "journal-{}.mcap"
 RECORDINGS = "recording-{}.rrd"
 _RESTART_S = 1.0

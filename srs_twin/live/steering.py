@@ -28,8 +28,7 @@ PAUSE_LIMIT_S = 30.0
 After this time the chambers are vented, so that a forgotten robot does not remain
 pressurised.
 """
-# The following reasons for the end of the steering complement the reasons of the
-# follower.
+# Reasons for the end of the steering, in addition to the follower's reasons.
 LOST = "estimate_lost"
 EMPTY = "supply_empty"
 STOPPED = "stopped"  # The session ended before the end of the path.
@@ -63,7 +62,7 @@ _NEAR_RAD = 0.05
 """Deviation from the scenario's initial heading above which a new path is planned, rad.
 """
 _EMPTY_BELOW = 0.3
-"""Fraction of the nominal supply pressure below which steering is not possible.
+"""Fraction of the nominal supply pressure below which the robot cannot be steered.
 
 Half of the nominal pressure is sufficient.
 """
@@ -184,7 +183,7 @@ class EstimateSteering:
     def control(self, word: str) -> None:
         """Obey a control word.
 
-        The word `PAUSE` holds the valve states, `VENT` vents all chambers, and `GO`
+        `PAUSE` keeps the valve states unchanged, `VENT` vents all chambers, and `GO`
         continues the steering.
         """
         if word != self._control:
