@@ -404,7 +404,7 @@ physics. The attribution simulates the twin about eleven times.
 _TICK_ROUNDING = 1e-6
 """Tolerance for rounding a duration to whole ticks."""
 _MIN_WINDOW_PERIODS = 4
-"""Minimum number of gait periods of a shortened attribution."""
+"""Minimum number of gait periods in a shortened attribution."""
 
 _TWIN_COST = 1.4
 """Mean computing time of a refined twin divided by that of the unrefined twin."""

@@ -54,13 +54,10 @@ from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.content import RunContent, end_event
 
 METRICS = "metrics.json"
-"""File name of the metrics."""
 RESOLVED = "scenario.resolved.yaml"
-"""File name of the scenario with explicit defaults and an explicit robot."""
+"""File name of the scenario with all defaults and the robot written out."""
 REPORT = "report.html"
-"""File name of the report."""
 RECORDING = "recording.rrd"
-"""File name of the Rerun recording."""
 MEASURED = "measured"
 """Key of the measured trajectory in a dictionary of trajectories."""
 PRODUCTS = (
@@ -514,7 +511,6 @@ class ComparedRuns(Comparison):
     spec: RobotSpec
 
     def __str__(self) -> str:
-        """Return the headline of the comparison."""
         return headline(self.results)
 
     def _repr_html_(self) -> str:
@@ -665,7 +661,7 @@ class FinishedRun:
 
     Attributes:
         folder: output folder.
-        scenario: scenario with explicit defaults and an explicit robot.
+        scenario: scenario with all defaults and the robot written out.
         trajectories: trajectory of each plant, and the measured trajectory, if any.
     """
 
@@ -713,6 +709,6 @@ def find_run(run: str | Path) -> Path:
             return folder
     files = " and ".join(display_path(path / RESOLVED) for path in candidates)
     raise InputError(
-        f"{run}: no finished run exists there (looked for {files}); `srs-twin run"
+        f"{run}: no finished run was found (looked for {files}); `srs-twin run"
         " SCENARIO` creates one"
     )

@@ -130,7 +130,6 @@ class Trajectory(HtmlResult):
         return self.columns[name]
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return len(self.time)
 
     @property

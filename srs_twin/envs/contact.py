@@ -205,7 +205,7 @@ class GraspTask(CameraTask):
         RewardTerm(
             "progress_m",
             1.0,
-            "increase of the distance of the object from its start while it is gripped",
+            "increase of the object's distance from its start while gripped",
         ),
         RewardTerm(
             "dragged",

@@ -30,7 +30,7 @@ STEP_S = 0.05
 """Duration of a step, s (three carrier periods)."""
 
 HOLD_S = 1.0
-"""Duration of each value of the reference, s."""
+"""Time for which each reference value is held, s."""
 
 REACH_FRACTION = 0.8
 """Maximum reference as a fraction of the free bend at the nominal supply pressure."""

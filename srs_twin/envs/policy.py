@@ -221,7 +221,6 @@ class _Baseline(ABC):
         self._steps = 0
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """See `Policy`."""
         values = dict(zip(self._names, map(float, observation), strict=True))
         action = self._action(values)
         self._steps += 1

@@ -99,10 +99,7 @@ def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | Non
 
 
 def abbreviate(value: object) -> str:
-    """Return a short text that describes a value in messages.
-
-    A large array is described by its shape.
-    """
+    """Return a short text that describes a value in messages."""
     if isinstance(value, np.ndarray):
         if value.size > _MAX_PRINTED_VALUES:
             return f"of shape {value.shape}"
@@ -114,8 +111,7 @@ def check_names(kind: str, names: Iterable[object], known: Collection[str]) -> N
     """Check that all names are known.
 
     Raises:
-        UnknownNameError: a name is unknown. The message contains `kind` and the known
-            names.
+        UnknownNameError: a name is unknown. The message calls the names `kind`.
     """
     for name in names:
         if name not in known:

@@ -194,7 +194,8 @@ FORGETTING = 0.95
 MOST_STROKES = 40
 """Maximum number of strokes over which the scatter is averaged."""
 SCATTER = 0.05
-"""Prior standard deviation of the inflow between strokes, fraction of the inflow."""
+"""Prior standard deviation of the inflow from stroke to stroke, fraction of the inflow.
+"""
 SCATTER_STROKES = 3
 """Number of initial strokes that do not change the scatter."""
 LEAST_SCATTER = 0.02
@@ -204,7 +205,7 @@ MESSAGES_PER_INDEPENDENT = 16
 AMOUNT_SD = 0.013
 """Standard deviation of an amount of air, fraction of K times the nominal pressure."""
 LEAK_RATE_SD = 0.3
-"""Relative standard deviation of the rate of a leak."""
+"""Relative standard deviation of a leak rate."""
 WEAK_INFLOW_SD = 0.7
 """Relative standard deviation of the inflow from a weak supply."""
 LEAST_INFLOW = 0.1

@@ -42,7 +42,7 @@ MOST_HOLD_S = 0.1
 _IN_TIME = 0.97
 """Fraction of the messages that must arrive within the holding time."""
 _HOLD_UPDATES = 25
-"""Number of calls after which the holding time is adapted."""
+"""Number of calls between adaptations of the holding time."""
 _RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
 """Processing order of messages with equal times. Kinds that are not listed come last.
 

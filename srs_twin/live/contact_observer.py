@@ -63,7 +63,7 @@ The value was chosen with benchmarks/contact_estimate.py for robots with random 
 1000 and above.
 """
 COVERAGE = 0.9
-"""Nominal coverage probability of the intervals of the force and the position."""
+"""Nominal coverage probability of the force and position intervals."""
 _LEARNING_SCORE = 4.0
 """Score above which learning stops and hypotheses are compared."""
 _MEMORY = 20
@@ -88,8 +88,7 @@ _FORCE_RATIO = 1.3
 """Ratio of the forces of neighbouring hypotheses."""
 _POWERS = np.arange(12)
 _PRUNED = 25.0
-"""Maximum difference from the minimum cost, in variances, of a hypothesis that is kept.
-"""
+"""Excess over the minimum cost, in variances, above which a hypothesis is dropped."""
 _CORRELATION = 2.0
 """Factor on the variance that accounts for the correlation of model errors in time."""
 
@@ -201,8 +200,6 @@ class _Fit(NamedTuple):
 
 
 class _Gait(NamedTuple):
-    """Model of the learnt gait."""
-
     shape: np.ndarray
     body: PushedBody
     patterns: np.ndarray

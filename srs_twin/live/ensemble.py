@@ -45,7 +45,7 @@ _LEAST_NOISE = {"place": 0.4, "heading": 1.0}
 """Lower limit of the estimated noise of frames, as a fraction of the assumed noise.
 
 The model assumes that segments are circular arcs. The resulting errors are nearly
-constant in time, so the noise of headings is underestimated by innovations."""
+constant in time, so innovations underestimate the heading noise."""
 _LARGEST_NOISE = 10.0
 """Upper limit of the estimated noise of frames, as a multiple of the assumed noise."""
 _MOVED_SD = 6.0
@@ -483,8 +483,6 @@ class EnsembleFilter:
 
 
 class _Innovation(NamedTuple):
-    """Innovation of one measurement."""
-
     value: float
     mean: float
     spread: float

@@ -35,7 +35,7 @@ GO = "go"
 STOP = "stop"
 VENT = "vent"
 WORDS = (PAUSE, GO, STOP, VENT)
-"""Control words, which are the possible texts of `control` messages."""
+"""Control words, which are the allowed texts of `control` messages."""
 PREFIX = "srs"
 """Prefix of all topics."""
 LATEST_S = 9e9
@@ -52,7 +52,7 @@ _BOUNDS = {
     SUPPLY: (0.0, 1000.0),
     BENDS: (-2 * math.pi, 2 * math.pi),
 }
-"""Minimum and maximum value in each kind of message."""
+"""Minimum and maximum value for each kind of message."""
 _SIDES = ("plus", "minus")
 _BEND_KEYS = ("rad", "pitch_rad")
 _PLAIN_WORDS = tuple(word.encode() for word in WORDS)

@@ -34,7 +34,7 @@ VERSIONS = (
 )
 """NatNet versions that the reader supports."""
 _MOST = 10_000
-"""Maximum number of entries of a list in a frame."""
+"""Maximum number of entries in each list of a frame."""
 _TRACKED = 0x01
 _NAME = 256
 _FURTHEST_M = 1000.0
@@ -47,7 +47,7 @@ Smaller deviations can be due to rounding and averaging by the sender.
 
 Version = tuple[int, int]
 _WRITTEN: Version = (4, 1)
-"""NatNet version of the packets that the writer produces."""
+"""NatNet version that the writer uses."""
 
 
 class Packet(IntEnum):

@@ -57,7 +57,7 @@ _ERROR_INFLATION = 1.3
 The errors of the cubic features recur in each gait period and are therefore
 correlated."""
 _DIFFERENCE_RAD = 1e-4
-"""Step of the bends for numerical differentiation, rad."""
+"""Bend step for numerical differentiation, rad."""
 
 
 class LocalConnection(Stateful):

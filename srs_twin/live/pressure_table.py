@@ -30,7 +30,7 @@ class ValveAges(Stateful):
     def __init__(self, segments: int, bins: int, width_s: float) -> None:
         """Initialise all valves as venting.
 
-        The bins for the time since switching have the width `width_s` (s).
+        `width_s` is the width of the time bins, s.
         """
         self.filling = np.zeros((segments, 2), dtype=int)
         self.age = np.zeros((segments, 2))
@@ -93,8 +93,8 @@ class PressureRates:
     def __init__(self, segments: int, supply: float, wander: float) -> None:
         """Initialise the rates to 0.
 
-        The initial random walk `wander` is a fraction of the nominal supply pressure
-        (Pa) per √s.
+        `wander` is the initial random walk per √s, as a fraction of the nominal supply
+        pressure `supply` (Pa).
         """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)

@@ -68,7 +68,6 @@ class EstimateTable:
         self._rows = list[np.ndarray]()
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(self._rows)
 
     def add(self, time: float, e: Estimate) -> None:
@@ -486,7 +485,6 @@ class Session:
             warnings.warn(problem, SessionWarning, stacklevel=2)
 
     def _tick(self, now: float, since: float) -> None:
-        """Process the messages that have arrived, and send a command."""
         if math.isnan(now):
             return
         messages = self._receive()

@@ -38,9 +38,8 @@ LEAST_MARGIN = 0.25
 
 If there is no plan with this margin, the robot is stopped. The value is based on 100
 simulated runs of 3.5 m for each shipped footprint. Without a margin, 98 to 100 % of the
-runs leave the planned footprint, so contact is almost certain. With half of a margin of
-80 mm, 1 to 19 % of the runs leave the planned footprint. With a quarter of the margin,
-52 to 93 % of the runs leave the planned footprint.
+runs leave the planned footprint, so contact is almost certain. With a quarter of an 80
+mm margin, 52 to 93 % leave it, and with half of that margin, 1 to 19 %.
 """
 _LARGEST_SD_M = 0.0125
 """Maximum standard deviation of the position for steering, m.
