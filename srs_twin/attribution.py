@@ -130,9 +130,9 @@ class Refinement:
     """Reduction of an approximation that only one plant makes.
 
     The total effect of the approximation is estimated as `factor` times the change due
-    to the refinement. The factor is 2 for a first-order error whose step is halved, and
-    4/3 for a second-order error whose step is halved or a first-order error whose step
-    is quartered. The factor is 1 if the refinement removes the approximation.
+    to the refinement. The factor is 2 for a first-order error whose step is halved. It
+    is 4/3 for a second-order error whose step is halved, or a first-order error whose
+    step is quartered. The factor is 1 if the refinement removes the approximation.
 
     Attributes:
         name: short name.
@@ -283,8 +283,8 @@ class PlantVariants:
         hinges = self._twin.hinges_per_segment
         arcs = {"numerics": Numerics(constant_curvature=True)}
         finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
-        # The time integration of the loaded twin is second-order accurate, and that of the
-        # preloaded twin first-order accurate.
+        # Time integration is second-order accurate in the loaded twin, and first-order
+        # accurate in the preloaded twin.
         order_factor = 4 / 3 if self._twin.contact == "loaded" else 2.0
         finer_model = {
             "timestep": self._model.timestep_s / 4,
@@ -407,9 +407,9 @@ _MIN_WINDOW_PERIODS = 4
 """Minimum number of gait periods in a shortened attribution."""
 
 _TWIN_COST = 1.4
-"""Mean computing time of a refined twin divided by that of the unrefined twin."""
+"""Mean computing time of a refined twin, relative to the unrefined twin."""
 _MODEL_COST = 2.5
-"""Mean computing time of a switched model divided by that of the original model.
+"""Mean computing time of a switched model, relative to the original model.
 
 Compliant bends need more computing time than prescribed bends.
 """
@@ -436,7 +436,7 @@ def explain(
 
     Args:
         scenario: scenario of the run.
-        trajectories: trajectory of each plant, keyed by the name of the plant.
+        trajectories: trajectory of each plant, keyed by plant name.
         progress: callback with the finished fraction, 0 to 1, and the remaining time,
             s.
         wall_s: computing time of each plant, from which the remaining time is

@@ -18,7 +18,6 @@ from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 MAX_LISTED_NAMES = 12
-"""Maximum number of names that a message lists."""
 
 _MAX_SUGGESTIONS = 3
 _MIN_SIMILARITY = 0.6
@@ -262,7 +261,7 @@ def _restore_error(
 
 
 def describe_exit(exit_code: int) -> str:
-    """Describe how a process ended. A negative exit code means a signal."""
+    """Describe how a process ended. A negative exit code is a negated signal number."""
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
     try:

@@ -111,7 +111,7 @@ class _Simulated:
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """Scenario with its plants and controllers, and a writable output folder."""
+    """Scenario that is ready to run, with its plants, controllers and output folder."""
 
     scenario: Scenario
     folder: Path
@@ -381,7 +381,7 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
     The file is looked up in the current folder, and then among the shipped files.
 
     Returns:
-        Dictionary. The entry "stale" states why the stored file does not apply, or is
+        Dictionary whose entry "stale" states why the stored file does not apply, or is
         None. For a file that applies, "file" is its path, and "renew" is the command
         that updates it. The entry "plants" contains the metric intervals of each plant.
         The entry "segments" is the range of the twin's speed over stiffness and

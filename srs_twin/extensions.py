@@ -92,7 +92,7 @@ FORMATS = {
 }
 """File formats of motion recordings, of the type `recordings.formats.base.Format`.
 
-The first format that recognizes a file reads the file. The format `plain` is last,
+Each file is read by the first format that recognizes it. The format `plain` is last,
 because it accepts most tables.
 """
 
@@ -153,8 +153,8 @@ class _LazyPackage(ModuleType):
         return sorted(self.__all__)
 
     def __setattr__(self, name: str, value: object) -> None:
-        # After the import of a submodule, Python sets the submodule as an attribute of
-        # the package, where it would hide a public object of the same name.
+        # Importing a submodule sets it as an attribute of the package, where it would
+        # hide a public object of the same name.
         if isinstance(value, ModuleType) and name in self._homes:
             value = getattr(value, name)
         super().__setattr__(name, value)

@@ -5,11 +5,11 @@ a gate at a random position. Contact with an obstacle ends the episode, because 
 without obstacle observations could otherwise find the gate by touch.
 
 The reward of a step is the weighted sum of the terms in `CrawlTask.reward_terms`. By
-default the reward is the decrease of the distance to the goal in m, plus 1 when the
-goal is reached, and minus 1 when the snake leaves the room or touches an obstacle. The
-decrease of the distance is a potential-based shaping term without discount, whose
-potential is the negative distance. The sum of the shaping terms is the total decrease
-of the distance, so shaping does not change the ranking of policies that reach the goal.
+default, the reward is the decrease of the distance to the goal in m. Reaching the goal
+adds 1, and leaving the room or touching an obstacle subtracts 1. The decrease of the
+distance is a potential-based shaping term without discount, whose potential is the
+negative distance. The sum of the shaping terms is the total decrease of the distance,
+so shaping does not change the ranking of policies that reach the goal.
 
 In the task Crawl3D, a spatial robot crawls on an open floor. The agent also commands
 the pitch wave of the gait (`control.gait`). The robot can therefore undulate, sidewind

@@ -43,7 +43,6 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
 SHIPPED = "calibration/policies"
-"""Folder of the shipped policies."""
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,7 @@ def check_names(kind: str, names: Iterable[object], known: Collection[str]) -> N
     """Check that all names are known.
 
     Raises:
-        UnknownNameError: a name is unknown. The message calls the names `kind`.
+        UnknownNameError: a name is unknown.
     """
     for name in names:
         if name not in known:

@@ -88,7 +88,7 @@ class Variation:
         return variation
 
     def draw(self, rng: np.random.Generator) -> RobotSpec:
-        """Draw the robot of an episode."""
+        """Draw the robot for one episode."""
         spec = self.file.spec(int(rng.integers(_SEED_COUNT)))
         if self.fit is not None:
             spec = with_values(spec, _draw_fitted_values(self.fit, spec, rng))

@@ -224,8 +224,8 @@ _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
 )
-# The integrals over a stroke have columns for the gauge pressure, the inflow of each
-# variant, and the derivative of the inflow with respect to the supply pressure.
+# The columns of the stroke integrals are gauge pressure, inflow of each variant, and
+# derivative of the inflow with respect to the supply pressure.
 _OUTFLOW = 0
 _SOUND_INFLOW = 1
 _INFLOWS = slice(1, -1)
@@ -394,8 +394,8 @@ class LeakDetector(Stateful):
         self._sums[..., _INFLOWS] += np.where(self._fractions == 1.0, missed, 0.0)
         self._supply[seen, _LAST] = supply.pressure
         self._supply_sd = supply.sd
-        # A message is used only after the next message confirms that the valve is open,
-        # because a lost command may have closed the valve before the last message.
+        # A message is used only after the next message confirms that the valve is still
+        # open. A lost command may have closed the valve before the last message.
         used = continues & self._is_informative()
         self._accumulate(used)
         added = self._log_likelihoods() - self._log_likelihood

@@ -12,8 +12,8 @@ between modules, and the moments exerted by the floor. The deviation
 $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 
 is the contact moment divided by the stiffness k. The free bends are computed from
-measured pressures, so neither a drift of the supply pressure nor the compression of air
-by a contact is mistaken for a contact.
+measured pressures, so neither supply pressure drift nor air compression due to a
+contact distorts the deviation.
 
 **Detection.** At the beginning of a contact, the contact moments are proportional to
 the contact force F. For each position on a grid, F is fitted to the deviations in a
@@ -69,8 +69,7 @@ _LEARNING_SCORE = 4.0
 _MEMORY = 20
 """Number of periods over which the means are computed."""
 _RESOLUTION = 1e-12
-"""Lower limit of the variance of a deviation, rad², because simulated readings may be
-exact.
+"""Lower limit of the deviation variance, rad², because simulated readings may be exact.
 """
 _SAME_COMMAND = 0.1
 """Difference between a duty and its learnt mean above which the gait has changed."""

@@ -75,7 +75,7 @@ class EmulationOptions:
             and lost or delayed messages.
         fault: Fault to inject, with its location and its time in seconds, for example
             stuck_valve:2+@5, dead_sensor:1@8 or leak:3-=fast@2. Can be repeated.
-        spread: Relative standard deviation of the gains of the modules.
+        spread: Relative standard deviation of the module gains.
         noise: Standard deviation of the measured bends in rad.
         chambers: Pneumatic model of the chambers: orifice (compressible flow) or lag
             (first order). [default: orifice, or lag for spatial robots]

@@ -77,7 +77,7 @@ _CAMERA_NOISE_M = 0.0003
 _MARKER_DISTANCE_M = 0.02
 """Distance of the markers from the centre of their connector, m."""
 _HEIGHT_M = 0.02
-"""Height of the connectors of a planar robot, m."""
+"""Connector height of a planar robot, m."""
 
 
 @dataclass(frozen=True)
@@ -362,7 +362,7 @@ _GOODBYE_S = 1.0
 _LETS_GO_S = 0.001
 """Pause after each tick, s.
 
-The pause allows the thread of the MQTT client to run, because compiled kernels hold the
+The pause lets the MQTT client's thread run, because compiled kernels hold the
 interpreter lock during a tick.
 """
 _POLL_S = 0.002

@@ -3,15 +3,15 @@
 The state of each member contains a pose, velocities, bends, chamber pressures, and the
 gains and biases of the modules. A disturbance of each bend, modelled as a first-order
 Gauss–Markov process, represents the model error. The chambers and bodies are simulated
-with the `compliant` model (`member_dynamics`), and the motion of the body is computed
-from the changes of the bends (`odometry`). The gains and biases are not corrected by
-the ensemble, because correlations in a small ensemble are partly spurious. Instead, the
-gains and biases are drawn from the estimates of the fault detector.
+with the `compliant` model (`member_dynamics`). The body motion is computed from the
+bend changes (`odometry`). The gains and biases are not corrected by the ensemble,
+because correlations in a small ensemble are partly spurious. Instead, the gains and
+biases are drawn from the estimates of the fault detector.
 
 Measurements are processed one after another by the ensemble square root filter
 (Whitaker and Hamill 2002):
 
-- Localisation: a bend or pressure sensor corrects only the states of one segment.
+- Localisation: a bend or pressure sensor corrects only the states of its own segment.
   Motion capture corrects the pose and all bends.
 - Outliers: if an innovation exceeds four standard deviations, the noise variance of the
   measurement is increased.
@@ -54,9 +54,9 @@ _MOVED_SD = 6.0
 _MOVED_FRAMES = 5
 """Number of successive frames with large innovations that indicate a moved robot."""
 _PLACE_FACTOR = 5.0
-"""Initial standard deviation of the position, as a multiple of the noise of a frame."""
+"""Initial standard deviation of the position, as a multiple of the frame noise."""
 _HEADING_FACTOR = 2.0
-"""Initial standard deviation of the heading, as a multiple of the noise of a frame."""
+"""Initial standard deviation of the heading, as a multiple of the frame noise."""
 _POSE = slice(0, 3)
 
 
@@ -87,9 +87,9 @@ class MeasurementNoise:
     Attributes:
         bend: standard deviation of a bend sensor, rad.
         pressure: standard deviation of a pressure sensor, Pa.
-        place: standard deviation of the position of a connector, m, including the error
-            due to the assumption of circular arcs.
-        heading: standard deviation of the heading of a connector, rad.
+        place: standard deviation of a connector position, m, including the error due to
+            the assumption of circular arcs.
+        heading: standard deviation of a connector heading, rad.
     """
 
     bend: float = 0.02
@@ -109,7 +109,7 @@ class EnsembleFilter:
             and bend rates. The `lagged` columns contain the pressures after the lag of
             the free bend.
         rates: learnt corrections of the pressure rates.
-        odometry: model of the motion of the body due to changes of the bends.
+        odometry: model of the body motion due to bend changes.
         placed: whether the position has been measured by motion capture.
     """
 

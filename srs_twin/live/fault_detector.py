@@ -107,9 +107,9 @@ _BIAS_WALK = 0.0014
 _GAIN_WALK = 0.0035
 """Random walk of the gains, 1/√s."""
 _OFFSET_WALK = 0.002
-"""Random walk of the offset of a sensor without a fault, rad/√s."""
+"""Random walk of a sound sensor's offset, rad/√s."""
 _DRIFT_WALK = 0.03
-"""Random walk of the offset of a drifting sensor, rad/√s."""
+"""Random walk of a drifting sensor's offset, rad/√s."""
 _FAILED_BELOW = 0.85
 """Ratio of measured to expected pressure below which the supply may have failed.
 
@@ -123,8 +123,7 @@ _TAILS = 4.0
 _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
-"""Standard deviation of the change of a frozen reading, relative to the sensor noise.
-"""
+"""Standard deviation of changes in a frozen reading, relative to the sensor noise."""
 _SUPPLY_EXPLAINS = (SUPPLY_FRACTIONS < 1.0) | np.isin(
     CHAMBERS, (ChamberBehaviour.LEAKS, ChamberBehaviour.VENTS)
 ).any(axis=1)

@@ -1,4 +1,4 @@
-"""Fault hypotheses of a segment, and the decision which faults are detected.
+"""Fault hypotheses for a segment, and the decision rule for detecting faults.
 
 `FaultDecision` detects a fault once its probability has exceeded a threshold for a
 given time.
@@ -202,7 +202,7 @@ class FaultDecision(Stateful):
         return likely
 
     def update(self, time: float, probability: np.ndarray) -> None:
-        """Detect and clear faults at a time (s), given all hypothesis probabilities."""
+        """Detect and clear faults at a time (s) from the hypothesis probabilities."""
         pairs = self.pairs
         if time < START_S:
             self._since[:] = np.inf

@@ -247,9 +247,8 @@ def in_order(
 ) -> Iterator[Message]:
     """Yield messages with increasing arrival times, and refuse the remaining messages.
 
-    A jump of the arrival time by more than `LONGEST_GAP_S` is accepted as a pause only
-    if the arrival time of the next message confirms the jump. Otherwise the message
-    after the jump is refused.
+    A jump of the arrival time by more than `LONGEST_GAP_S` counts as a pause only if
+    the next message confirms it. Otherwise the message after the jump is refused.
     """
     last = -math.inf
     # The message after a jump in time is held until the next message confirms the jump.

@@ -169,7 +169,6 @@ def resolved(host: str) -> str:
 
 
 PORT = 1883
-"""Standard port of MQTT."""
 _ANSWER_S = 5.0
 """Maximum waiting time for the first answer of the broker, s."""
 LOST = "lost"

@@ -46,7 +46,7 @@ class ValveInput(NamedTuple):
 
 
 class Air(NamedTuple):
-    """State of the chambers of the members.
+    """Chamber state of all members.
 
     All arrays have the shape (members, segments, 2).
 

@@ -37,7 +37,6 @@ VENT = "vent"
 WORDS = (PAUSE, GO, STOP, VENT)
 """Control words, which are the allowed texts of `control` messages."""
 PREFIX = "srs"
-"""Prefix of all topics."""
 LATEST_S = 9e9
 """Maximum accepted time of a sender's clock, s (the year 2255 in Unix time).
 

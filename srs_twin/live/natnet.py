@@ -40,7 +40,7 @@ _NAME = 256
 _FURTHEST_M = 1000.0
 """Maximum plausible coordinate, m."""
 _LENGTH_TOLERANCE = 0.1
-"""Maximum deviation of the norm of a quaternion from 1.
+"""Maximum deviation of a quaternion norm from 1.
 
 Smaller deviations can be due to rounding and averaging by the sender.
 """
@@ -71,7 +71,7 @@ class RigidBody:
     Attributes:
         place: position with respect to the axes of Motive, m.
         turn: orientation as a quaternion x, y, z, w.
-        error: mean residual of the markers of the body, m.
+        error: mean residual of the body's markers, m.
         tracked: whether the body was visible and its pose is valid.
     """
 

@@ -47,7 +47,7 @@ _KEPT_BLOCKS = 10
 _FORGETTING_FRAMES = 3000
 """Number of frames after which the weight of a frame has decreased to 1/e."""
 _NOISE_RAD = 0.02
-"""Prior standard deviation of the heading of a frame, rad."""
+"""Prior standard deviation of a measured heading, rad."""
 _SCATTER = 0.001, 0.001, 0.02
 """Prior standard deviation of the forward, lateral (m) and yaw (rad) motion per frame.
 """
@@ -216,9 +216,9 @@ _LONGEST_FRAME_INTERVAL_S = 0.2
 class Odometry:
     """Motion of the ensemble members, computed with the local connection of the robot.
 
-    The motion of all members is computed from the change of the mean bends, because
-    fluctuations of the bends of individual members would rotate the bodies randomly. A
-    random displacement represents the uncertainty of the connection.
+    All members move according to the change of the mean bends, because bend
+    fluctuations of individual members would rotate the bodies randomly. A random
+    displacement represents the uncertainty of the connection.
 
     Attributes:
         twist: mean forward velocity, lateral velocity (m/s) and yaw rate (rad/s) in the

@@ -2,9 +2,8 @@ r"""Motion and segment moments of a crawling snake under a lateral contact force
 
 The bends q(t) are periodic and known, so three velocities u describe the motion of the
 body. They are the velocity components of the centre of mass in the frame of the mean
-heading, and the yaw rate ω. With the Jacobians J_c(q) of the two wheels of each
-connector and the friction forces f of the floor (`robot.friction`), the equations of
-motion are
+heading, and the yaw rate ω. With the wheel Jacobians J_c(q), two per connector, and the
+floor friction forces f (`robot.friction`), the equations of motion are
 
 $$ M \dot v = \sum f_c + F n, \qquad \frac{d}{dt}(I(q)\,\omega + h(q, \dot q)) = \sum r_c \times f_c +
    r_s \times F n, \qquad v_c = J_c u + b_c . $$
@@ -71,7 +70,7 @@ class _Motion(NamedTuple):
 
     @property
     def middle(self) -> np.ndarray:
-        """Midpoints of the chords of the segments, m."""
+        """Midpoints of the segment chords, m."""
         return np.asarray((self.place[:, :-1] + self.place[:, 1:]) / 2)
 
 
@@ -85,8 +84,8 @@ class PushedBody:
     Attributes:
         free_velocity: velocities u of the motion without a contact force, shape
             (period, 3), m/s and rad/s.
-        free_moment: moments of friction and inertia on the segments in the motion
-            without a contact force, shape (period, segments), N·m.
+        free_moment: segment moments due to friction and inertia in the motion without a
+            contact force, shape (period, segments), N·m.
     """
 
     def __init__(
@@ -179,7 +178,7 @@ class PushedBody:
         speeds = (arms * motion.rate[:, None]).sum(-1)
         self._on_rate = 2 * (self._mass * speeds).sum(-1)
         # The Jacobian contains the moment of a unit wheel force about the centre of
-        # mass, which is converted to the moment about the midpoint of the chord.
+        # mass. It is converted to the moment about the midpoint of the chord.
         jacobian = self._jacobian[:: self._steps, :, None]
         moved = jacobian[..., 2] - _cross(motion.middle[:, None], jacobian[..., :2])
         self._on_friction = np.tile(front.T, (4, 1)) * moved

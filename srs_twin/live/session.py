@@ -286,7 +286,7 @@ class Session:
             links: sources of messages.
             out: folder for the journal and the results. If None, no files are written.
             steering: steering of the robot, or None if the robot is not steered.
-            commands: link to which commands and control messages are sent.
+            commands: link over which commands and control messages are sent.
             views: functions that show estimates and predictions about eight times per
                 second.
             keys: function that returns the control words typed since the last call.

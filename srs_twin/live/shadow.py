@@ -97,8 +97,8 @@ class Shadow:
         contact: estimator of the contact force.
         prediction_calibration: calibration of the predictions based on earlier errors.
         buffer: buffer that sorts messages by sending time.
-        time: time of the filters on the local clock, s, or NaN before the first
-            message.
+        time: time to which the filters have advanced, on the local clock, s, or NaN
+            before the first message.
         skipped: total time for which messages were skipped because the machine was too
             slow, s.
         interruptions: number of times that the robot restarted or sent no message for

@@ -34,7 +34,7 @@ EMPTY = "supply_empty"
 STOPPED = "stopped"  # The session ended before the end of the path.
 TOO_SLOW = "estimate_too_old"
 LEAST_MARGIN = 0.25
-"""Minimum margin of a new plan, as a fraction of the margin of the scenario.
+"""Minimum margin of a new plan, as a fraction of the scenario's margin.
 
 If there is no plan with this margin, the robot is stopped. The value is based on 100
 simulated runs of 3.5 m for each shipped footprint. Without a margin, 98 to 100 % of the
