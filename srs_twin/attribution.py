@@ -2,14 +2,14 @@ r"""Attribution of the difference between the two plants to individual assumptio
 
 A switch replaces one assumption of the analytical model by the corresponding assumption
 of the twin. Every subset S of the switches therefore defines a model, and v(S) is the
-difference between this model and the twin. The contribution of switch i is the Shapley
-value of i, which is the average over all n! orders of switching:
+difference between this model and the twin. The contribution of switch i is its Shapley
+value φ_i, which is the average over all n! orders of switching:
 
 $$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr]. $$
 
 The contributions add up to v(all) − v(none). An approximation that only one plant
-makes, such as the time step, cannot be switched. The approximation is refined instead,
-and the effect of the refinement is extrapolated to the limit.
+makes, such as a finite time step, cannot be switched. It is refined instead, and the
+effect is extrapolated to the exact limit.
 """
 
 from __future__ import annotations
@@ -81,8 +81,8 @@ def contributions(
         changes = [
             differences[subset | {name}] - differences[subset] for subset in others
         ]
-        # The weight is the fraction of all orders in which exactly the switches of the
-        # subset precede the switch.
+        # The weight is the fraction of orders in which exactly this subset precedes the
+        # switch.
         weights = [
             math.factorial(len(subset))
             * math.factorial(n - len(subset) - 1)
@@ -100,10 +100,10 @@ def contributions(
 
 FROZEN_CHORDS = "frozen chords"
 MATCHED_STIFFNESS_FACTOR = 45.0
-"""Factor on the bending stiffness of the twin for the comparison with matched models.
+"""Factor on the twin's bending stiffness for the comparison of matched plants.
 
-The stiffness of gen2 becomes 20 instead of 0.44 N·m/rad. Such a stiff segment has the
-free bend at all times, like the prescribed bends of the analytical model.
+The factor raises the stiffness of gen2 from 0.44 to 20 N·m/rad. Such stiff segments
+always have the free bend, which the analytical model prescribes.
 """
 
 
@@ -114,9 +114,9 @@ class Switch(NamedTuple):
         name: short name.
         title: assumption of the model and assumption of the twin, separated by an
             arrow.
-        differs: whether the plants of the scenario differ in the assumption.
-        options: arguments of the analytical model if the switch is active. Arguments of
-            later switches take precedence.
+        differs: whether the two plants of the scenario make different assumptions.
+        options: arguments of the analytical model when the switch is active. Later
+            switches override the arguments of earlier switches.
     """
 
     name: str
@@ -129,18 +129,18 @@ class Switch(NamedTuple):
 class Refinement:
     """Reduction of an approximation that only one plant makes.
 
-    The total effect is `factor` times the change under the refinement. The factor is 2
-    for a first-order error whose step is halved, and 4/3 for a second-order error whose
-    step is halved or a first-order error whose step is quartered. The factor is 1 if
-    the refinement removes the approximation.
+    The total effect of the approximation is estimated as `factor` times the change due
+    to the refinement. The factor is 2 for a first-order error whose step is halved. It
+    is 4/3 for a second-order error whose step is halved, or a first-order error whose
+    step is quartered. The factor is 1 if the refinement removes the approximation.
 
     Attributes:
         name: short name.
         title: description of the approximation.
-        options: changed arguments of the plant.
-        factor: ratio of the total effect to the change under the refinement.
+        options: plant arguments that implement the refinement.
+        factor: total effect divided by the change due to the refinement.
         plant: plant that makes the approximation, "twin" or "analytical".
-        base: changed arguments of the plant that the refined plant is compared with.
+        base: plant arguments of the baseline for the refined plant.
     """
 
     name: str
@@ -152,16 +152,16 @@ class Refinement:
 
 
 class PlantVariants:
-    """Plants of a scenario with switched assumptions and refinements.
+    """Variants of a scenario's plants with switched assumptions or refinements.
 
     Attributes:
-        all_switches: all switches. The options of later switches take precedence.
+        all_switches: all switches, in the order in which their options are applied.
         first: switches that must precede the other switches, because compliant bends
             need arcs instead of frozen chords.
         switches: other switches in which the plants of the scenario differ.
         first_on: names of the switches in `first`.
-        sets: sets of active switches that are simulated, with the largest set last.
-        same: names of the assumptions in which the plants agree.
+        sets: simulated sets of active switches, the largest set last.
+        same: names of the assumptions that both plants share.
         refinements: refinements of approximations that only one plant makes.
     """
 
@@ -283,8 +283,8 @@ class PlantVariants:
         hinges = self._twin.hinges_per_segment
         arcs = {"numerics": Numerics(constant_curvature=True)}
         finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
-        # The time integration of the loaded twin is second-order accurate, and that of the
-        # preloaded twin first-order accurate.
+        # Time integration is second-order accurate in the loaded twin, and first-order
+        # accurate in the preloaded twin.
         order_factor = 4 / 3 if self._twin.contact == "loaded" else 2.0
         finer_model = {
             "timestep": self._model.timestep_s / 4,
@@ -348,11 +348,11 @@ class PlantVariants:
         return self._scenario.build_plant("twin", **{"world": free} | options)
 
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
-        """Return twins with the damping time at each end of its 95 % interval.
+        """Return builders of twins with the damping time at a 95 % interval bound.
 
-        The dictionary of twins is empty if the robot has no 95 % interval, or if the
-        chamber pressures depend on the bends. In the second case, closed chambers would
-        diverge with short damping times (docs/planar-models.md).
+        The dictionary is empty if the robot file states no interval, or if the chamber
+        pressures depend on the bends. Closed chambers of the second kind would diverge
+        with short damping times (docs/planar-models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}
@@ -396,20 +396,20 @@ Progress = Callable[[float, float | None], None]
 """Callback with the finished fraction, 0 to 1, and the estimated remaining time, s."""
 
 _MAX_STEPS = 12_000
-"""Maximum number of time steps of the twin if the controller reads the state.
+"""Maximum number of twin time steps if the controller reads the state.
 
 Such a controller is evaluated at every tick, which takes several times as long as the
 physics. The attribution simulates the twin about eleven times.
 """
 _TICK_ROUNDING = 1e-6
-"""Rounding tolerance of a number of ticks."""
+"""Tolerance for rounding a duration to whole ticks."""
 _MIN_WINDOW_PERIODS = 4
-"""Minimum number of gait periods of a shortened attribution."""
+"""Minimum number of gait periods in a shortened attribution."""
 
 _TWIN_COST = 1.4
-"""Mean computing time of a refined twin divided by that of the unrefined twin."""
+"""Mean computing time of a refined twin, relative to the unrefined twin."""
 _MODEL_COST = 2.5
-"""Mean computing time of a switched model divided by that of the original model.
+"""Mean computing time of a switched model, relative to the original model.
 
 Compliant bends need more computing time than prescribed bends.
 """
@@ -436,7 +436,7 @@ def explain(
 
     Args:
         scenario: scenario of the run.
-        trajectories: trajectory of each plant, keyed by the name of the plant.
+        trajectories: trajectory of each plant, keyed by plant name.
         progress: callback with the finished fraction, 0 to 1, and the remaining time,
             s.
         wall_s: computing time of each plant, from which the remaining time is
@@ -449,8 +449,8 @@ def explain(
     """
     if not {"analytical", "twin"} <= trajectories.keys():
         raise InputError(
-            "an attribution compares the two plants, but only one of them runs; run"
-            " both, `analytical` and `twin`"
+            "an attribution compares the two plants, but only one of them was run; run"
+            " both `analytical` and `twin`"
         )
     controller = scenario.build_controller()
     end = max(float(run.time[-1]) for run in trajectories.values())
@@ -522,13 +522,13 @@ def main_cause(
 ) -> dict[str, Any] | None:
     """Return the effect of compliance on the analytical model, from one additional run.
 
-    Of all contributions that `explain` computes, compliance usually has the largest.
+    Compliance usually makes the largest of the contributions that `explain` computes.
 
     Returns:
-        Name of the assumption (`name`) and effects on `com_speed_m_s` and
-        `yaw_rate_rad_s`. The key `window_s` is added if the effects refer to the time
-        before a contact. The result is None if the run has no gait, the model is
-        already compliant, or the robot is spatial.
+        Name of the assumption (`name`), and effects on `com_speed_m_s` and
+        `yaw_rate_rad_s`. If the run has a contact, the effects cover only the time
+        before the contact, which is added as `window_s`. The result is None if the run
+        has no gait, the model is already compliant, or the robot is spatial.
     """
     if scenario.robot.is_spatial:
         return None

@@ -18,27 +18,22 @@ from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 MAX_LISTED_NAMES = 12
-"""Maximum number of names that a message lists."""
 
 _MAX_SUGGESTIONS = 3
 _MIN_SIMILARITY = 0.6
 """Minimum similarity of a suggested name, on the scale of `difflib`."""
 
 _SIMILARITY_TIE = 0.05
-"""Names whose similarity is lower than the best by at most this difference are
-suggested as well."""
+"""Maximum difference from the best similarity for a further suggested name."""
 
 _MIN_PREFIX_SIMILARITY = 0.75
 """Minimum similarity to the first words of a name.
 
-It is higher than the minimum similarity to whole names, because short texts are often
-similar by chance.
+This value exceeds `_MIN_SIMILARITY`, because short texts are often similar by chance.
 """
 
 OUTSIDE: set[str] = set()
-"""Source files of imported plug-ins, which do not belong to the package.
-
-Error messages name the plug-in file in which an error occurred.
+"""Source files of imported plug-ins. Messages about errors in a plug-in name its file.
 """
 
 _FILE_SUFFIXES = (
@@ -135,7 +130,7 @@ class TimeStepError(InputError):
 
 
 class InputFileError(InputError):
-    """Error with all problems of one file.
+    """Error that lists all problems of one file.
 
     Each line has the form ``path:line:column: key.path: message``.
     """
@@ -146,11 +141,11 @@ class InputFileError(InputError):
 
 
 class RenamedWarning(UserWarning):
-    """Warning about a former name of a key or an option in a file or a command."""
+    """Warning that a file or command uses the former name of a key or option."""
 
 
 class UnitWarning(UserWarning):
-    """Warning about a number in a robot file that is probably in a wrong unit."""
+    """Warning that a number in a robot file probably has the wrong unit."""
 
 
 class EngineWarning(UserWarning):
@@ -158,7 +153,7 @@ class EngineWarning(UserWarning):
 
 
 class SessionWarning(UserWarning):
-    """Warning about a live twin that is too slow, or has no file or forecast."""
+    """Warning that a live twin is too slow, or that a file or forecast failed."""
 
 
 class CacheWarning(UserWarning):
@@ -234,7 +229,7 @@ class WorkerDiedError(SrsError):
 def describe_error(error: BaseException) -> str:
     """Return the type, the message and the source line of an error.
 
-    If the traceback contains lines of a plug-in, the source line is a plug-in line.
+    If the error passed through a plug-in, the last plug-in line is returned.
     """
     frames = _frames(error, OUTSIDE) or traceback.extract_tb(error.__traceback__)
     if frames:
@@ -266,7 +261,7 @@ def _restore_error(
 
 
 def describe_exit(exit_code: int) -> str:
-    """Describe how a process ended. A negative exit code means a signal."""
+    """Describe how a process ended. A negative exit code is a negated signal number."""
     if exit_code >= 0:
         return f"ended with exit code {exit_code}"
     try:
@@ -280,7 +275,7 @@ def _exit_cause(exit_code: int) -> str:
         return "the machine ran out of memory (use fewer workers), or a user killed it"
     if exit_code < 0:
         return "compiled code crashed, or a user killed it"
-    return "its output above states the reason"
+    return "the output above states the reason"
 
 
 def _longest_round_divisor(period_s: float, step_s: float) -> float:
@@ -297,7 +292,10 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
 def format_names(
     names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
 ) -> str:
-    """Return the names as text, or the number of names and `listing` for long lists."""
+    """Return the names as text.
+
+    A long list is replaced by the number of names and the command `listing`.
+    """
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
     return ", ".join(names) or "none"
@@ -444,8 +442,8 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
         step_s: duration of the step, s.
 
     Raises:
-        TimeStepError: the period is not a multiple of the step. The relative tolerance
-            is 1e-9.
+        TimeStepError: the period is not a multiple of the step within a relative
+            tolerance of 1e-9.
         InputError: a duration is not finite or not positive.
     """
     for label, value in ((name, period_s), (step_name, step_s)):
@@ -470,7 +468,7 @@ def _is_whole(ratio: float, tolerance: float = 1e-9) -> bool:
 
 
 def shortest_decimal(value: float, fits: Callable[[float], bool]) -> str:
-    """Return the shortest decimal text of six or more digits for which `fits` holds."""
+    """Return the shortest decimal text of at least six digits that satisfies `fits`."""
     return next(
         (text for n in range(6, 17) if fits(float(text := f"{value:.{n}g}"))),
         repr(value),
@@ -487,8 +485,8 @@ class SamplingGrid(NamedTuple):
 
     Attributes:
         tick: control tick, s.
-        step: time step of which a sampling interval shorter than a tick must be a
-            multiple, s, or None if any interval is allowed.
+        step: time step, s. Sampling intervals shorter than a tick must be multiples of
+            this step. If None, any interval is allowed.
     """
 
     tick: float
@@ -528,7 +526,7 @@ def _integers_near(number: float) -> range:
 def nearest_rate(
     rate: float, grids: Sequence[SamplingGrid], low: float = 0.0, high: float = math.inf
 ) -> str | None:
-    """Return the sampling rate that fits all plants and is closest to a requested rate.
+    """Return the sampling rate closest to a requested rate that fits all plants.
 
     Args:
         rate: requested rate, Hz.
@@ -548,8 +546,8 @@ def nearest_rate(
     candidates += [near for grid in grids for near in grid.rates_near(rate)]
 
     def fits(rate: float) -> bool:
-        # The tolerance here is tighter than the tolerance of the plants, because the
-        # plants repeat the division with rounding errors.
+        # The tolerance is tighter here than in the plants, because their division adds
+        # rounding errors.
         return low <= rate <= high and all(grid.fits(rate, 1e-10) for grid in grids)
 
     fitting = sorted(

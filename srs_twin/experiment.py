@@ -54,13 +54,10 @@ from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.content import RunContent, end_event
 
 METRICS = "metrics.json"
-"""File name of the metrics."""
 RESOLVED = "scenario.resolved.yaml"
-"""File name of the scenario with explicit defaults and an explicit robot."""
+"""File name of the scenario with all defaults and the robot written out."""
 REPORT = "report.html"
-"""File name of the report."""
 RECORDING = "recording.rrd"
-"""File name of the Rerun recording."""
 MEASURED = "measured"
 """Key of the measured trajectory in a dictionary of trajectories."""
 PRODUCTS = (
@@ -70,9 +67,9 @@ PRODUCTS = (
     RECORDING,
     *(f"{plant}.parquet" for plant in PLANTS),
 )
-"""File names of a run. A folder with the first file contains a complete run."""
+"""Files that a run writes. The first file exists only if the run is complete."""
 _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
-"""File names of a run whose scenario has a measured trajectory."""
+"""Files that a run can write, including the measured trajectory."""
 
 Progress = Callable[..., None]
 """Callback that receives the name of a task, the completed fraction and optionally the
@@ -88,10 +85,10 @@ class RunResult:
 
     Attributes:
         name: name of the scenario.
-        folder: output folder. A temporary folder has been deleted.
+        folder: output folder, which no longer exists if it was temporary.
         trajectories: trajectory of each plant. The trajectory of a diverged plant ends
             at the divergence.
-        metrics: metrics as in metrics.json, or an empty dictionary if a plant diverged.
+        metrics: content of metrics.json, or an empty dictionary if a plant diverged.
         diverged: errors of diverged plants. The error message contains the path of the
             recorded trajectory.
         failed_attributions: errors of attribution runs that diverged.
@@ -114,7 +111,7 @@ class _Simulated:
 
 @dataclass(frozen=True)
 class PreparedRun:
-    """Scenario with its plants and controllers, and a writable output folder."""
+    """Scenario that is ready to run, with its plants, controllers and output folder."""
 
     scenario: Scenario
     folder: Path
@@ -145,8 +142,8 @@ class PreparedRun:
 
         The file metrics.json is written last. The recording is omitted if Rerun is not
         installed. If a plant diverges, the remaining plants are still simulated, and
-        each trajectory is written. After a divergence, neither a comparison nor
-        pictures nor metrics.json are written.
+        each trajectory is written. After a divergence, the comparison, the pictures and
+        metrics.json are omitted.
 
         Args:
             progress: callback with the name of the plant and the completed fraction.
@@ -211,8 +208,8 @@ class PreparedRun:
         if main_cause is not None and not (done.diverged or attribution):
             cause = main_cause(scenario, done.trajectories)
         metrics: dict[str, object] = {}
-        # All files are replaced at once, so that the files of an earlier run remain
-        # intact after an interruption or on a full disk.
+        # All files are replaced together at the end. The files of an earlier run
+        # therefore survive an interruption or a full disk.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
             self._write_trajectories(fresh, done.trajectories)
             if not done.diverged:
@@ -312,9 +309,9 @@ class PreparedRun:
     def _judged(
         self, metrics: dict[str, Any], runs: Mapping[str, Trajectory]
     ) -> dict[str, Any]:
-        """Return the entries of metrics.json that describe the expectations.
+        """Return the expectation entries of metrics.json.
 
-        The trajectories `runs` include the measured trajectory.
+        `runs` includes the measured trajectory.
         """
         scenario = self.scenario
         # An expectation about a plant that did not run does not count as a failure.
@@ -381,13 +378,13 @@ def twin_contact(scenario: Scenario) -> str | None:
 def stored_intervals(scenario: Scenario) -> dict[str, Any]:
     """Return the intervals that `srs-twin uncertainty SCENARIO --write` has stored.
 
-    The file is searched in the current folder and then among the shipped files.
+    The file is looked up in the current folder, and then among the shipped files.
 
     Returns:
-        Dictionary in which "stale" is the reason why the file is not applicable, or
-        None. For an applicable file, "file" is the path and "renew" is the command that
-        updates the file. The entry "plants" contains the intervals of the metrics of
-        each plant, and "segments" the range of the twin's speed over stiffness and
+        Dictionary whose entry "stale" states why the stored file does not apply, or is
+        None. For a file that applies, "file" is its path, and "renew" is the command
+        that updates it. The entry "plants" contains the metric intervals of each plant.
+        The entry "segments" is the range of the twin's speed over stiffness and
         damping, or None.
     """
     if scenario.name in shipped_names("scenario"):
@@ -424,7 +421,7 @@ def stored_intervals(scenario: Scenario) -> dict[str, Any]:
         return {"stale": reason}
     if digest != judged_provenance(scenario.document).key:
         reason = (
-            f"{shown} belongs to another robot or scenario; the command {renew}"
+            f"{shown} was computed for another robot or scenario; the command {renew}"
             " computes the interval again"
         )
         return {"stale": reason}
@@ -514,7 +511,6 @@ class ComparedRuns(Comparison):
     spec: RobotSpec
 
     def __str__(self) -> str:
-        """Return the headline of the comparison."""
         return headline(self.results)
 
     def _repr_html_(self) -> str:
@@ -665,7 +661,7 @@ class FinishedRun:
 
     Attributes:
         folder: output folder.
-        scenario: scenario with explicit defaults and an explicit robot.
+        scenario: scenario with all defaults and the robot written out.
         trajectories: trajectory of each plant, and the measured trajectory, if any.
     """
 
@@ -713,6 +709,6 @@ def find_run(run: str | Path) -> Path:
             return folder
     files = " and ".join(display_path(path / RESOLVED) for path in candidates)
     raise InputError(
-        f"{run}: no finished run exists there (looked for {files}); `srs-twin run"
+        f"{run}: no finished run was found (looked for {files}); `srs-twin run"
         " SCENARIO` creates one"
     )

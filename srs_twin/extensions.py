@@ -1,6 +1,6 @@
 """Registry of extensions and plug-ins.
 
-The core refers to extensions only in this module. An entry has the form ``name:
+The core refers to extensions only in this module. Each table entry has the form ``name:
 "module:object"``, and the module is imported when the object is first used. Entries of
 extensions that are not installed are ignored.
 
@@ -50,21 +50,21 @@ CONTROLLERS = {
     "replay": "srs_twin.recordings.takes:ReplayFile",
     "follow": "srs_twin.planning.follow_file:FollowFile",
 }
-"""Kinds of `controller` in a scenario, with the file models that build controllers."""
+"""Additional values of `controller.kind` in a scenario, with the file model of each."""
 
 SECTIONS = {
     "recording": "srs_twin.recordings.takes:RECORDING",
     "planner": "srs_twin.planning.scenario:PLANNER",
 }
-"""Additional sections of a scenario, of the type `scenario.fields.SectionEntry`."""
+"""Additional scenario sections, each a `scenario.fields.SectionEntry`."""
 
 METRICS = {
     "following": "srs_twin.planning.metrics:METRICS",
 }
-"""Metrics of runs, of the type `comparison.sampling.MetricGroup`."""
+"""Additional run metrics, each a `comparison.sampling.MetricGroup`."""
 
 PICTURES = {"following": "srs_twin.planning.pictures:PICTURES"}
-"""Additional pictures of runs, of the type `viewing.additions.RunPictures`."""
+"""Additional run pictures, each a `viewing.additions.RunPictures`."""
 
 PAGES = {
     "run": "srs_twin.viewing.html.report:page_of_run",
@@ -72,7 +72,7 @@ PAGES = {
     "plan": "srs_twin.planning.pictures:plan_page",
     "fit": "srs_twin.identification.fit_report:fit_page",
 }
-"""Functions that return the HTML page of a result for notebooks."""
+"""Functions that convert a result to an HTML page for notebooks."""
 
 ENGINES = {"warp": "srs_twin.warp.batch:WarpBatch"}
 """Engines that simulate batches of twins."""
@@ -92,7 +92,7 @@ FORMATS = {
 }
 """File formats of motion recordings, of the type `recordings.formats.base.Format`.
 
-The first format that recognizes a file reads the file. The format `plain` is last,
+Each file is read by the first format that recognizes it. The format `plain` is last,
 because it accepts most tables.
 """
 
@@ -109,7 +109,7 @@ SCHEMAS = {
 
 
 def load(entry: str) -> Any:
-    """Import the object of an entry ``module:object``."""
+    """Import the object to which an entry ``module:object`` refers."""
     module, _, name = entry.partition(":")
     return getattr(import_module(module), name)
 
@@ -153,8 +153,8 @@ class _LazyPackage(ModuleType):
         return sorted(self.__all__)
 
     def __setattr__(self, name: str, value: object) -> None:
-        # After the import of a submodule, Python sets the submodule as an attribute of
-        # the package, where it would hide a public object of the same name.
+        # Importing a submodule sets it as an attribute of the package, where it would
+        # hide a public object of the same name.
         if isinstance(value, ModuleType) and name in self._homes:
             value = getattr(value, name)
         super().__setattr__(name, value)
@@ -166,8 +166,8 @@ class _LazyPackage(ModuleType):
 def lazy(package: str) -> None:
     """Make a package import its public names on first use.
 
-    The names are read from the block ``TYPE_CHECKING`` in the source of the package,
-    in which type checkers also find them.
+    The names are read from the ``if TYPE_CHECKING:`` block in the package's source,
+    which type checkers read as well.
     """
     module = sys.modules[package]
     homes = {
@@ -191,8 +191,7 @@ PART_PATTERN = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z]\w*"
 """Pattern ``module:Name`` for the name of a plug-in class."""
 
 READING = ContextVar("READING", default=False)
-"""Whether the files of a finished run are being read, for which no plug-ins are
-imported."""
+"""Whether a finished run is being read, in which case no plug-ins are imported."""
 
 
 def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
@@ -291,7 +290,7 @@ def _owners(path: tuple[str, ...]) -> dict[str, Any]:
 
 
 def registered(kind: str) -> dict[str, str]:
-    """Return the classes of a kind that installed distributions register.
+    """Return the classes of one kind that installed distributions have registered.
 
     The dictionary maps short names to ``module:Name``.
     """

@@ -2,8 +2,8 @@
 
 The function `rollout` simulates one run, and `run_many` simulates independent runs on
 several threads. Kernels and MuJoCo release the interpreter lock during a step, so the
-threads run in parallel. The function `run_batch` simulates a batch of twins whose
-commands one policy computes tick by tick.
+threads run in parallel. The function `run_batch` simulates a batch of twins, for which
+one policy computes all commands tick by tick.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 Observer = Callable[[SnakeState], None]
 PlaceFunction = Callable[[Plant, int], SnakeState]
-"""Function of a plant and a seed that sets and returns an initial state."""
+"""Function that maps a plant and a seed to an initial state, which it also sets."""
 
 Policy = Callable[[SnakeState], np.ndarray]
 """Function that maps the states of a batch to valve commands."""
@@ -81,13 +81,13 @@ def rollout(
     """Simulate a plant under a controller and record the trajectory.
 
     The snake starts at rest at `pose`, unless `initial_state` or `resume` is given. A
-    controller without sensor input has a script of valve commands, which the plant
-    simulates in chunks of many ticks. With sensor input, `until` or `observers`, plant
-    and controller alternate every tick.
+    controller without sensor input provides a script of valve commands, which the plant
+    executes in chunks of many ticks. If sensor input, `until` or `observers` is used,
+    plant and controller alternate in every tick.
 
     Args:
         plant: simulated robot.
-        controller: controller of the robot's valves.
+        controller: controller of the valves.
         duration: simulated time, a multiple of the plant's tick, s.
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
         initial_state: function of plant and seed that sets another initial state, such
@@ -110,11 +110,11 @@ def rollout(
         controller (``control``).
 
     Raises:
-        InputError: the run is not possible. Duration, tick, time step and record_hz may
-            be incompatible, or several of pose, initial_state and resume are given. The
-            controller may not fit the valve layout or the saved state, an obstacle may
-            overlap the initial body, or another thread may use the plant or the
-            controller.
+        InputError: duration, tick, time step and record_hz are not compatible, or
+            several of pose, initial_state and resume are given. The error is also
+            raised if the controller does not fit the valve layout or the saved state.
+            Further reasons are an obstacle that overlaps the initial body, and another
+            thread that uses the plant or the controller.
         DivergedError: plant or controller diverged. The attribute `trajectory` of the
             error contains the samples before the divergence.
     """
@@ -191,7 +191,7 @@ def _play_script(
     ticks: int,
     progress: Callable[[float], None] | None,
 ) -> bool:
-    """Simulate a script in chunks and return False if the plant cannot play scripts."""
+    """Simulate a script in chunks, or return False if the plant cannot run scripts."""
     plant = recorder.plant
     stride = recorder.stride
     controller = _describe_controller(recorder.controller)

@@ -67,10 +67,7 @@ class Event:
 
 
 class UnknownColumnError(UnknownNameError, KeyError):
-    """Error for a column that a trajectory does not have.
-
-    The message suggests similar names.
-    """
+    """Error for a column that a trajectory does not have."""
 
     # The method `__str__` of KeyError would print the message in quotes.
     __str__ = Exception.__str__
@@ -92,12 +89,12 @@ class Trajectory(HtmlResult):
 
     The arrays must not be modified. The columns have the following names.
 
-    - Columns of the body are ``time``, ``heading``, the centre of mass ``com_x`` and
+    - The body has the columns ``time``, ``heading``, the centre of mass ``com_x`` and
       ``com_y``, and the connector poses ``x_1…N``, ``y_1…N`` and
       ``connector_heading_1…N``, head first. The energies are ``work`` and, if the plant
       measures the consumed air, ``pneumatic_energy``.
-    - Columns of a segment are ``bend_1…``, ``measured_bend_1…`` and ``torque_1…``.
-      Columns of its chambers are ``pressure_plus_1…``, ``pressure_minus_1…``,
+    - Segments have the columns ``bend_1…``, ``measured_bend_1…`` and ``torque_1…``.
+      Chambers have the columns ``pressure_plus_1…``, ``pressure_minus_1…``,
       ``valve_plus_1…`` and ``valve_minus_1…``.
     - The controller adds its own signals, and the twin adds ``qpos_1…``.
     - A world with objects has the columns ``object_x_1…``, ``object_y_1…`` and
@@ -133,7 +130,6 @@ class Trajectory(HtmlResult):
         return self.columns[name]
 
     def __len__(self) -> int:
-        """Return the number of samples."""
         return len(self.time)
 
     @property

@@ -1,10 +1,10 @@
 """Reinforcement-learning environments for Gymnasium and dm_env.
 
 Importing this package registers the tasks of `TASKS` with Gymnasium, for example as
-``SRSTwin/GoTo-v0``. The id ``srs_twin.envs:SRSTwin/GoTo-v0`` makes Gymnasium import the
-package first, because Gymnasium 1.0 and later do not search entry points.
-`srs_twin.envs.dm.load("GoTo")` returns the same task as a dm_env environment and does
-not need Gymnasium. docs/environments.md describes the tasks.
+``SRSTwin/GoTo-v0``. With the id ``srs_twin.envs:SRSTwin/GoTo-v0``, Gymnasium imports
+this package itself. The prefix is needed because Gymnasium 1.0 and later do not search
+entry points. `srs_twin.envs.dm.load("GoTo")` returns the same task as a dm_env
+environment and does not need Gymnasium. docs/environments.md describes the tasks.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ def _register() -> None:
             entry_point="srs_twin.envs.gymnasium:SnakeEnv",
             vector_entry_point="srs_twin.envs.gymnasium:SnakeVectorEnv",
             kwargs={"task": task},
-            # The wrappers are disabled, because SnakeEnv itself checks the order of
-            # calls and the types of actions, and because a copy of a wrapper would
-            # share the environment.
+            # Gymnasium's wrappers are disabled, because SnakeEnv checks the call order
+            # and the action types itself. A copied wrapper would also share the
+            # environment.
             order_enforce=False,
             disable_env_checker=True,
         )

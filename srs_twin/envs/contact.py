@@ -1,15 +1,15 @@
 """Tasks Pegs and Grasp, in which a snake crawls among pegs or drags an object.
 
 In the task Pegs, the snake crawls to a goal among pegs. The skin has isotropic
-friction, so the snake hardly moves without pegs. Between pegs almost every gait moves
-the snake, but only steering moves the snake to a given position. The goal may therefore
-be in any direction.
+friction, so the snake hardly moves without pegs. Among pegs, almost every gait moves
+the snake, but reaching a given position requires steering. The goal may therefore be in
+any direction.
 
-In the task Grasp, the tail of the snake has to curl around a cylinder and drag it. The
+In the task Grasp, the tail of the snake must curl around a cylinder and drag it. The
 cylinder counts as gripped if it presses on opposite sides of the tail. The cylinder
 counts as held if it has been gripped and at rest relative to the tail for the last
-`HELD_S` seconds. Only motion of the gripped cylinder is rewarded, so pushing the
-cylinder away is not successful.
+`HELD_S` seconds. Motion is rewarded only while the cylinder is gripped, so pushing it
+away earns nothing.
 """
 
 from __future__ import annotations
@@ -47,24 +47,23 @@ _SKIN = {
     "transverse": 0.3,
 }
 ISOTROPIC_SKIN = {"base": "skin_example", "contact": _SKIN}
-"""Robot of the scenario pegs_skin."""
+"""Robot used in the scenario `pegs_skin`."""
 
 _GOAL_DISTANCES_M = (0.8, 1.0)
 """Minimum and maximum distance of the goal, m."""
 
 _PITCH_M = 0.13
-"""Distance between adjacent rows and between adjacent pegs of a row, m, as in
-pegs_skin.
+"""Distance between adjacent rows and between adjacent pegs of a row, m (`pegs_skin`).
 """
 
 _RADIUS_M = 0.02
-"""Radius of a peg, m, as in pegs_skin."""
+"""Radius of a peg, m (`pegs_skin`)."""
 
 _JITTER_M = 0.005
-"""Maximum random displacement of a peg, m, as in pegs_skin."""
+"""Maximum random displacement of a peg, m (`pegs_skin`)."""
 
 _FRICTION = 0.2
-"""Friction coefficient of the pegs, dimensionless, as in pegs_skin."""
+"""Friction coefficient of the pegs, dimensionless (`pegs_skin`)."""
 
 _ROWS = 18
 """Number of rows of pegs. The number is even, so the snake starts between two rows."""
@@ -83,7 +82,7 @@ _ROOM = Bounds((-1.5, 1.5), (-1.5, 1.5))
 
 
 class PegsEpisode(CrawlEpisode):
-    """Episode of crawling to a goal among pegs."""
+    """Episode in which the snake crawls to a goal among pegs."""
 
     collisions_end = False
 
@@ -106,7 +105,7 @@ class PegsTask(CrawlTask):
     ) -> None:
         """Create the task with 3 hinges per segment.
 
-        The arguments and errors are described in `CrawlTask`.
+        For the arguments and errors, see `CrawlTask`.
         """
         arena = Arena(
             _ROOM,
@@ -124,7 +123,7 @@ class PegsTask(CrawlTask):
         del groups["obstacles"]
         pegs: list[Signal] = []
         for k in range(1, _SEEN_PEGS + 1):
-            text = f"position of the peg with rank {k} by distance,"
+            text = f"position of peg {k}, in order of distance,"
             pegs += place_signals(f"peg_{k}", _FAR_M, text)
         return groups | {"pegs": tuple(pegs)}
 
@@ -140,7 +139,7 @@ CHAIN = {
     "geometry": {"connectors": 13},
     "gait": {"phase_step_rad": math.pi / 4},
 }
-"""Robot of the scenario grasp_cylinder, with twelve modules, of which eight crawl."""
+"""Robot used in the scenario `grasp_cylinder`. Eight of the twelve modules crawl."""
 
 HOLD = 4
 """Number of holding modules at the tail."""
@@ -167,9 +166,7 @@ TIMESTEP_S = 0.002
 """Time step of the twin, s, as in docs/objects.md."""
 
 _LOST_M = 0.25
-"""Maximum distance of the object from the centre of the holding modules, m.
-
-Beyond this distance, the object counts as lost.
+"""Distance from the holding modules' centre above which the object counts as lost, m.
 
 The initial distance is at most 0.1 m. If the tail curls to the wrong side, the distance
 remains below this limit.
@@ -208,16 +205,16 @@ class GraspTask(CameraTask):
         RewardTerm(
             "progress_m",
             1.0,
-            "increase of the distance of the object from its start while it is gripped",
+            "increase of the object's distance from its start while gripped",
         ),
         RewardTerm(
             "dragged",
             1.0,
-            f"1 in the step in which this distance is {DRAG_M:g} m and the object was"
-            f" held for {HELD_S:g} s",
+            f"1 in the step in which the object, held for {HELD_S:g} s, has moved by"
+            f" {DRAG_M:g} m",
         ),
         RewardTerm(
-            "object_lost", -1.0, "1 in the step in which the object has left the tail"
+            "object_lost", -1.0, "1 in the step in which the tail loses the object"
         ),
         *COSTS,
     )
@@ -258,7 +255,7 @@ class GraspTask(CameraTask):
                 "1",
                 0.0,
                 1.0,
-                "the other modules use the gait above 0.5, otherwise they vent",
+                "above 0.5, the crawling modules run the gait; otherwise they vent",
             ),
             Signal(
                 "offset",
@@ -299,7 +296,7 @@ class GraspTask(CameraTask):
 
 
 class GraspEpisode(ObservedEpisode):
-    """Episode of dragging an object."""
+    """Episode in which the snake drags an object."""
 
     state_attributes: ClassVar[tuple[str, ...]] = (
         "_command",
@@ -379,8 +376,8 @@ class GraspEpisode(ObservedEpisode):
         self._moved = self._distance_moved()
         holding = np.asarray(self.state.position)[-HOLD - 1 :]
         gripped = self._is_gripped()
-        # The position of the object in the tail is measured by the distances to the
-        # holding connectors.
+        # The distances to the holding connectors describe the position of the object in
+        # the tail.
         distances = np.hypot(*(holding[1:] - self._object_place()).T)
         self._grips = [*self._grips, distances] if gripped else []
         if self._moved >= DRAG_M and self._is_held():

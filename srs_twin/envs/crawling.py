@@ -1,15 +1,15 @@
 """Tasks GoTo, Obstacles and Crawl3D, in which a snake crawls to a goal.
 
 In the task Obstacles, two rows of circular obstacles divide the room, and each row has
-a gate at a random position. Contact with an obstacle ends the episode. Otherwise, a
-snake that does not observe the obstacles could find the gate by touching them.
+a gate at a random position. Contact with an obstacle ends the episode, because a snake
+without obstacle observations could otherwise find the gate by touch.
 
 The reward of a step is the weighted sum of the terms in `CrawlTask.reward_terms`. By
-default the reward is the decrease of the distance to the goal in m, plus 1 when the
-goal is reached, and minus 1 when the snake leaves the room or touches an obstacle. The
-decrease of the distance is a potential-based shaping term without discount, whose
-potential is the negative distance. The sum of the shaping terms is the total decrease
-of the distance, so shaping does not change the ranking of policies that reach the goal.
+default, the reward is the decrease of the distance to the goal in m. Reaching the goal
+adds 1, and leaving the room or touching an obstacle subtracts 1. The decrease of the
+distance is a potential-based shaping term without discount, whose potential is the
+negative distance. The sum of the shaping terms is the total decrease of the distance,
+so shaping does not change the ranking of policies that reach the goal.
 
 In the task Crawl3D, a spatial robot crawls on an open floor. The agent also commands
 the pitch wave of the gait (`control.gait`). The robot can therefore undulate, sidewind
@@ -56,7 +56,7 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.world import OBSTACLE_FRICTION, Bounds, Circle, Goal, World
 
 GOAL_RADIUS_M = 0.1
-"""Maximum distance of the centre of mass from a reached goal, m."""
+"""Distance from the centre of mass below which the goal counts as reached, m."""
 
 _PA_PER_KPA = 1e3
 
@@ -64,8 +64,7 @@ _RADII_M = (0.12, 0.14)
 """Minimum and maximum radius of an obstacle, m."""
 
 _SITES = 6
-"""Number of positions in a row of obstacles, including the free position of the gate.
-"""
+"""Number of sites in a row of obstacles, including the free site at the gate."""
 
 _SPACING_M = 0.30
 """Distance between neighbouring sites, m.
@@ -87,7 +86,7 @@ the camera is noisy.
 
 @dataclass(frozen=True)
 class Arena:
-    """Floor of an episode, and distributions of the initial heading and of the goal.
+    """Floor used in an episode, with the ranges of the initial heading and the goal.
 
     The snake starts at the origin.
 
@@ -128,8 +127,7 @@ CIRCLES = Arena(
     obstacles=len(_ROWS_M) * (_SITES - 1),
     rows=_ROWS_M,
 )
-"""Floor of task Obstacles, which is divided by two rows of obstacles with one gate
-each.
+"""Floor of task Obstacles. Two rows of obstacles, each with one gate, divide the floor.
 """
 
 FLOOR = Arena(
@@ -151,7 +149,7 @@ At 1 Hz the inertia of the lifted segments is no longer negligible (docs/spatial
 """
 
 SPATIAL_RELATIVE_PRESSURES = (0.25, 0.6)
-"""Minimum and maximum supply pressure of spatial robots over the nominal pressure.
+"""Minimum and maximum fraction of the nominal supply pressure for spatial robots.
 
 For `spatial_example`, the pressures are 12 and 29 kPa and cause bends of 0.4 and 0.9
 rad per segment.
@@ -159,7 +157,7 @@ rad per segment.
 
 
 class CrawlEpisode(ObservedEpisode):
-    """Episode of crawling to a goal.
+    """Episode in which the snake crawls to a goal.
 
     Attributes:
         world: obstacles, room and goal.
@@ -191,8 +189,8 @@ class CrawlEpisode(ObservedEpisode):
     def identity(self) -> dict[str, Any]:
         """See `Episode.identity`.
 
-        The identity also includes a digest of the world, because a reused twin was
-        built with the goal of an earlier episode.
+        A digest of the world is included, because a reused twin was built with the goal
+        of an earlier episode.
         """
         return super().identity() | {"world": short_digest(self.world)}
 
@@ -293,7 +291,7 @@ class CrawlEpisode(ObservedEpisode):
 
 
 class SpatialCrawlEpisode(CrawlEpisode):
-    """Episode of crawling to a goal with a spatial robot."""
+    """Episode in which a spatial robot crawls to a goal."""
 
     state_attributes = ("_pitch",)
 
@@ -312,7 +310,7 @@ class CrawlTask(CameraTask):
     """Task of crawling to a goal. See the module docstring.
 
     Attributes:
-        arena: floor, and distributions of the initial heading and the goal.
+        arena: floor, and ranges of the initial heading and the goal.
         limits: bounds of the gait commands.
         episode_class: class of the episodes.
     """
@@ -348,13 +346,13 @@ class CrawlTask(CameraTask):
 
         Args:
             name: registered name of the task.
-            arena: floor, and distributions of the initial heading and the goal.
+            arena: floor, and ranges of the initial heading and the goal.
             robot: name, path or mapping of the robot, as in `Task`.
             limit_s: time limit, s.
             camera: frame rate and noise of the camera. The frame rate must be at least
                 one frame per step.
-            **settings: further arguments of `Task`, which are `fit`, `ranges`,
-                `rewards`, `observations` and settings of the twin.
+            **settings: further arguments of `Task`: `fit`, `ranges`, `rewards`,
+                `observations` and settings of the twin.
 
         Raises:
             UnknownNameError: a setting of the twin has an unknown name.
@@ -476,7 +474,7 @@ class SpatialCrawlTask(CrawlTask):
         )
 
     def _action_signals(self) -> Signals:
-        lag = "lag of the pitch wave; π/2: sidewinding to the right"
+        lag = "lag of the pitch wave; π/2 is sidewinding to the right"
         return (
             *super()._action_signals(),
             Signal(
@@ -484,7 +482,7 @@ class SpatialCrawlTask(CrawlTask):
                 "1",
                 0.0,
                 1.0,
-                "fraction of the pitch wave in the sum of the amplitudes",
+                "pitch amplitude as a fraction of the sum of both amplitudes",
             ),
             Signal("pitch_lag_rad", "rad", -math.pi, math.pi, lag),
         )

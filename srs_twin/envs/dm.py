@@ -26,9 +26,9 @@ try:
     from dm_env import specs
 except ImportError as error:
     raise InputError(
-        "srs_twin.envs.dm needs dm-control, which is not installed. Python 3.13 and"
-        " later cannot install it, because its dependency labmaze has no wheel for"
-        " them. Use the same tasks through Gymnasium (docs/environments.md), or Python"
+        "srs_twin.envs.dm needs dm-control, which is not installed. On Python 3.13 and"
+        " later, dm-control cannot be installed, because labmaze has no wheels for"
+        " them. Use the tasks through Gymnasium (docs/environments.md), or use Python"
         " 3.11 or 3.12 with `pip install dm-control`."
     ) from error
 
@@ -47,7 +47,6 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
     result: StepResult
 
     def __init__(self, task: Task, rng: np.random.Generator) -> None:
-        """Initialise with a task and the random number generator of its episodes."""
         self._task = task
         self._rng = rng
         self._renderer: EpisodeRenderer | None = None
@@ -78,7 +77,7 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
         """Do nothing."""
 
     def set_control(self, control: np.ndarray) -> None:
-        """Store the action of the next step."""
+        """Store the action for the next step."""
         self._action = control
 
     def step(self, n_sub_steps: int = 1) -> None:
@@ -102,7 +101,6 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
     """Adapter from a task to dm_control's task interface."""
 
     def __init__(self, task: Task) -> None:
-        """Initialise with a task."""
         self.task = task
 
     def initialize_episode(self, physics: EpisodePhysics) -> None:

@@ -1,9 +1,9 @@
 """Gymnasium environments of the tasks, and vector environments with parallel threads.
 
-Each environment of a `SnakeVectorEnv` is a `SnakeEnv`, and its results do not depend on
-the number of environments. Each thread steps whole environments. Threads run in
-parallel, because nearly all computing time is spent in one engine call per step, which
-releases Python's global interpreter lock.
+Each environment of a `SnakeVectorEnv` is a `SnakeEnv`, whose results do not depend on
+the number of environments. Threads step whole environments in parallel. Nearly all
+computing time is spent in one engine call per step, which releases Python's global
+interpreter lock.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from srs_twin.plants.twin.batch import ENGINES, warp_batch
 
 RENDER_MODES = ("rgb_array",)
 FPS = 10
-"""Frame rate in the metadata of the class, 1/s. Instances have one frame per step."""
+"""Frame rate in the class metadata, 1/s. Instances render one frame per step."""
 
 
 class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
@@ -104,9 +104,9 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         Args:
             seed: random seed of `np_random`. If None, the current random number
                 generator is used.
-            options: initial state and goal of the episode. The option `state` is a
-                saved state from `episode.save()`, made in an episode with an equal
-                seed. Alternatively, the options `snake` and `yaw_rate` (rad/s) are an
+            options: initial state and goal of the episode. The option `state` is the
+                result of `episode.save()` in an episode with the same seed.
+                Alternatively, the options `snake` and `yaw_rate` (rad/s) set the
                 initial physical state. The option `goal` contains the coordinates x and
                 y of the goal, m.
 
@@ -122,7 +122,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.random.Generator, Episode]:
         """Draw a new episode, and return the random number generator and the episode.
 
-        The environment is not changed before `start_episode` is called.
+        The environment does not change until `start_episode` is called.
 
         Raises:
             UnknownNameError: an option does not exist.
@@ -150,7 +150,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Start a drawn episode and return the first observation and info.
 
-        `draw_episode` must have drawn the episode with the same seed.
+        `seed` must equal the seed passed to `draw_episode`.
         """
         super().reset(seed=seed)
         rng, self.episode = drawn
@@ -198,7 +198,7 @@ _OPTION_TYPES = {
     "state": (SavedState, "a SavedState, which episode.save() returns"),
     "snake": (SnakeState, "a SnakeState, such as plant.state"),
 }
-"""Type of each reset option, and the description of the type in error messages."""
+"""Type of each reset option, and how error messages describe the type."""
 
 
 def _checked_options(options: object) -> dict[str, Any]:
@@ -219,7 +219,7 @@ def _checked_options(options: object) -> dict[str, Any]:
     if "state" in options and not {"state", "goal"}.issuperset(options):
         raise InputError(
             "the options `snake` and `yaw_rate` are not allowed together with the"
-            " option `state`; remove them"
+            " option `state`; remove `state`, or remove the other two"
         )
     if "yaw_rate" in options and "snake" not in options:
         raise InputError("the option `yaw_rate` needs the option `snake`; give both")
@@ -232,7 +232,7 @@ def space_of(signals: Signals) -> spaces.Box:
 
 
 class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
-    """Vector of environments of one task, stepped in parallel.
+    """Vector environment that steps environments of one task in parallel.
 
     A vector environment is created by
     `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`. An environment
@@ -262,10 +262,9 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
             num_envs: number of environments.
             threads: number of threads. If None, one thread per processor is used.
             engine: "cpu", or "warp" to step all twins on a device. Warp requires that
-                all episodes have the same robot and no obstacles. If the episodes
-                differ or have obstacles, the environments run on the CPU, and a warning
-                is issued.
-            device: device of Warp. If None, Warp selects the device.
+                all episodes have the same robot and no obstacles. Otherwise the
+                environments run on the CPU, and a warning is issued.
+            device: device on which Warp runs. If None, Warp selects one.
             **settings: further arguments of `SnakeEnv`.
 
         Raises:
@@ -370,7 +369,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
             if not self.envs[0].task.has_identical_episodes:
                 raise InputError(
                     "the episodes have different robots or obstacles, but this engine"
-                    " needs equal ones"
+                    " needs one robot and no obstacles"
                 )
             if self._batch is None or any(
                 a is not b for a, b in zip(self._batch.twins, twins, strict=True)
@@ -402,8 +401,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         valves = [vented] * self.num_envs
         for k in running:
             valves[k] = self.envs[k].current_episode().command(actions[k])
-        # Valve states that change within a step have three dimensions. Constant valve
-        # states are repeated to match the shape of valve states that change.
+        # Valve states have three dimensions if they change within a step. Constant
+        # valve states are repeated to match that shape.
         substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
         shape = (substeps, *vented.shape)
         batch.update_supply_pressure()

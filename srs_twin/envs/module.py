@@ -1,9 +1,9 @@
-r"""Task Module, in which the duties of one module are set to track a reference bend.
+r"""Task Module, in which one module tracks a reference bend.
 
-The module is clamped at its head. Every second the reference bend q_ref changes to a
-random angle that the module can reach at the supply pressure. The reward of a step is
-the negative absolute error at the end of the step, multiplied by the duration Δt of the
-step:
+The module is clamped at its head, and the agent sets the duties of its two chambers.
+Every second the reference bend q_ref changes to a random angle that the module can
+reach at the supply pressure. The reward of a step is the negative absolute error at the
+end of the step, multiplied by the duration Δt of the step:
 
 $$ r = -\frac{|q_{ref} - q|}{1\,\text{rad}}\,\frac{\Delta t}{1\,\text{s}}. $$
 
@@ -27,10 +27,10 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
 
 STEP_S = 0.05
-"""Duration of a step, s, which is three carrier periods."""
+"""Duration of a step, s (three carrier periods)."""
 
 HOLD_S = 1.0
-"""Duration of each value of the reference, s."""
+"""Time for which each reference value is held, s."""
 
 REACH_FRACTION = 0.8
 """Maximum reference as a fraction of the free bend at the nominal supply pressure."""
@@ -52,7 +52,7 @@ class ModuleTask(Task):
         RewardTerm(
             "error_rad_s",
             -1.0,
-            "absolute error of the bend at the end of the step, times its duration",
+            "absolute bend error at the end of the step, times the step duration",
         ),
     )
 
@@ -81,8 +81,8 @@ class ModuleTask(Task):
                 " needs a robot with one segment; choose another robot"
             )
         self.reach = REACH_FRACTION * largest_bend(spec, spec.supply.nominal)
-        plus = f"duty of the + chamber at {CARRIER_HZ:g} Hz; it bends to the left"
-        minus = f"duty of the − chamber at {CARRIER_HZ:g} Hz; it bends to the right"
+        plus = f"duty of the + chamber (bend to the left) at {CARRIER_HZ:g} Hz"
+        minus = f"duty of the − chamber (bend to the right) at {CARRIER_HZ:g} Hz"
         self.actions = (
             Signal("duty_plus", "1", 0.0, 1.0, plus),
             Signal("duty_minus", "1", 0.0, 1.0, minus),
@@ -123,7 +123,7 @@ class ModuleTask(Task):
 
 
 class ModuleEpisode(Episode):
-    """Episode of tracking a reference bend."""
+    """Episode in which the module tracks a reference bend."""
 
     state_attributes = ("_carrier", "_readings", "_duties", "_levels")
 

@@ -20,8 +20,7 @@ STEP_S = 0.1
 """Duration of a step, s."""
 
 CAMERA = Camera(1 / STEP_S, 0.001, 0.005)
-"""Camera with one frame per step and noise of 1 mm (position) and 5 mrad (heading).
-"""
+"""Camera with one frame per step and noise of 1 mm (position) and 5 mrad (heading)."""
 
 COSTS = (
     RewardTerm("time_s", 0.0, "duration of the step"),
@@ -54,7 +53,6 @@ class ObservedEpisode(Episode):
     def __init__(
         self, task: CameraTask, twin: TwinSnake, state: SnakeState, seed: int
     ) -> None:
-        """Initialise the episode as `Episode.__init__` does."""
         self._frames = CameraFrames(task.camera, seed)
         self._readings = SensorReadings(state.measured_bend.size)
         self._air = float(state.pneumatic_energy)
@@ -130,8 +128,7 @@ def observation_groups(
 ) -> dict[str, Signals]:
     """Return the observation groups of a task with a camera.
 
-    `target` maps the name of the observation group of the goal or object to its
-    signals.
+    `target` contains the observation group of the goal or object, keyed by group name.
     """
     bends = _bend_signals("bend", "a bend", robot)
     if robot.is_spatial:

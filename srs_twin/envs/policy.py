@@ -2,12 +2,12 @@
 
 Baselines use only the observations that an agent receives. `PathFollowing` plans a path
 at the start of an episode and follows the path with `planning.follower.Follower`, which
-uses the observed pose. The gait frequency and the supply pressure are those at which
-the footprint was measured. `ProportionalIntegral` sets the difference between the two
+uses the observed pose. `PathFollowing` uses the gait frequency and supply pressure of
+the footprint measurement. `ProportionalIntegral` sets the difference between the two
 duties of a module according to a PI law, to which Eq. 30 reduces for a constant
-reference. `PegSteering` steers among pegs, `Sidewinding` chooses among sidewinding gaits of the
-robot `spatial_example`, and `SensedGrasp` uses the controller of the scenario
-grasp_cylinder.
+reference. `PegSteering` steers among pegs, and `Sidewinding` chooses among sidewinding
+gaits of the robot `spatial_example`. `SensedGrasp` uses the controller of the scenario
+`grasp_cylinder`.
 """
 
 from __future__ import annotations
@@ -49,7 +49,6 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Circle, Goal, Pose, World
 
 SHIPPED = "calibration/policies"
-"""Folder of the shipped policies."""
 
 
 @dataclass(frozen=True)
@@ -88,15 +87,15 @@ class NetworkPolicy:
         names = [signal.name for signal in task.observations]
         missing = [name for name in self.observations if name not in names]
         if task.name != self.task or missing:
-            problem = "is another one; use that task, or another policy"
+            problem = "is different; use the policy's task, or another policy"
             if missing:
                 problem = (
                     f"does not provide {', '.join(missing)}; select these observations,"
                     " or use another policy"
                 )
             raise InputError(
-                f"the policy is not suitable. It was trained for the task {self.task}"
-                f" with the observations {', '.join(self.observations)}, but the task"
+                f"the policy does not fit. It was trained for the task {self.task} with"
+                f" the observations {', '.join(self.observations)}, but the task"
                 f" {task.name} {problem}"
             )
         indices = [names.index(name) for name in self.observations]
@@ -174,13 +173,13 @@ FREQUENCY_HZ = 2.0
 """Gait frequency at which the footprint was measured, Hz."""
 
 PRESSURE_KPA = 48.3
-"""Supply pressure of the footprint measurement and of scenario pegs_skin, kPa."""
+"""Supply pressure of the footprint measurement and of scenario `pegs_skin`, kPa."""
 
 PEGS_FREQUENCY_HZ = 1.0
-"""Gait frequency of scenario pegs_skin, Hz."""
+"""Gait frequency of scenario `pegs_skin`, Hz."""
 
-# The next four values are taken from the scenario follow_fig57. docs/course.md
-# describes how the values were chosen.
+# The next four values are taken from the scenario `follow_fig57`. docs/course.md
+# describes how they were chosen.
 TURN_FRACTION = 0.7
 """Fraction of the maximum curvature used for planning, which leaves a reserve for
 steering.
@@ -222,13 +221,11 @@ class _Baseline(ABC):
     """Policy that reads the observations by name."""
 
     def __init__(self, task: Task) -> None:
-        """Initialise the policy for an episode of the task."""
         self._task = task
         self._names = [signal.name for signal in task.observations]
         self._steps = 0
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """See `Policy`."""
         values = dict(zip(self._names, map(float, observation), strict=True))
         action = self._action(values)
         self._steps += 1
@@ -254,7 +251,6 @@ class PathFollowing(_Baseline):
     """Policy that plans and follows a path to the goal in GoTo and Obstacles."""
 
     def __init__(self, task: CrawlTask) -> None:
-        """Initialise the policy for an episode of the task."""
         super().__init__(task)
         self._arena = task.arena
         self._offset = _OffsetStore()
@@ -319,7 +315,7 @@ class ProportionalIntegral(_Baseline):
 
 
 class PegSteering(_Baseline):
-    """Policy that steers the gait of the scenario pegs_skin towards the goal."""
+    """Policy that steers the gait of the scenario `pegs_skin` towards the goal."""
 
     gain_per_rad = 0.3
     """Ratio of the steering offset to the bearing of the goal, 1/rad."""
@@ -390,7 +386,7 @@ class Sidewinding(_Baseline):
 
 
 class SensedGrasp(_Baseline):
-    """Policy that uses the controller `control.grasp.Grasp` in the sensed mode."""
+    """Policy that uses the controller `control.grasp.Grasp` in its sensed mode."""
 
     _grasp: Grasp | None = None
 

@@ -1,7 +1,7 @@
 """Images of episodes in the style of `srs-twin render`.
 
-The images show the twin with colours that indicate the pressures, the obstacles, and a
-ring around the goal.
+The images show the obstacles, a ring around the goal, and the twin coloured by chamber
+pressure.
 """
 
 from __future__ import annotations
@@ -27,14 +27,13 @@ _GOAL_DISTANCES = 1.7
 
 
 class EpisodeRenderer:
-    """Renderer of episodes, which initialises OpenGL for the first image.
+    """Episode renderer that initialises OpenGL when the first image is requested.
 
     Attributes:
         size: width and height of the images, pixels.
     """
 
     def __init__(self, width: int, height: int) -> None:
-        """Set the width and height of the images, in pixels."""
         self.size = width, height
         self._canvas: Any = None
         self._model: mujoco.MjModel | None = None

@@ -54,7 +54,7 @@ class Signal:
 
 @dataclass(frozen=True)
 class RewardTerm:
-    """Quantity of a step whose weighted value is part of the reward.
+    """Quantity that is weighted and added to the reward of a step.
 
     Attributes:
         name: name of the term, which ends in the unit.
@@ -99,10 +99,7 @@ def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | Non
 
 
 def abbreviate(value: object) -> str:
-    """Return a short text that describes a value in messages.
-
-    A large array is described by its shape.
-    """
+    """Return a short text that describes a value in messages."""
     if isinstance(value, np.ndarray):
         if value.size > _MAX_PRINTED_VALUES:
             return f"of shape {value.shape}"
@@ -114,8 +111,7 @@ def check_names(kind: str, names: Iterable[object], known: Collection[str]) -> N
     """Check that all names are known.
 
     Raises:
-        UnknownNameError: a name is unknown. The message lists all known names, and
-            `kind` states what the names stand for.
+        UnknownNameError: a name is unknown.
     """
     for name in names:
         if name not in known:
@@ -156,8 +152,7 @@ class StepResult(NamedTuple):
     """Result of one step, with the elements of Gymnasium's `step`.
 
     Attributes:
-        observation: observation as a float32 array within the bounds of the task's
-            observations.
+        observation: float32 array within the bounds of `Task.observations`.
         reward: reward of this step. Before the first action the reward is 0.
         terminated: whether the episode has reached a terminal state.
         truncated: whether the time limit is reached.
@@ -177,10 +172,9 @@ class Task(ABC):
 
     Attributes:
         name: registered short name.
-        actions: components of an action, with their physical bounds.
-        groups: components of an observation, keyed by the name of their group.
-        observations: components of the observation, which belong to the selected
-            groups.
+        actions: action signals with physical bounds.
+        groups: observation signals, keyed by group name.
+        observations: observation signals of the selected groups.
         reward_terms: terms of the reward with their default weights.
         weights: weight of each reward term, keyed by the name of the term.
         step_s: duration of one step, s.
@@ -285,13 +279,13 @@ class Task(ABC):
 
     @cached_property
     def commands(self) -> Signals:
-        """Components of an action, scaled to the range from −1 to 1."""
+        """Action signals, scaled to the range from −1 to 1."""
         return tuple(
             replace(signal, unit="1", low=-1.0, high=1.0) for signal in self.actions
         )
 
     def to_physical(self, action: object) -> list[float]:
-        """Convert an action to the units of its signals, and clip it to their bounds.
+        """Clip an action to the range from −1 to 1, and convert it to physical units.
 
         Raises:
             InputError: the shape is wrong, or a value is not a finite number.
@@ -310,7 +304,7 @@ class Task(ABC):
         ]
 
     def from_physical(self, values: Sequence[float]) -> np.ndarray:
-        """Convert values in the units of the signals to an action."""
+        """Convert values in physical units to an action."""
         low = lower_bounds(self.actions).astype(float)
         high = upper_bounds(self.actions).astype(float)
         scaled = 2 * (np.asarray(values, dtype=float) - low) / (high - low) - 1
@@ -361,7 +355,7 @@ class Task(ABC):
 class Episode(Stateful, ABC):
     """One episode of a task.
 
-    The methods `save` and `restore` make it possible to branch an episode.
+    An episode can be branched with `save` and `restore`.
 
     Attributes:
         twin: simulated robot.
@@ -401,13 +395,13 @@ class Episode(Stateful, ABC):
         self.first = StepResult(observation, 0.0, False, False, self._info())
 
     def save(self) -> SavedState:
-        """Return the state of the episode, which `restore` accepts."""
+        """Return the state of the episode for `restore`."""
         return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state, which replaces the initial state.
+        """Continue from a saved state, and update `first` accordingly.
 
-        The saved state must belong to an episode with equal random draws.
+        The state must have been saved in an episode with the same random draws.
 
         Raises:
             InputError: the state belongs to another task, robot or world.

@@ -88,7 +88,7 @@ class Variation:
         return variation
 
     def draw(self, rng: np.random.Generator) -> RobotSpec:
-        """Draw the robot of an episode."""
+        """Draw the robot for one episode."""
         spec = self.file.spec(int(rng.integers(_SEED_COUNT)))
         if self.fit is not None:
             spec = with_values(spec, _draw_fitted_values(self.fit, spec, rng))
@@ -105,7 +105,7 @@ def _draw_fitted_values(
     values = np.array([parameter.value for parameter in fitted], dtype=float)
     errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
-    # The method "eigh" is used, because correlations of 1 make the covariance singular.
+    # The method `eigh` is used, because correlations of 1 make the covariance singular.
     drawn = values
     if fitted:
         drawn = rng.multivariate_normal(values, covariance, method="eigh")

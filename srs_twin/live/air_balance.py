@@ -9,8 +9,8 @@ where V is the chamber volume, ṅ_in the flow through an orifice (`pneumatics/f
 P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is an
 interval in which the valve stays open. The flow factor c and the apparent loss λ₀ of an
 intact chamber are estimated from many strokes by linear regression with forgetting. The
-scatter between strokes is also estimated. A leak λ can then be detected within one
-stroke.
+scatter between strokes is estimated as well, so that a leak λ can be detected within
+one stroke.
 
 All chambers share one supply, whose gauge pressure S is modelled as a random walk. Let
 r_i be the measured minus the expected amount of air that flows into chamber i during a
@@ -21,7 +21,8 @@ $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_
 
 Here σ_i is the standard deviation of v_i, and P is the variance of Ŝ. The weights w_i
 of Student's t distribution limit the effect of a chamber that leaks or is stuck. If
-most filling chambers indicate the same large change, the estimate changes at once.
+most filling chambers indicate the same large change, the estimate adopts the change
+immediately.
 """
 
 from __future__ import annotations
@@ -183,8 +184,9 @@ class SupplyFilter(Stateful):
 FLOW_SD = 0.3
 """Prior standard deviation of the flow factor c.
 
-The value is large, so a chamber that fills half as fast as in the robot file does not
-appear to leak before the first strokes have been learnt."""
+The value is large, so that a chamber filling half as fast as in the robot file is not
+mistaken for a leak during the first strokes.
+"""
 LOSS_SD = 0.3
 """Prior standard deviation of the apparent loss λ₀, 1/s."""
 FORGETTING = 0.95
@@ -192,7 +194,8 @@ FORGETTING = 0.95
 MOST_STROKES = 40
 """Maximum number of strokes over which the scatter is averaged."""
 SCATTER = 0.05
-"""Prior standard deviation of the inflow between strokes, fraction of the inflow."""
+"""Prior standard deviation of the inflow from stroke to stroke, fraction of the inflow.
+"""
 SCATTER_STROKES = 3
 """Number of initial strokes that do not change the scatter."""
 LEAST_SCATTER = 0.02
@@ -202,17 +205,17 @@ MESSAGES_PER_INDEPENDENT = 16
 AMOUNT_SD = 0.013
 """Standard deviation of an amount of air, fraction of K times the nominal pressure."""
 LEAK_RATE_SD = 0.3
-"""Relative standard deviation of the rate of a leak."""
+"""Relative standard deviation of a leak rate."""
 WEAK_INFLOW_SD = 0.7
 """Relative standard deviation of the inflow from a weak supply."""
 LEAST_INFLOW = 0.1
-"""Minimum inflow of a stroke that is used, fraction of K times the nominal pressure."""
+"""Minimum inflow of a usable stroke, fraction of K times the nominal pressure."""
 LONGEST_GAP_S = 0.1
 """Time without a message after which a stroke is ended, s."""
 SOUND = 0.98
-"""Minimum probability that a segment has no fault, for learning from its strokes."""
+"""Probability of no fault above which the strokes of a segment are used for learning."""
 LIMIT = 3.0
-"""Limit of the residuals that contribute to the scatter, in standard deviations."""
+"""Limit at which residuals are clipped in the scatter, in standard deviations."""
 TAILS = 12.0
 """Degrees of freedom of Student's t distribution for stroke residuals."""
 
@@ -221,8 +224,8 @@ _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
 )
-# The integrals over a stroke have columns for the gauge pressure, the inflow of each
-# variant, and the derivative of the inflow with respect to the supply pressure.
+# The columns of the stroke integrals are gauge pressure, inflow of each variant, and
+# derivative of the inflow with respect to the supply pressure.
 _OUTFLOW = 0
 _SOUND_INFLOW = 1
 _INFLOWS = slice(1, -1)
@@ -233,7 +236,7 @@ _LAST = 1
 
 
 class SupplyResidual(NamedTuple):
-    """Residuals of the inflow of filling chambers at the estimated supply pressure.
+    """Inflow residuals of filling chambers at the estimated supply pressure.
 
     Attributes:
         residual: measured minus expected amount of air, shape (segments, 2). Unknown
@@ -311,7 +314,7 @@ class LeakDetector(Stateful):
     ) -> None:
         """Initialise the detector for a nominal gauge pressure of the supply (Pa).
 
-        The first variant of the inflow must be that of a chamber without a fault.
+        The first inflow variant must describe a chamber without a fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
         self._chamber = spec.chamber
@@ -341,7 +344,7 @@ class LeakDetector(Stateful):
         self.drop(np.ones(self.learnt.shape, dtype=bool))
 
     def drop(self, chambers: np.ndarray) -> None:
-        """End the strokes of the chambers whose valves may have switched unobserved."""
+        """End the strokes of chambers whose valves may have switched unnoticed."""
         self._time[chambers] = np.nan
         for values in (self._pending, self._sums, self._log_likelihood):
             values[chambers] = 0.0
@@ -376,7 +379,7 @@ class LeakDetector(Stateful):
             bend: estimated bend of each segment, rad.
             filled: time for which each chamber has been filled, shape (segments, 2), s.
                 The filling time of a venting chamber is 0.
-            sound: probability that a segment has no fault, shape (segments,).
+            sound: probability that each segment has no fault, shape (segments,).
             supply: filter for the supply pressure.
 
         Returns:
@@ -391,8 +394,8 @@ class LeakDetector(Stateful):
         self._sums[..., _INFLOWS] += np.where(self._fractions == 1.0, missed, 0.0)
         self._supply[seen, _LAST] = supply.pressure
         self._supply_sd = supply.sd
-        # A message is used only after the next message confirms that the valve is open,
-        # because a lost command may have closed the valve before the last message.
+        # A message is used only after the next message confirms that the valve is still
+        # open. A lost command may have closed the valve before the last message.
         used = continues & self._is_informative()
         self._accumulate(used)
         added = self._log_likelihoods() - self._log_likelihood
@@ -489,8 +492,8 @@ class LeakDetector(Stateful):
         inflow = self._sums[..., _SOUND_INFLOW]
         pending = self._pending
         residual, variance, fit_variance = self._residual().sound()
-        # The errors of the messages of one stroke are correlated, so only one message
-        # per stroke is used.
+        # Message errors within a stroke are correlated, so only one message per stroke
+        # is used.
         weight = 1 / (variance - fit_variance)
         known = pending[..., _Message.WEIGHT] * pending[..., _Message.INFLOW] ** 2
         better = used & (weight * inflow**2 > known)

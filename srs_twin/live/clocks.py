@@ -27,13 +27,12 @@ STEP_S = 1.0
 A time stamp with a larger difference is used only after other messages confirm it.
 """
 AGREEMENT_S = 0.05
-"""Maximum deviation of a delay that confirms the offset, s.
+"""Maximum difference between delay and offset in a message that confirms the offset, s.
 """
 CONFIRMING = 3
-"""Number of successive messages that confirm a new offset."""
+"""Number of successive messages needed to confirm a new offset."""
 CONFIRMING_S = 0.4
-"""Time without a confirming message after which the offset may increase, s.
-"""
+"""Time without a confirming message after which the offset may increase, s."""
 MOST_DELAY_S = 15.0
 """Maximum increase of the offset that is attributed to slower transport, s."""
 KEPT = 5000
@@ -43,7 +42,7 @@ MOST_HOLD_S = 0.1
 _IN_TIME = 0.97
 """Fraction of the messages that must arrive within the holding time."""
 _HOLD_UPDATES = 25
-"""Number of calls after which the holding time is adapted."""
+"""Number of calls between adaptations of the holding time."""
 _RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
 """Processing order of messages with equal times. Kinds that are not listed come last.
 
@@ -62,10 +61,10 @@ class SenderClock:
     A message confirms the offset if the delay of the message differs from the offset by
     at most `AGREEMENT_S`. A single message with another delay may have a wrong time
     stamp. The offset is decreased after `CONFIRMING` successive messages with lower
-    delays. The offset is increased if no message has confirmed the offset for
-    `CONFIRMING_S`. An increase is caused either by setting back the sender's clock or
-    by slower transport. The cause of an increase is unknown, so the increase is added
-    to the uncertainty of the age of messages.
+    delays. The offset is increased if no message has confirmed it for `CONFIRMING_S`.
+    Either the sender's clock was set back, or the transport became slower. Because
+    these causes cannot be distinguished, the increase is added to the uncertainty of
+    message ages.
 
     Attributes:
         offset: local clock minus the sender's clock, including the minimum delay, s.
@@ -74,7 +73,6 @@ class SenderClock:
     """
 
     def __init__(self) -> None:
-        """Create a clock without any messages."""
         self.offset = math.nan
         self.jumps = 0
         self.uncertainty = 0.0
@@ -184,8 +182,8 @@ class ReorderBuffer:
     """Buffer that sorts messages of all senders by sending time on the local clock.
 
     Attributes:
-        clocks: clock estimate of each sender. The robot and the sender of the robot's
-            commands have different clocks.
+        clocks: clock estimate of each sender. The robot and the controller that
+            commands it have different clocks.
         hold: time for which messages are held, s. The time increases with the jitter up
             to `MOST_HOLD_S`.
         counts: number of messages per source, kind and result. The results are "taken",

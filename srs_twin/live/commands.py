@@ -1,4 +1,4 @@
-"""Duty cycles of the valves as functions of time, and the period of the commands."""
+"""Valve duty cycles over time, and detection of periodic commands."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from srs_twin.live.messages import COMMAND, Message
 DELAY_S = 0.01
 """Delay from sending a command to its effect, s (half a tick of the robot)."""
 REPORTED_S = 0.02
-"""Default duration of the reported valve states before a report, s (one tick).
+"""Default time for which reported valve states applied before the report, s (one tick).
 """
 SILENT_S = 0.2
 """Maximum age of a command, s.
@@ -27,7 +27,7 @@ KEPT_S = 1.0
 _LEAST_INTERVAL_S = 1e-3
 """Minimum interval between reports of different ticks, s."""
 _GAP_FACTOR = 1.5
-"""Ratio of an interval to the median interval above which commands were lost."""
+"""Ratio of a command interval to the median above which commands count as lost."""
 
 
 def are_states(values: np.ndarray) -> bool:
@@ -57,13 +57,10 @@ class LostCommands(NamedTuple):
 class CommandHistory:
     """Valve duties as a function of time.
 
-    Each duty is held until the next duty.
-
-    Initially all chambers vent.
+    Each duty is held until the next duty. Initially all chambers vent.
     """
 
     def __init__(self, segments: int) -> None:
-        """Create an empty history."""
         self._times = deque([-math.inf])
         self._duties = deque([np.zeros((segments, 2))])
         self._carrier = False
@@ -84,8 +81,8 @@ class CommandHistory:
             # duty.
             return None
         else:
-            # The tick of the robot is estimated by the shortest interval between
-            # reports, because longer intervals are due to lost reports.
+            # The robot's tick is estimated as the shortest interval between reports,
+            # because longer intervals are due to lost reports.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent
@@ -114,7 +111,8 @@ class CommandHistory:
 
         Args:
             times: ascending times, shape (times,), s.
-            waiting: further commands, each with the sending time (s).
+            waiting: commands that are not in the history yet, each with its sending
+                time (s).
 
         Returns:
             Duty of each valve at each time, shape (times, segments, 2).
@@ -135,7 +133,7 @@ SLOT_S = 0.02
 _KEPT = 250
 """Number of slots that are kept."""
 _LAGS = range(10, 126)
-"""Possible periods of the commands, in slots."""
+"""Command periods that are considered, in slots."""
 _SAME = 0.1
 """Mean absolute difference of duties below which commands count as equal."""
 
@@ -144,7 +142,6 @@ class CommandPeriod:
     """Commands of the last seconds, sampled in slots of equal length."""
 
     def __init__(self) -> None:
-        """Create an empty record of commands."""
         self._slot = -1
         self._duties: deque[np.ndarray] = deque(maxlen=_KEPT)
 

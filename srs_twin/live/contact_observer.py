@@ -6,14 +6,14 @@ pressures, and the deflection due to the external moment M_j:
 $$ q_j = b_j + \varphi_j(p) + M_j/k . $$
 
 In a steady gait all terms are periodic. The observer learns the means of q_j and φ_j in
-each phase of the gait. Subtracting the means of q_j and φ_j cancels differences between
-modules, sensor offsets and the moments exerted by the floor. The deviation
+each phase of the gait. Subtracting these means cancels sensor offsets, differences
+between modules, and the moments exerted by the floor. The deviation
 
 $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 
 is the contact moment divided by the stiffness k. The free bends are computed from
-measured pressures, so neither a drift of the supply pressure nor the compression of air
-by a contact is mistaken for a contact.
+measured pressures, so neither supply pressure drift nor air compression due to a
+contact distorts the deviation.
 
 **Detection.** At the beginning of a contact, the contact moments are proportional to
 the contact force F. For each position on a grid, F is fitted to the deviations in a
@@ -24,8 +24,8 @@ standard deviation of F. A contact is detected if the maximum score exceeds a th
 changes the friction forces and causes inertial forces. `PushedBody` predicts the motion
 of the pushed body for hypotheses about the position, the force and the start of the
 contact. The estimate is the posterior mean of the force at the most probable position.
-The noise variance is multiplied by the mean squared residual of the best hypothesis,
-which accounts for model errors. No means are learnt while the score is high.
+To account for model errors, the noise variance is multiplied by the mean squared
+residual of the best hypothesis. Learning is suspended while the score is high.
 
 **Limits.** A force along the body is not observable. Two simultaneous contacts are
 estimated as one contact. The force is assumed to be constant during a contact.
@@ -55,27 +55,24 @@ SETTLING_S = 2.0
 Samples of the transient are not used for learning.
 """
 LEARNING_S = 10.0
-"""Duration of crawling without contact before estimates begin, s."""
+"""Duration of contact-free crawling before the first estimate, s."""
 THRESHOLD = 6.0
 """Score above which a contact is detected.
 
-The value was chosen with benchmarks/contact_estimate.py for robots with seeds from
-1000.
+The value was chosen with benchmarks/contact_estimate.py for robots with random seeds of
+1000 and above.
 """
 COVERAGE = 0.9
-"""Nominal coverage probability of the intervals of the force and the position."""
+"""Nominal coverage probability of the force and position intervals."""
 _LEARNING_SCORE = 4.0
 """Score above which learning stops and hypotheses are compared."""
 _MEMORY = 20
 """Number of periods over which the means are computed."""
 _RESOLUTION = 1e-12
-"""Lower limit of the variance of a deviation, rad², because simulated readings may be
-exact.
+"""Lower limit of the deviation variance, rad², because simulated readings may be exact.
 """
 _SAME_COMMAND = 0.1
-"""Maximum difference of a duty from the mean for commands that belong to the learnt
-gait.
-"""
+"""Difference between a duty and its learnt mean above which the gait has changed."""
 _STATIONS_PER_SEGMENT = 8
 _FILTER_S = 0.09
 """Time constant of the low-pass filter that suppresses oscillations of the segments, s.
@@ -90,12 +87,9 @@ _FORCE_RATIO = 1.3
 """Ratio of the forces of neighbouring hypotheses."""
 _POWERS = np.arange(12)
 _PRUNED = 25.0
-"""Maximum difference from the minimum cost, in variances, of a hypothesis that is kept.
-"""
+"""Excess over the minimum cost, in variances, above which a hypothesis is dropped."""
 _CORRELATION = 2.0
-"""Factor by which the variance is multiplied, because model errors are correlated in
-time.
-"""
+"""Factor on the variance that accounts for the correlation of model errors in time."""
 
 
 class CredibleInterval(NamedTuple):
@@ -205,8 +199,6 @@ class _Fit(NamedTuple):
 
 
 class _Gait(NamedTuple):
-    """Model of the learnt gait."""
-
     shape: np.ndarray
     body: PushedBody
     patterns: np.ndarray
@@ -236,7 +228,7 @@ class ContactObserver(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, sample_s: float, period: int = 0) -> None:
-        """Create an observer that has not learnt any means.
+        """Create an observer without learnt means.
 
         Args:
             spec: robot specification.
@@ -305,7 +297,7 @@ class ContactObserver(Stateful):
             measured_bend: bend readings, shape (segments,), rad. Missing readings are NaN.
 
         Returns:
-            Contact estimate, or None if the observer has not learnt enough samples.
+            Contact estimate, or None until enough samples have been learnt.
         """
         if not self.period:
             return None

@@ -41,7 +41,7 @@ def broker_link(
     ca: Path | None,
     **settings: Any,
 ) -> MqttLink:
-    """Connect to the topics of a robot at an MQTT broker.
+    """Connect to the topics of a robot on an MQTT broker.
 
     Raises:
         InputError: the name cannot be part of a topic, or the broker does not answer.
@@ -73,9 +73,9 @@ class EmulationOptions:
     Options:
         seed: Seed of the random number generator for module properties, sensor noise,
             and lost or delayed messages.
-        fault: Fault with its place and its time in seconds, for example
+        fault: Fault to inject, with its location and its time in seconds, for example
             stuck_valve:2+@5, dead_sensor:1@8 or leak:3-=fast@2. Can be repeated.
-        spread: Relative standard deviation of the gains of the modules.
+        spread: Relative standard deviation of the module gains.
         noise: Standard deviation of the measured bends in rad.
         chambers: Pneumatic model of the chambers: orifice (compressible flow) or lag
             (first order). [default: orifice, or lag for spatial robots]
@@ -115,14 +115,14 @@ class EmulationOptions:
 
 @dataclass(frozen=True)
 class MessageOptions:
-    """Options of the messages of an emulated robot.
+    """Message options of an emulated robot.
 
     Options:
         loss: Fraction of the messages that are lost.
         jitter: Maximum delay of a message in seconds.
         publish_supply: Also publish the supply pressure.
         duration: Stop after this many seconds. [default: run until Ctrl-C]
-        user: User name at the MQTT broker.
+        user: User name for the MQTT broker.
         ca: PEM file with the CA certificate of the MQTT broker. This option enables
             TLS.
     """

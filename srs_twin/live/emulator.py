@@ -52,7 +52,7 @@ class FaultKind(NamedTuple):
         part: kind of the affected part, or an empty string if the fault affects the
             whole robot.
         variants: value of each variant, keyed by name. The first variant is the
-            default. The values of leaks are rates in 1/s.
+            default. Values of leak variants are rates in 1/s.
     """
 
     part: str
@@ -68,7 +68,7 @@ KINDS = {
     "lost_marker": FaultKind("connector", {"gone": 1}),
 }
 _EXAMPLES = {"chamber": ":2+@5", "segment": ":2@5", "connector": ":2@5", "": "@5"}
-"""Example of the text after the kind of a fault, for each kind of affected part."""
+"""Example of the text that follows the fault kind, for each kind of affected part."""
 
 _DRIFT_RAD_PER_S = 0.1
 """Drift rate of a drifting sensor, rad/s."""
@@ -77,7 +77,7 @@ _CAMERA_NOISE_M = 0.0003
 _MARKER_DISTANCE_M = 0.02
 """Distance of the markers from the centre of their connector, m."""
 _HEIGHT_M = 0.02
-"""Height of the connectors of a planar robot, m."""
+"""Connector height of a planar robot, m."""
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class Fault:
             raise UnknownNameError(f"variant of {kind}", how, variants)
         is_complete = bool(number) == bool(part)
         if not is_complete or bool(side) != (part == "chamber"):
-            needed = f"concerns one {part}" if part else "concerns the whole robot"
+            needed = f"affects one {part}" if part else "affects the whole robot"
             raise InputError(
                 f"{text!r}: the fault {kind} {needed}; write it as"
                 f" {kind}{_EXAMPLES[part]}"
@@ -141,7 +141,7 @@ class Fault:
 
 @dataclass(frozen=True)
 class Simulation:
-    """Settings of the simulation of a robot.
+    """Simulation settings of an emulated robot.
 
     Attributes:
         gain_spread: relative standard deviation of the bending gains of the modules.
@@ -362,7 +362,7 @@ _GOODBYE_S = 1.0
 _LETS_GO_S = 0.001
 """Pause after each tick, s.
 
-The pause allows the thread of the MQTT client to run, because compiled kernels hold the
+The pause lets the MQTT client's thread run, because compiled kernels hold the
 interpreter lock during a tick.
 """
 _POLL_S = 0.002
@@ -379,7 +379,7 @@ class Transport:
     """Queue of outgoing messages, which simulates loss and delay."""
 
     def __init__(self, loss: float = 0.0, jitter: float = 0.0, seed: int = 0) -> None:
-        """Create an empty queue. `jitter` is the maximum delay in seconds."""
+        """Create an empty queue with the maximum random delay `jitter` (s)."""
         self._loss = loss
         self._jitter = jitter
         self._rng = np.random.default_rng((seed, 0xA1))
@@ -389,10 +389,7 @@ class Transport:
     def add(
         self, due: float, send: Callable[..., None], *values: object, **named: object
     ) -> None:
-        """Schedule a call of `send` at a local time (s), unless the message is lost.
-
-        A random delay is added to the sending time.
-        """
+        """Schedule a call of `send` at a local time (s), unless the message is lost."""
         if self._rng.random() >= self._loss:
             delayed = due + self._rng.random() * self._jitter
             call = partial(send, *values, **named)
@@ -429,7 +426,7 @@ def emulate(
         link: link to the topics of the robot, which also delivers commands.
         capture: motion capture server, or None if motion capture is not emulated.
         transport: queue that simulates loss and delay. If None, all messages are sent
-            at once.
+            without delay.
         duration: duration of the run, s.
         stop: function that is called in every tick and returns whether to end the run.
         publishes_supply: whether the supply pressure is also published.

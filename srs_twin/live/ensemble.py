@@ -3,15 +3,15 @@
 The state of each member contains a pose, velocities, bends, chamber pressures, and the
 gains and biases of the modules. A disturbance of each bend, modelled as a first-order
 Gauss–Markov process, represents the model error. The chambers and bodies are simulated
-with the `compliant` model (`member_dynamics`), and the motion of the body is computed
-from the changes of the bends (`odometry`). The gains and biases are not corrected by
-the ensemble, because correlations in a small ensemble are partly spurious. Instead, the
-gains and biases are drawn from the estimates of the fault detector.
+with the `compliant` model (`member_dynamics`). The body motion is computed from the
+bend changes (`odometry`). The gains and biases are not corrected by the ensemble,
+because correlations in a small ensemble are partly spurious. Instead, the gains and
+biases are drawn from the estimates of the fault detector.
 
 Measurements are processed one after another by the ensemble square root filter
 (Whitaker and Hamill 2002):
 
-- Localisation: a bend or pressure sensor corrects only the states of one segment.
+- Localisation: a bend or pressure sensor corrects only the states of its own segment.
   Motion capture corrects the pose and all bends.
 - Outliers: if an innovation exceeds four standard deviations, the noise variance of the
   measurement is increased.
@@ -45,19 +45,18 @@ _LEAST_NOISE = {"place": 0.4, "heading": 1.0}
 """Lower limit of the estimated noise of frames, as a fraction of the assumed noise.
 
 The model assumes that segments are circular arcs. The resulting errors are nearly
-constant in time, so the noise of headings is underestimated by innovations."""
+constant in time, so innovations underestimate the heading noise."""
 _LARGEST_NOISE = 10.0
 """Upper limit of the estimated noise of frames, as a multiple of the assumed noise."""
 _MOVED_SD = 6.0
 """Median innovation, in standard deviations, above which the robot may have been moved.
 """
 _MOVED_FRAMES = 5
-"""Number of successive frames with large innovations that indicate a moved robot.
-"""
+"""Number of successive frames with large innovations that indicate a moved robot."""
 _PLACE_FACTOR = 5.0
-"""Initial standard deviation of the position, as a multiple of the noise of a frame."""
+"""Initial standard deviation of the position, as a multiple of the frame noise."""
 _HEADING_FACTOR = 2.0
-"""Initial standard deviation of the heading, as a multiple of the noise of a frame."""
+"""Initial standard deviation of the heading, as a multiple of the frame noise."""
 _POSE = slice(0, 3)
 
 
@@ -88,9 +87,9 @@ class MeasurementNoise:
     Attributes:
         bend: standard deviation of a bend sensor, rad.
         pressure: standard deviation of a pressure sensor, Pa.
-        place: standard deviation of the position of a connector, m, including the error
-            due to the assumption of circular arcs.
-        heading: standard deviation of the heading of a connector, rad.
+        place: standard deviation of a connector position, m, including the error due to
+            the assumption of circular arcs.
+        heading: standard deviation of a connector heading, rad.
     """
 
     bend: float = 0.02
@@ -104,12 +103,13 @@ class EnsembleFilter:
 
     Attributes:
         members: states of the members, one row per member.
-        columns: columns of `members`, keyed by name. The names are x, y, heading,
-            motion, bend, pressure, lagged, disturbance, gain and bias. The columns
-            motion contain forward velocity, lateral velocity, yaw rate and bend rates.
-            The columns lagged contain the pressures after the lag of the free bend.
+        columns: columns of `members`, keyed by name. The names are `x`, `y`, `heading`,
+            `motion`, `bend`, `pressure`, `lagged`, `disturbance`, `gain` and `bias`.
+            The `motion` columns contain forward velocity, lateral velocity, yaw rate
+            and bend rates. The `lagged` columns contain the pressures after the lag of
+            the free bend.
         rates: learnt corrections of the pressure rates.
-        odometry: model of the motion of the body due to changes of the bends.
+        odometry: model of the body motion due to bend changes.
         placed: whether the position has been measured by motion capture.
     """
 
@@ -173,10 +173,9 @@ class EnsembleFilter:
         return self._frame_noise["heading"] / self.noise.heading
 
     def set_modules(self, modules: Estimates) -> None:
-        """Set the gains and biases of the members according to estimates.
+        """Set the gains and biases of the members from estimates.
 
-        The deviation of each member from the mean, in standard deviations, does not
-        change.
+        Each member keeps its deviation from the mean, measured in standard deviations.
 
         Args:
             modules: estimated gains g⁺ and g⁻ and bias (rad) of each module, shape
@@ -205,8 +204,8 @@ class EnsembleFilter:
         self._run(valves, dt, step)
         self.odometry.advance(dt)
         half = self.spec.geometry.body_length / 2
-        # The random walk of the heading displaces the ends of the body by as much as
-        # the random walk of the position displaces the centre.
+        # The heading walk moves the ends of the body as far as the position walk moves
+        # the centre.
         walk = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
         self.members[:, _POSE] += error.position * math.sqrt(dt) * walk
 
@@ -290,8 +289,7 @@ class EnsembleFilter:
             self.odometry.interrupt()
         self.odometry.learn(pose, bend, self.members[:, _POSE], self._of("bend"))
         self._moved_frames = self._moved_frames + 1 if moved else 0
-        # A smaller number of frames with large innovations may be due to tracking
-        # errors.
+        # Fewer frames with large innovations may be due to tracking errors.
         if self._moved_frames >= _MOVED_FRAMES:
             self.placed = False
             self._moved_frames = 0
@@ -334,8 +332,8 @@ class EnsembleFilter:
         kept = self.members[:members]
         copied = kept.copy()
         if len(kept) < len(self.members):
-            # The kept members are rescaled, so that their mean and standard deviation
-            # equal the mean and standard deviation of all members.
+            # The kept members are rescaled to the mean and standard deviation of all
+            # members.
             scale = self.members.std(axis=0) / np.maximum(kept.std(axis=0), 1e-300)
             deviation = kept - kept.mean(axis=0)
             copied = self.members.mean(axis=0) + scale * deviation
@@ -485,8 +483,6 @@ class EnsembleFilter:
 
 
 class _Innovation(NamedTuple):
-    """Innovation of one measurement."""
-
     value: float
     mean: float
     spread: float

@@ -37,8 +37,8 @@ class Estimate:
     """Estimated state of a robot, with standard deviations.
 
     Attributes:
-        time: time of the estimate on the local clock, s. The state at the last message
-            is predicted to the time of the estimate.
+        time: time of the estimate on the local clock, s. The state is predicted from
+            the last message to this time.
         bend: bend of each segment, rad.
         bend_sd: standard deviation of the bends, rad.
         pose: position x, y of the centre of mass (m) and mean heading (rad).
@@ -152,14 +152,13 @@ class PredictionCalibration:
     """Calibration of prediction intervals with the errors of earlier predictions."""
 
     def __init__(self) -> None:
-        """Create a calibration without earlier predictions."""
         self._error = self._stated = np.zeros(3)
         self._count = 0
         self._open: deque[Prediction] = deque(maxlen=20)
         self._path: deque[np.ndarray] = deque(maxlen=200)
 
     def observe(self, time: float, pose: np.ndarray) -> None:
-        """Add an observed pose (m, m, rad) at a time (s), and learn from its errors."""
+        """Compare earlier predictions with a pose (m, m, rad) observed at a time (s)."""
         self._path.append(np.append(time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
@@ -267,12 +266,12 @@ class LiveContact:
     """Contact estimator for a robot with periodic commands.
 
     Attributes:
-        estimate: latest contact estimate, or None if the observer has not learnt enough
-            samples.
+        estimate: latest contact estimate, or None until enough samples have been
+            learnt.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Create a contact estimator that has not learnt any means."""
+        """Create a contact estimator without learnt means."""
         self._observer = ContactObserver(spec, SLOT_S)
         self._sample: int | None = None
         self._period = 0

@@ -33,8 +33,8 @@ the first-order law (`pressure_table`). Leaks are detected by means of air balan
 
 All pressures are relative to the estimated supply pressure (`air_balance`), so a slowly
 decreasing supply pressure is not reported as a fault of a segment. After a sudden loss
-of supply pressure, all segments appear to be weak or to leak at the same time. After a
-sudden loss, the detector corrects the estimated supply pressure. The fault
+of supply pressure, all segments appear to be weak or to leak at the same time. The
+detector then corrects the estimated supply pressure instead. The fault
 `low_supply_pressure` is reported if the supply pressure is below the fraction
 `LOW_SUPPLY_FRACTION` of the nominal pressure.
 """
@@ -107,9 +107,9 @@ _BIAS_WALK = 0.0014
 _GAIN_WALK = 0.0035
 """Random walk of the gains, 1/√s."""
 _OFFSET_WALK = 0.002
-"""Random walk of the offset of a sensor without a fault, rad/√s."""
+"""Random walk of a sound sensor's offset, rad/√s."""
 _DRIFT_WALK = 0.03
-"""Random walk of the offset of a drifting sensor, rad/√s."""
+"""Random walk of a drifting sensor's offset, rad/√s."""
 _FAILED_BELOW = 0.85
 """Ratio of measured to expected pressure below which the supply may have failed.
 
@@ -123,8 +123,7 @@ _TAILS = 4.0
 _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
-"""Standard deviation of the change of a frozen reading, relative to the sensor noise.
-"""
+"""Standard deviation of changes in a frozen reading, relative to the sensor noise."""
 _SUPPLY_EXPLAINS = (SUPPLY_FRACTIONS < 1.0) | np.isin(
     CHAMBERS, (ChamberBehaviour.LEAKS, ChamberBehaviour.VENTS)
 ).any(axis=1)
@@ -230,7 +229,7 @@ class FaultDetector(Stateful):
         self.leaks.drop_all()
 
     def inflate(self, switched: np.ndarray, dt: float) -> None:
-        """Increase the variance of the disturbance after unobserved changes of duties.
+        """Increase the variance of the disturbance after unobserved duty changes.
 
         The duties changed by `switched` within the time `dt` (s).
         """
@@ -476,8 +475,8 @@ class FaultDetector(Stateful):
         spread = np.where(self._obeys, sd[:, None] + _LEAST_PRESSURE_SD, _PRESSURE_SD)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
         log = np.where(np.isnan(pressures)[:, None], 0.0, log)
-        # After enough strokes, the air balance replaces the pressures as evidence for
-        # leaks.
+        # After enough strokes, the air balance replaces the pressure residuals as
+        # evidence of leaks.
         balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None]
         replaced = balanced & (CHAMBERS == ChamberBehaviour.LEAKS)
         log = np.where(replaced, log.max(axis=1, keepdims=True), log)

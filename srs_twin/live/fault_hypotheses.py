@@ -1,7 +1,7 @@
-"""Hypotheses about the faults of a segment, and detection of faults.
+"""Fault hypotheses for a segment, and the decision rule for detecting faults.
 
-`FaultDecision` detects a fault if the probability of the fault exceeds a threshold for
-a given time.
+`FaultDecision` detects a fault once its probability has exceeded a threshold for a
+given time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from srs_twin.io.saved_state import Stateful
 
 LOW_SUPPLY_PRESSURE = "low_supply_pressure"
-"""Name of the fault that the supply pressure is too low."""
+"""Fault name for a supply pressure that is too low."""
 
 
 class ChamberBehaviour(IntEnum):
@@ -100,7 +100,7 @@ HYPOTHESES = (
 NAMES = tuple(dict.fromkeys(hypothesis.name for hypothesis in HYPOTHESES))
 """Names of the faults.
 
-Hypotheses with different severities of a fault have the same name.
+Hypotheses that differ only in the severity of a fault share one name.
 """
 HAS_NAME = np.array(
     [[hypothesis.name == name for name in NAMES] for hypothesis in HYPOTHESES],
@@ -122,7 +122,7 @@ SUPPLY_FRACTIONS = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
 
 
 def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
-    """Return the duty of each valve for given commands and behaviour of the chambers.
+    """Return the actual duty of each valve for given commands and chamber behaviours.
 
     The duty is the fraction of time in which a valve fills the chamber.
     """
@@ -161,10 +161,9 @@ class FaultDecision(Stateful):
     state_attributes = ("pairs", "_since", "_either_since")
 
     def __init__(self, segments: int) -> None:
-        """Create a decision without any detected fault."""
         self.pairs = np.full((segments + 1, 2), -1, dtype=int)
-        # The time at which the probability of a fault exceeds the threshold is stored
-        # for each fault and for each pair of indistinguishable faults.
+        # Time since which the probability has exceeded the threshold, for each fault
+        # and each pair of indistinguishable faults.
         self._since = np.full((segments, len(NAMES)), np.inf)
         self._either_since = np.full((segments, len(INDISTINGUISHABLE)), np.inf)
 
@@ -203,7 +202,7 @@ class FaultDecision(Stateful):
         return likely
 
     def update(self, time: float, probability: np.ndarray) -> None:
-        """Detect and clear faults at a time (s), given all hypothesis probabilities."""
+        """Detect and clear faults at a time (s) from the hypothesis probabilities."""
         pairs = self.pairs
         if time < START_S:
             self._since[:] = np.inf
@@ -234,7 +233,7 @@ class FaultDecision(Stateful):
         )
         if not low_supply_pressure:
             for j, m in np.argwhere(time - self._since >= patience):
-                # Later evidence may decide between the two faults of a detected pair.
+                # Later evidence may distinguish the two faults of a detected pair.
                 is_new = pairs[j + 1, 0] < 0 or m in pairs[j + 1]
                 if is_new and m not in (0, WEAK):
                     pairs[j + 1] = m, -1

@@ -1,4 +1,4 @@
-"""Journals of messages in the MCAP format, and a link that replays a journal."""
+"""Message journals in the MCAP format, and a link that replays a journal."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Journal:
     """MCAP file of all received and sent messages, encoded as JSON.
 
     The file remains readable if the process is killed. A write error ends the journal,
-    but does not end the run of the live twin.
+    but the live twin keeps running.
 
     Attributes:
         trouble: path and reason of the error that ended the journal, or an empty string
@@ -169,8 +169,8 @@ def journal_messages(
     """
     skip = refuse or (lambda _: None)
     with opened_journal(path) as file:
-        # The file is mapped, because the journal of several hours may be larger than
-        # the memory.
+        # The file is memory-mapped, because a journal of several hours may exceed the
+        # memory.
         whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         for topic, log_time, data in _records(whole, skip):
             try:
@@ -192,7 +192,7 @@ def _records(
     except Exception as error:  # A damaged file can cause many kinds of errors.
         skip(
             BadMessageError(
-                f"the file is cut off or damaged there: {type(error).__name__}"
+                f"the rest of the file is damaged or missing: {type(error).__name__}"
             )
         )
 
@@ -235,7 +235,7 @@ def _message(
             return Message(kind, source, sent, arrived, poses, names)
     except (ValueError, TypeError, KeyError, RecursionError, OverflowError) as error:
         raise BadMessageError(
-            f"the message does not have the form of srs-twin: {type(error).__name__}"
+            f"the message is not in the srs-twin format: {type(error).__name__}"
         ) from None
     if source != robot:
         return None
@@ -247,9 +247,8 @@ def in_order(
 ) -> Iterator[Message]:
     """Yield messages with increasing arrival times, and refuse the remaining messages.
 
-    A jump of the arrival time by more than `LONGEST_GAP_S` is accepted as a pause only
-    if the arrival time of the next message confirms the jump. Otherwise the message
-    after the jump is refused.
+    A jump of the arrival time by more than `LONGEST_GAP_S` counts as a pause only if
+    the next message confirms it. Otherwise the message after the jump is refused.
     """
     last = -math.inf
     # The message after a jump in time is held until the next message confirms the jump.
@@ -305,8 +304,7 @@ class McapLink(Link):
     def clock(self) -> float:
         """Return the current time in the recording, s, or NaN before the first message.
 
-        The time does not exceed the time of the next message before the next message is
-        replayed.
+        The clock stops at the time of the next message until that message is replayed.
         """
         return min(self._first + (clock() - self._begun) * self._speed, self._next)
 

@@ -1,7 +1,7 @@
 """Links to message sources such as an MQTT broker, and input from the terminal.
 
 Each link receives messages in its own thread, which records the times of arrival. A
-link reconnects after the connection is lost, and counts the invalid messages.
+link reconnects after a lost connection, and counts invalid messages.
 """
 
 from __future__ import annotations
@@ -72,7 +72,6 @@ class Link(ABC):
     """
 
     def __init__(self) -> None:
-        """Initialise the link without messages."""
         self.counts: Counter[str] = Counter()
         self._queue: queue.Queue[Message] = queue.Queue(_MOST_WAITING)
 
@@ -170,7 +169,6 @@ def resolved(host: str) -> str:
 
 
 PORT = 1883
-"""Standard port of MQTT."""
 _ANSWER_S = 5.0
 """Maximum waiting time for the first answer of the broker, s."""
 LOST = "lost"
@@ -184,7 +182,7 @@ class BrokerAccess:
     Attributes:
         host: host name or IPv4 address.
         port: port number.
-        user: user name, or None if the login is anonymous.
+        user: user name, or None for an anonymous login.
         password: password of the user, or None if the login needs no password.
         ca: file with the CA certificate of the broker, or None if the connection does
             not use TLS.
@@ -198,7 +196,7 @@ class BrokerAccess:
 
 
 class MqttLink(Link):
-    """Link to the topics of one robot at an MQTT broker.
+    """Link to the topics of one robot on an MQTT broker.
 
     Attributes:
         connected: whether the connection to the broker is established.
@@ -281,7 +279,7 @@ class MqttLink(Link):
     ) -> None:
         """Send a message.
 
-        If the broker is not connected, the message is discarded.
+        Without a connection to the broker, the message is discarded.
 
         Args:
             kind: kind of the message, one of `KINDS`.
@@ -294,8 +292,8 @@ class MqttLink(Link):
             topic(self._robot, kind), encode(kind, time, values)
         )
         if wait_s:
-            # A RuntimeError means that no broker is connected, and a ValueError that
-            # the queue is full.
+            # Publishing raises RuntimeError without a broker, and ValueError if the
+            # queue is full.
             with suppress(RuntimeError, ValueError):
                 sent.wait_for_publish(wait_s)
 
@@ -352,8 +350,8 @@ def _trust(client: mqtt.Client, ca: Path) -> None:
         client.tls_set(str(place))
     except (OSError, ValueError) as error:
         raise InputError(
-            f"{display_path(ca)}: this is not a certificate in PEM form; --ca needs the"
-            " certificate of the authority that signed the broker's certificate"
+            f"{display_path(ca)}: this is not a certificate in PEM format; --ca needs"
+            " the certificate of the authority that signed the broker's certificate"
         ) from error
 
 

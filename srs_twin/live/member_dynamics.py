@@ -46,7 +46,7 @@ class ValveInput(NamedTuple):
 
 
 class Air(NamedTuple):
-    """State of the chambers of the members.
+    """Chamber state of all members.
 
     All arrays have the shape (members, segments, 2).
 
@@ -68,7 +68,7 @@ class Drive(NamedTuple):
 
     Attributes:
         bend: linear bends, shape (1 + 2 steps, members, segments), rad.
-        rate: time derivatives of the linear bends, shape of `bend`, rad/s.
+        rate: time derivatives of the linear bends, same shape as `bend`, rad/s.
         step: time step, s.
     """
 
@@ -95,7 +95,6 @@ class MemberDynamics:
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Prepare the model of a robot."""
         self._spec = spec
         g = spec.geometry
         mu = spec.friction
@@ -124,10 +123,7 @@ class MemberDynamics:
         air: Air,
         rates: PressureRates,
     ) -> Drive:
-        """Advance the pressures by a time (s), and return the linear bends.
-
-        The state of the chambers is changed in place.
-        """
+        """Advance `air` in place by the time `dt` (s), and return the linear bends."""
         actuator = self._spec.actuator
         slots = len(valves.duty)
         steps = math.ceil(dt / slots / step - 1e-6)

@@ -2,7 +2,7 @@
 
 Topics and keys are described in docs/live.md. Lists begin at the head of the robot, and
 the key ``t`` is the time on the sender's clock. Messages of a spatial robot contain one
-list per chamber, and the bends upwards in addition to the bends to the left.
+list per chamber, and upward bends in addition to leftward bends.
 """
 
 from __future__ import annotations
@@ -35,16 +35,15 @@ GO = "go"
 STOP = "stop"
 VENT = "vent"
 WORDS = (PAUSE, GO, STOP, VENT)
-"""Control words, which are the possible texts of `control` messages."""
+"""Control words, which are the allowed texts of `control` messages."""
 PREFIX = "srs"
-"""Prefix of all topics."""
 LATEST_S = 9e9
 """Maximum accepted time of a sender's clock, s (the year 2255 in Unix time).
 
 With this limit, the time in nanoseconds fits into the 64 bits of a journal entry.
 """
 _SI = {PRESSURES: 1000.0, SUPPLY: 1000.0}
-"""Conversion factor to SI units for each kind of message with other units, Pa/kPa."""
+"""Factor to SI units for each message kind that uses other units, Pa/kPa."""
 _BOUNDS = {
     COMMAND: (-1.0, 1.0),
     VALVES: (-1.0, 1.0),
@@ -52,7 +51,7 @@ _BOUNDS = {
     SUPPLY: (0.0, 1000.0),
     BENDS: (-2 * math.pi, 2 * math.pi),
 }
-"""Minimum and maximum value in each kind of message."""
+"""Minimum and maximum value for each kind of message."""
 _SIDES = ("plus", "minus")
 _BEND_KEYS = ("rad", "pitch_rad")
 _PLAIN_WORDS = tuple(word.encode() for word in WORDS)
@@ -65,12 +64,12 @@ class BadMessageError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class Message:
-    """Message of a robot, of its controller or of motion capture.
+    """Message from a robot, its controller or a motion capture system.
 
     The values depend on the kind of the message:
 
     - Commands and valve states have the shape (segments, 2), or (segments, chambers)
-      for a spatial robot. Pressures (Pa) have the shape of the commands.
+      for a spatial robot. Pressures (Pa) have the same shape.
     - The supply pressure (Pa) is a scalar.
     - Bends (rad) have the shape (segments,), or (segments, 2) for a spatial robot with
       bends to the left and upwards. Missing bends are NaN.
@@ -97,7 +96,7 @@ class Message:
 
 
 def topic(robot: str, kind: str) -> str:
-    """Return the MQTT topic of a kind of message."""
+    """Return the MQTT topic for one kind of message."""
     return f"{PREFIX}/{robot}/{kind}"
 
 
@@ -127,7 +126,7 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
 
 
 def strict_json(document: Mapping[str, object]) -> bytes:
-    """Encode a document as JSON, in which numbers that are not finite are null."""
+    """Encode a document as JSON, with null for numbers that are not finite."""
     return to_json(document, inf_nan_mode="null")
 
 

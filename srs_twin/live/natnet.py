@@ -2,7 +2,7 @@
 
 The reader supports the NatNet versions 2.6 to 4.2. The writer, which the emulator uses,
 supports version 4.1. Only rigid bodies are read. Lengths are in m. Coordinates refer to
-the axes of Motive, and `rotate` converts them to a z axis that points upwards.
+Motive's axes, and `rotate` converts them to a frame whose z axis points upwards.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ VERSIONS = (
 )
 """NatNet versions that the reader supports."""
 _MOST = 10_000
-"""Maximum number of entries of a list in a frame."""
+"""Maximum number of entries in each list of a frame."""
 _TRACKED = 0x01
 _NAME = 256
 _FURTHEST_M = 1000.0
 """Maximum plausible coordinate, m."""
 _LENGTH_TOLERANCE = 0.1
-"""Maximum deviation of the norm of a quaternion from 1.
+"""Maximum deviation of a quaternion norm from 1.
 
 Smaller deviations can be due to rounding and averaging by the sender.
 """
 
 Version = tuple[int, int]
 _WRITTEN: Version = (4, 1)
-"""NatNet version of the packets that the writer produces."""
+"""NatNet version that the writer uses."""
 
 
 class Packet(IntEnum):
@@ -66,12 +66,12 @@ class Packet(IntEnum):
 
 @dataclass(frozen=True)
 class RigidBody:
-    """Pose of a rigid body in a frame.
+    """Pose of a rigid body in one motion capture frame.
 
     Attributes:
         place: position with respect to the axes of Motive, m.
         turn: orientation as a quaternion x, y, z, w.
-        error: mean residual of the markers of the body, m.
+        error: mean residual of the body's markers, m.
         tracked: whether the body was visible and its pose is valid.
     """
 
@@ -231,8 +231,7 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif kind == _RIGID_BODY:
             number, name = _model(packet, version)
             names[number] = name
-        # If a description of an unknown type has no length, the end of the description
-        # cannot be found.
+        # The end of an unknown description cannot be found without its length.
         elif end is None:
             break
         if end is not None:
@@ -353,8 +352,8 @@ _AFTER_BODIES: Sequence[tuple[Callable[[_Reader, Version], object], Version]] = 
     (_channels, (2, 9)),  # force plates
     (_channels, (2, 11)),  # devices
 )
-"""Readers of the lists after the rigid bodies, with the first version that has the
-list.
+"""Readers of the lists that follow the rigid bodies, each with the first NatNet version
+that contains the list.
 """
 
 

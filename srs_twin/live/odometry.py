@@ -1,17 +1,17 @@
-r"""Motion of a body on wheels due to changes of its bends.
+r"""Motion of a wheeled snake due to changes of its bends.
 
-If inertia is negligible, the motion of the body depends on the sequence of its shapes,
-but not on the speed of the changes (Kelly and Murray 1995):
+If inertia is negligible, the motion depends on the sequence of body shapes, but not on
+how fast the shape changes (Kelly and Murray 1995):
 
 $$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) , \quad
 φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
 
 where q contains the bends, and ξ contains the forward velocity, the lateral velocity
 and the yaw rate. The matrix A_w minimises the dissipation of wheels whose friction is
-proportional to the speed. The weights W describe the deviation of the robot from the
-motion predicted by A_w. The weights are fitted to successive frames of motion capture
-by regularised least squares. Cubic features φ are needed, for example, to describe that
-a turning gait is slower than a straight gait.
+proportional to the speed. The weights W describe how the robot's motion deviates from
+the prediction of A_w. The weights are fitted to successive frames of motion capture by
+regularised least squares. Cubic features φ are needed, for example, to describe that a
+turning gait is slower than a straight gait.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _KEPT_BLOCKS = 10
 _FORGETTING_FRAMES = 3000
 """Number of frames after which the weight of a frame has decreased to 1/e."""
 _NOISE_RAD = 0.02
-"""Prior standard deviation of the heading of a frame, rad."""
+"""Prior standard deviation of a measured heading, rad."""
 _SCATTER = 0.001, 0.001, 0.02
 """Prior standard deviation of the forward, lateral (m) and yaw (rad) motion per frame.
 """
@@ -57,15 +57,16 @@ _ERROR_INFLATION = 1.3
 The errors of the cubic features recur in each gait period and are therefore
 correlated."""
 _DIFFERENCE_RAD = 1e-4
-"""Step of the bends for numerical differentiation, rad."""
+"""Bend step for numerical differentiation, rad."""
 
 
 class LocalConnection(Stateful):
     """Local connection A(q) of a robot. See the module docstring.
 
     Attributes:
-        weights: weights W. The rows belong to products of a feature and the change of a
-            bend. The columns are forward motion (m), lateral motion (m) and yaw (rad).
+        weights: weights W. Each row belongs to the product of a feature and a bend
+            change. The columns are forward motion (m), lateral motion (m) and yaw
+            (rad).
     """
 
     state_attributes = (
@@ -215,9 +216,9 @@ _LONGEST_FRAME_INTERVAL_S = 0.2
 class Odometry:
     """Motion of the ensemble members, computed with the local connection of the robot.
 
-    The motion of all members is computed from the change of the mean bends, because
-    fluctuations of the bends of individual members would rotate the bodies randomly. A
-    random displacement represents the uncertainty of the connection.
+    All members move according to the change of the mean bends, because bend
+    fluctuations of individual members would rotate the bodies randomly. A random
+    displacement represents the uncertainty of the connection.
 
     Attributes:
         twist: mean forward velocity, lateral velocity (m/s) and yaw rate (rad/s) in the
@@ -234,8 +235,7 @@ class Odometry:
         draws = rng.normal(size=(len(bends), len(self._features), 3))
         self._draws = draws - draws.mean(axis=0)
         self._forecasting = False
-        # The bends at the last call of `apply` and the time since the last call are
-        # stored.
+        # Bends at the last call of `apply`, and the time since that call.
         self._bends = bends.copy()
         self._elapsed = 0.0
         self._frame_age = math.inf

@@ -24,8 +24,7 @@ _ASKS_NAMES_EVERY_S = 10.0
 The server does not report changed names, so the names are requested repeatedly.
 """
 _WINDOW = 1000
-"""Minimum difference of successive frame numbers that indicates a restart.
-"""
+"""Minimum difference of successive frame numbers that indicates a restart."""
 _LISTENS_S = 0.1
 
 
@@ -96,14 +95,13 @@ class FrameNumbers:
     """Counter of lost, late and repeated frames, based on the frame numbers."""
 
     def __init__(self) -> None:
-        """Initialise the counter before the first frame."""
         self._newest: int | None = None
         self._missing: set[int] = set()
 
     def count(self, number: int, counts: Counter[str]) -> None:
         """Count a frame.
 
-        A late frame is removed from the number of lost frames.
+        A late frame no longer counts as lost.
         """
         newest = self._newest
         if newest is None or not -_WINDOW < number - newest < _WINDOW:
@@ -131,8 +129,7 @@ class NatNetLink(_UdpLink):
     The link converts the poses of the tracked bodies to messages of kind `POSES`.
 
     Attributes:
-        version: NatNet version of the server, or None before the first answer of the
-            server.
+        version: NatNet version of the server, or None until the server has answered.
     """
 
     def __init__(

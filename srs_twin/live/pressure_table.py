@@ -1,7 +1,7 @@
 """Tables of pressure residuals of a first-order chamber model.
 
-The pressure of a chamber with compressible flow deviates from the first-order model in
-a similar way after each switching of the valve. The tables are therefore indexed by
+Whenever a valve switches, the pressure of a chamber with compressible flow deviates
+from the first-order model in a similar way. The tables are therefore indexed by
 chamber, valve state and time since switching.
 """
 
@@ -17,7 +17,7 @@ BinIndex = tuple[np.ndarray, ...]
 
 
 class ValveAges(Stateful):
-    """Time since the last switching of each valve.
+    """Time since each valve last switched.
 
     Attributes:
         filling: 1 for each filling valve and 0 for each venting valve, shape (segments,
@@ -30,7 +30,7 @@ class ValveAges(Stateful):
     def __init__(self, segments: int, bins: int, width_s: float) -> None:
         """Initialise all valves as venting.
 
-        The bins for the time since switching have the width `width_s` (s).
+        `width_s` is the width of the time bins, s.
         """
         self.filling = np.zeros((segments, 2), dtype=int)
         self.age = np.zeros((segments, 2))
@@ -93,8 +93,8 @@ class PressureRates:
     def __init__(self, segments: int, supply: float, wander: float) -> None:
         """Initialise the rates to 0.
 
-        The initial random walk `wander` is a fraction of the nominal supply pressure
-        (Pa) per √s.
+        `wander` is the initial random walk per √s, as a fraction of the nominal supply
+        pressure `supply` (Pa).
         """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)
@@ -166,7 +166,7 @@ class PressureLevels(Stateful):
         return Estimates(self._mean[index], np.sqrt(self._variance[index]))
 
     def update(self, residual: np.ndarray, learns: np.ndarray) -> None:
-        """Learn from the pressure residuals of the chambers with `learns`.
+        """Learn from the pressure residuals of the chambers selected by `learns`.
 
         The residuals are fractions of the supply pressure.
         """

@@ -1,24 +1,23 @@
-r"""Motion of a crawling snake under a lateral contact force, and segment moments.
+r"""Motion and segment moments of a crawling snake under a lateral contact force.
 
-The bends q(t) are periodic and known, so the motion of the body is described by three
-velocities u. The velocities u are the two velocity components of the centre of mass in
-the frame of the mean heading, and the yaw rate ω. With the Jacobians J_c(q) of the two
-wheels of each connector and the friction forces f of the floor (`robot.friction`), the
-equations of motion are
+The bends q(t) are periodic and known, so three velocities u describe the motion of the
+body. They are the velocity components of the centre of mass in the frame of the mean
+heading, and the yaw rate ω. With the wheel Jacobians J_c(q), two per connector, and the
+floor friction forces f (`robot.friction`), the equations of motion are
 
 $$ M \dot v = \sum f_c + F n, \qquad \frac{d}{dt}(I(q)\,\omega + h(q, \dot q)) = \sum r_c \times f_c +
    r_s \times F n, \qquad v_c = J_c u + b_c . $$
 
 The inertia I and the angular momentum h due to the bend rates are defined in
-`plants.analytical.kernels`. The contact force F acts at the distance s behind the first
-connector in the direction of the normal n of the body. Because the friction is stiff,
-the time steps are linearly implicit with respect to friction.
+`plants.analytical.kernels`. The contact force F acts along the body normal n, at the
+distance s behind the first connector. Because the friction is stiff, the time steps are
+linearly implicit with respect to friction.
 
-**Moments.** The moment on segment j is exerted by all loads in front of the segment
-about the midpoint of the segment's chord. The loads are friction forces, inertial
-forces of the connectors, and F. If F acts on segment j, the moment of F is averaged
-over the arc of the segment. Inertial forces due to the bend rates are not included,
-because they cancel in the difference from the motion without contact.
+**Moments.** The moment on segment j is the total moment of all loads in front of the
+segment. It is taken about the midpoint of the segment's chord. The loads are friction
+forces, inertial forces of the connectors, and F. If F acts on segment j, the moment of
+F is averaged over the arc of the segment. Inertial forces due to the bend rates are not
+included, because they cancel in the difference from the motion without contact.
 """
 
 from __future__ import annotations
@@ -35,8 +34,9 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 SUBSTEP_S = 0.01
 """Maximum time step, s, for a time unit of 1 s.
 
-If the time step is 4 ms, the median error of an estimated force changes by less than 1
-% (docs/objects.md)."""
+With 4 ms instead, the median error of the estimated force changes by less than 1 %
+(docs/objects.md).
+"""
 SLIP_SPEED_M_S = 0.005
 """Speed below which friction is viscous, m/s, for a time unit of 1 s."""
 _SETTLING_S = 3.0
@@ -70,7 +70,7 @@ class _Motion(NamedTuple):
 
     @property
     def middle(self) -> np.ndarray:
-        """Midpoints of the chords of the segments, m."""
+        """Midpoints of the segment chords, m."""
         return np.asarray((self.place[:, :-1] + self.place[:, 1:]) / 2)
 
 
@@ -84,8 +84,8 @@ class PushedBody:
     Attributes:
         free_velocity: velocities u of the motion without a contact force, shape
             (period, 3), m/s and rad/s.
-        free_moment: moments of friction and inertia on the segments in the motion
-            without a contact force, shape (period, segments), N·m.
+        free_moment: segment moments due to friction and inertia in the motion without a
+            contact force, shape (period, segments), N·m.
     """
 
     def __init__(
@@ -178,7 +178,7 @@ class PushedBody:
         speeds = (arms * motion.rate[:, None]).sum(-1)
         self._on_rate = 2 * (self._mass * speeds).sum(-1)
         # The Jacobian contains the moment of a unit wheel force about the centre of
-        # mass, which is converted to the moment about the midpoint of the chord.
+        # mass. It is converted to the moment about the midpoint of the chord.
         jacobian = self._jacobian[:: self._steps, :, None]
         moved = jacobian[..., 2] - _cross(motion.middle[:, None], jacobian[..., :2])
         self._on_friction = np.tile(front.T, (4, 1)) * moved

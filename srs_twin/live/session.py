@@ -64,12 +64,10 @@ class EstimateTable:
     """Table of estimates with their standard deviations."""
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Create an empty table."""
         self._spec = spec
         self._rows = list[np.ndarray]()
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return len(self._rows)
 
     def add(self, time: float, e: Estimate) -> None:
@@ -165,11 +163,7 @@ def _quantiles_ms(durations: Collection[float]) -> dict[str, float | None]:
 
 
 INTERVALS_S = {"predict": 0.5, "view": 0.12, "flush": 0.5, "save": 5.0, "watch": 1.0}
-"""Intervals of periodic work, s.
-
-The periodic work consists of predictions, updates of the views, writing the journal to
-the disk, saving the state, and checks of the computing speed.
-"""
+"""Intervals of predictions, view updates, journal writes, saves and speed checks, s."""
 _MOST_OVERRUNS = 0.5
 """Fraction of slow ticks above which a warning is issued."""
 _WATCHED_TICKS = 50
@@ -180,10 +174,9 @@ _WORK_S = 0.05
 Because of this limit, a slow machine still sends commands and obeys control words.
 """
 STALE_S = 0.2
-"""Maximum age of an estimate for steering, s. Above this age the chambers are vented.
-"""
+"""Age of an estimate above which the chambers of a steered robot are vented, s."""
 TOO_SLOW_S = 1.0
-"""Maximum age of an estimate, s. Above this age the steering is ended."""
+"""Age of an estimate above which the steering ends, s."""
 JOURNALS = "journal-{}.mcap"
 RECORDINGS = "recording-{}.rrd"
 _RESTART_S = 1.0
@@ -293,7 +286,7 @@ class Session:
             links: sources of messages.
             out: folder for the journal and the results. If None, no files are written.
             steering: steering of the robot, or None if the robot is not steered.
-            commands: link to which commands and control messages are sent.
+            commands: link over which commands and control messages are sent.
             views: functions that show estimates and predictions about eight times per
                 second.
             keys: function that returns the control words typed since the last call.
@@ -492,7 +485,6 @@ class Session:
             warnings.warn(problem, SessionWarning, stacklevel=2)
 
     def _tick(self, now: float, since: float) -> None:
-        """Process the messages that have arrived, and send a command."""
         if math.isnan(now):
             return
         messages = self._receive()

@@ -1,8 +1,8 @@
-"""Set-up file of a lab, which is read by `srs-twin shadow --setup lab.yaml`.
+"""Set-up file of a lab for `srs-twin shadow --setup lab.yaml`.
 
 Each key sets an option of `srs-twin shadow`. Options on the command line override the
-file. A path is first looked up in the folder of the file, and then in the current
-folder.
+file. Relative paths are looked up first in the folder of the set-up file, and then in
+the current folder.
 """
 
 from __future__ import annotations
@@ -79,7 +79,8 @@ class SetupFile(Section):
     robot: PathOrName
     """Name of a shipped robot, or path of a robot file."""
     name: Annotated[str, Field(min_length=1, max_length=200)] | None = None
-    """Name of the robot in topics srs/NAME/KIND (default: name of the robot or file).
+    """Name of the robot in the topics srs/NAME/KIND (default: name of the robot or
+    file).
     """
     supply_kpa: float | None = quantity(0.0, 1000.0, None)
     """Gauge pressure of the supply (default: nominal pressure of the robot)."""

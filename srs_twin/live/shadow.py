@@ -2,9 +2,9 @@
 
 Messages are sorted by sending time (`clocks.ReorderBuffer`). Each message updates an
 ensemble filter (`ensemble`) and a fault detector (`fault_detector`). The ensemble
-filter takes detected faults into account. A stuck valve is simulated in the ensemble,
-and the readings of a faulty sensor are ignored. The live twin reads neither links nor
-clocks, because messages and time are arguments of `update`.
+filter simulates detected stuck valves, and ignores the readings of sensors with a
+detected fault. The live twin reads neither links nor clocks, because messages and time
+are arguments of `update`.
 """
 
 from __future__ import annotations
@@ -97,10 +97,10 @@ class Shadow:
         contact: estimator of the contact force.
         prediction_calibration: calibration of the predictions based on earlier errors.
         buffer: buffer that sorts messages by sending time.
-        time: time of the filters on the local clock, s, or NaN before the first
-            message.
-        skipped: total time for which messages were skipped, s, because the machine was
-            too slow.
+        time: time to which the filters have advanced, on the local clock, s, or NaN
+            before the first message.
+        skipped: total time for which messages were skipped because the machine was too
+            slow, s.
         interruptions: number of times that the robot restarted or sent no message for
             more than `LOST_AFTER_S`.
     """
@@ -206,7 +206,7 @@ class Shadow:
         return self.buffer.waits or bool(self._due)
 
     def predict(self) -> Prediction:
-        """Predict the path during the next second for repeated commands."""
+        """Predict the path of the next second for periodic or constant commands."""
         return self.prediction_calibration.inflate(self.prediction_task()())
 
     def prediction_task(self) -> Callable[[], Prediction]:
@@ -231,7 +231,7 @@ class Shadow:
         return run
 
     def save(self) -> SavedState:
-        """Return the learnt values and the detected faults, which `restore` accepts."""
+        """Return the learnt values and the detected faults for `restore`."""
         # The pose is not saved, because the robot may be moved before the state is
         # restored.
         parts = {name: part.state_dict() for name, part in self._saved_parts().items()}
@@ -398,8 +398,8 @@ class Shadow:
         steps = math.ceil(dt / _PRESENT_STEP_S - 1e-6)
         times = now - dt + (np.arange(steps) + 0.5) * dt / steps
         duties = self._commands.at(times, self.buffer.waiting(COMMAND))
-        # The prediction uses a copy of the filter, because messages for the predicted
-        # time may still arrive.
+        # A copy of the filter is predicted, because messages for that time may still
+        # arrive.
         present = self.ensemble.copy(_PREDICTION_MEMBERS)
         present.predict(self._valve_input(duties), dt, _PRESENT_STEP_S)
         present.apply_odometry()

@@ -52,7 +52,7 @@ class LabOptions:
         allow_zero_margin: If there is no path with a margin to the obstacles, continue
             without a margin instead of stopping (see docs/live.md#steering).
         duration: Stop after this many seconds. [default: run until Ctrl-C]
-        user: User name at the MQTT broker.
+        user: User name for the MQTT broker.
         ca: PEM file with the CA certificate of the MQTT broker. This option enables
             TLS.
     """
@@ -71,7 +71,7 @@ class LabOptions:
     ca: Annotated[Path | None, option("--ca FILE")] = None
 
     def with_setup(self, path: Path, context: typer.Context) -> LabOptions:
-        """Read the options that are not given on the command line from a set-up file.
+        """Read options from a set-up file, unless they are given on the command line.
 
         Raises:
             InputError: the file cannot be read or has errors.
@@ -103,8 +103,8 @@ class SessionOptions:
         speed: Playback speed of the journal relative to real time.
         out: Output folder. If an earlier live twin saved its state in this folder, the
             state is restored.
-        follow: Scenario with the path along which the robot is steered, as the name of
-            a shipped scenario or the path of a file.
+        follow: Scenario whose planned path the robot follows (name of a shipped
+            scenario, or path of a file).
         members: Number of members in the ensemble of the state estimator.
         seed: Seed of the random number generator.
         window: Show the live view in a Rerun window.
@@ -143,9 +143,10 @@ def shadow(
     The live twin also predicts the motion. It receives commands, bends and pressures
     over MQTT and motion capture frames over NatNet, or reads them from a journal. With
     --follow, it also steers the robot along a path. The keys p (pause), g (go), v
-    (vent) and s (stop) control it, as do the words pause, go, vent and stop on the
-    topic srs/NAME/control. docs/live.md describes the messages. The password of the
-    MQTT user is read from the environment variable SRS_TWIN_MQTT_PASSWORD.
+    (vent) and s (stop) control the session. Messages on the topic srs/NAME/control with
+    the text pause, go, vent or stop do the same. docs/live.md describes the messages.
+    The password of the MQTT user is read from the environment variable
+    SRS_TWIN_MQTT_PASSWORD.
     """
     from threadpoolctl import threadpool_limits
 

@@ -28,20 +28,18 @@ PAUSE_LIMIT_S = 30.0
 After this time the chambers are vented, so that a forgotten robot does not remain
 pressurised.
 """
-# The following reasons for the end of the steering complement the reasons of the
-# follower.
+# Reasons for the end of the steering, in addition to the follower's reasons.
 LOST = "estimate_lost"
 EMPTY = "supply_empty"
 STOPPED = "stopped"  # The session ended before the end of the path.
 TOO_SLOW = "estimate_too_old"
 LEAST_MARGIN = 0.25
-"""Minimum margin of a new plan, as a fraction of the margin of the scenario.
+"""Minimum margin of a new plan, as a fraction of the scenario's margin.
 
 If there is no plan with this margin, the robot is stopped. The value is based on 100
 simulated runs of 3.5 m for each shipped footprint. Without a margin, 98 to 100 % of the
-runs leave the planned footprint, so contact is almost certain. With half of a margin of
-80 mm, 1 to 19 % of the runs leave the planned footprint. With a quarter of the margin,
-52 to 93 % of the runs leave the planned footprint.
+runs leave the planned footprint, so contact is almost certain. With a quarter of an 80
+mm margin, 52 to 93 % leave it, and with half of that margin, 1 to 19 %.
 """
 _LARGEST_SD_M = 0.0125
 """Maximum standard deviation of the position for steering, m.
@@ -63,7 +61,7 @@ _NEAR_RAD = 0.05
 """Deviation from the scenario's initial heading above which a new path is planned, rad.
 """
 _EMPTY_BELOW = 0.3
-"""Fraction of the nominal supply pressure below which steering is not possible.
+"""Fraction of the nominal supply pressure below which the robot cannot be steered.
 
 Half of the nominal pressure is sufficient.
 """
@@ -184,7 +182,7 @@ class EstimateSteering:
     def control(self, word: str) -> None:
         """Obey a control word.
 
-        The word `PAUSE` holds the valve states, `VENT` vents all chambers, and `GO`
+        `PAUSE` keeps the valve states unchanged, `VENT` vents all chambers, and `GO`
         continues the steering.
         """
         if word != self._control:

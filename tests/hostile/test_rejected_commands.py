@@ -150,7 +150,7 @@ REJECTED = [
     (f"sweep ./sweep.yaml --exclude seed=3 --out {NEW}", "unknown value of seed '3'"),
     (f"{FITTING} --out {NEW}/f.yaml", "nothing.csv: no such file"),
     (f"replay nothing.csv --robot gen2 --out {NEW}", "nothing.csv"),
-    (f"render nothing --strobe --out {NEW}", "nothing: no finished run exists there"),
+    (f"render nothing --strobe --out {NEW}", "nothing: no finished run was found"),
     # Names that cannot be written to result files.
     ("run ./good.yaml --out new/\udcff", rf"new/\xff: {BYTES}"),
     ("run \udcff.yaml", rf"\xff.yaml: {BYTES}"),

@@ -93,10 +93,10 @@ def test_faults_do_what_they_say():
     [
         ("stuck", "is not a valid fault; write"),
         ("stuck_valv:2+@5", "unknown fault 'stuck_valv'"),
-        ("stuck_valve:2@5", "concerns one chamber; write it as stuck_valve:2\\+@5"),
+        ("stuck_valve:2@5", "affects one chamber; write it as stuck_valve:2\\+@5"),
         (
             "low_supply_pressure:2@5",
-            "concerns the whole robot; write it as low_supply_pressure@5",
+            "affects the whole robot; write it as low_supply_pressure@5",
         ),
         ("dead_sensor:5@1", "segment 5 does not exist; the robot has 4 of them"),
         ("stuck_valve:2+=shut@5", "unknown variant of stuck_valve 'shut'"),

@@ -142,7 +142,7 @@ SECOND = 10**9
         ),
         (
             [("/imu/data", b"{}", 1)],
-            "unreadable messages: 1 × the message does not have the form of srs-twin:"
+            "unreadable messages: 1 × the message is not in the srs-twin format:"
             " ValueError",
         ),
         (

@@ -437,7 +437,7 @@ def test_missing_run_is_refused(runs, srs_twin, tmp_path):
     done = srs_twin("render", "nowhere", "--strobe", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and "nowhere: no finished run exists there (looked for" in done.stderr
+        and "nowhere: no finished run was found (looked for" in done.stderr
     )
     alone = tmp_path / "alone"
     run_scenario(shortened("gen2_straight", 0.2), alone, plants=["analytical"])
