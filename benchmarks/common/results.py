@@ -112,7 +112,7 @@ def stamp() -> Stamp:
     commit = _git("rev-parse", "--short=8", "HEAD")
     # Results of other studies and their tables, written a moment ago, do not affect this one.
     tracked = ("status", "--porcelain", "--untracked-files=no")
-    if _git(*tracked, "--", ":/", ":!results", ":!/docs/*.md"):
+    if _git(*tracked, "--", ":/", ":!results", ":!/docs"):
         commit += "+"
     day = datetime.now(UTC).date().isoformat()
     return Stamp(commit, day, arithmetic(), versions())
