@@ -101,11 +101,14 @@ def line(columns: dict[str, list[float]], plant: str, chosen: np.ndarray) -> lis
     after = column("path_bend_per_m")
     within = column("periods_to_converge") <= 12
     times = 1 / left[curled]
+    reduction = "–"
+    if len(times):
+        reduction = f"{np.median(times):.0f} ({times.min():.1f})"
     return [
         f"{within.sum()} of {len(within)}",
         str(curled.sum()),
         f"{(left[curled] <= 0.1).sum()}",
-        f"{np.median(times):.0f} ({times.min():.1f})",
+        reduction,
         f"{np.median(after):.3f} ({after.max():.3f})",
     ]
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,7 @@ from common.drawn_robots import (
     twin_of,
     with_values,
 )
+from common.grid import table
 
 from srs_twin import Gait
 from srs_twin.control.gait import PitchWave
@@ -216,8 +217,13 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def predict_spatial(count: int, seed: int, stored: Path | None, folder: Path) -> None:
+def predict_spatial(
+    count: int, seed: int, stored: Path | None, folder: Path
+) -> dict[str, Any]:
     """Draw spatial robots, run their gaits, and write the prediction after every robot.
+
+    Returns:
+        The prediction from all robots, as written.
 
     Args:
         count: number of robots.
@@ -231,6 +237,7 @@ def predict_spatial(count: int, seed: int, stored: Path | None, folder: Path) ->
     if stored:
         command += f" --runs {stored}"
     rows: list[dict[str, Any]] = []
+    document: dict[str, Any] = {}
     errors = model_errors(count, seed)
     if stored:
         earlier = yaml.safe_load(stored.read_text("utf-8"))["robots"]
@@ -255,6 +262,7 @@ def predict_spatial(count: int, seed: int, stored: Path | None, folder: Path) ->
         }
         (folder / f"{SPATIAL}.yaml").write_text(dump_yaml(document), encoding="utf-8")
         print(len(rows), rows[-1], flush=True)
+    return document
 
 
 def main() -> None:
@@ -280,11 +288,16 @@ def main() -> None:
         "--out", type=Path, default=RECOMPUTED, help="folder of the predictions"
     )
     options = parser.parse_args()
+    rows: list[list[str]] = []
     if SPATIAL in options.only:
-        predict_spatial(options.robots, options.seed, options.runs, options.out)
+        document = predict_spatial(
+            options.robots, options.seed, options.runs, options.out
+        )
+        rows += quantity_rows(SPATIAL, document["quantities"], options.robots)
     for name in ROBOT_CASES:
         if name not in options.only:
             continue
+        quantities = predict(name, options.robots, options.seed)
         document = {
             "robot": (ROBOTS / f"{name}.yaml").relative_to(ROOT).as_posix(),
             "plant": "twin",
@@ -293,11 +306,24 @@ def main() -> None:
                 f" {options.seed}"
             ),
             "robots": options.robots,
-            "quantities": predict(name, options.robots, options.seed),
+            "quantities": quantities,
         }
         text = dump_yaml(document)
         (options.out / f"{name}.yaml").write_text(text, encoding="utf-8")
-        print(text, flush=True)
+        rows += quantity_rows(name, quantities, options.robots)
+    print(table(["robot", "quantity", "median", "95 % interval", "robots"], rows))
+
+
+def quantity_rows(
+    robot: str, quantities: Mapping[str, dict[str, Any]], count: int
+) -> list[list[str]]:
+    """Return the cells of the predicted quantities of a robot."""
+    rows = []
+    for name, row in quantities.items():
+        low, high = row["interval_95"]
+        interval_95 = f"{low:.3g} to {high:.3g}"
+        rows.append([robot, name, f"{row['median']:.3g}", interval_95, str(count)])
+    return rows
 
 
 if __name__ == "__main__":

@@ -96,7 +96,7 @@ def point(frequency: float, fraction: float, lag: float) -> dict[str, Any]:
     differences = compare(reference, candidate).metrics
     return {
         "frequency": frequency,
-        "share": fraction,
+        "fraction": fraction,
         "lag": lag,
         "inertia": inertia_number(spec, candidate, frequency),
         "speeds": [run["travel_speed_m_s"] for run in (one, other)],
@@ -114,7 +114,7 @@ def report(rows: list[dict[str, Any]]) -> None:
     """Print the table."""
     heads = [
         "f, Hz",
-        "share",
+        "pitch fraction",
         "lag",
         "inertia number",
         "quasistatic, mm/s",
@@ -161,7 +161,7 @@ def main() -> None:
     else:
         lines = []
     rows = [json.loads(line) for line in lines]
-    known = {(row["frequency"], row["share"], row["lag"]) for row in rows}
+    known = {(row["frequency"], row["fraction"], row["lag"]) for row in rows}
     orders = [(f, *wave) for f in reversed(FREQUENCIES_HZ) for wave in WAVES]
     for order in orders[:1] if given.quick else orders[:: given.every]:
         if order in known:
