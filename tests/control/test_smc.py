@@ -262,8 +262,8 @@ def test_a_lost_reading_is_replaced_by_the_last_valid_one(kind, lost):
     ]
     assert (
         events[0].text
-        == f"segment 2: reading lost; the last good one, {measured_bend[39, 1]:.4g} rad, is"
-        " held"
+        == f"segment 2: reading lost; the last valid reading, {measured_bend[39, 1]:.4g}"
+        " rad, is used instead"
     )
     assert controller.events() == []
 
