@@ -87,11 +87,11 @@ class Controller(Claimable, Stateful, ABC):
         self.load_state_dict(state.content)
 
     def identity(self) -> dict[str, object]:
-        """Return JSON values that must agree between a saved state and this controller."""
+        """Return JSON values that a saved state and this controller must share."""
         return {"controller": self.kind, "class": type(self).__name__}
 
     def script(self, duration: float) -> Schedule | None:
-        """Return the valve states of the whole run, or None for a closed-loop controller.
+        """Return the valve states of the whole run, or None for closed-loop control.
 
         The rollout calls this method after `reset`. A controller that returns a
         schedule must have constant signals and must not record events.

@@ -108,7 +108,7 @@ class CommandedGait(Stateful):
     def valves(
         self, time: float, command: GaitCommand, pitch: PitchWave | None = None
     ) -> np.ndarray:
-        """Apply a command and return the valve states for the tick that starts at `time`.
+        """Apply a command and return the valve states of the tick starting at `time`.
 
         `time` is in seconds. A change of frequency does not make the wave jump, and a
         new supply pressure acts immediately. A spatial robot also needs `pitch`.

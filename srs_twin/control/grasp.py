@@ -76,7 +76,7 @@ def check_release(mode: str, drag_m: float | None) -> None:
     """
     if drag_m is not None and mode == "open_loop":
         raise InputError(
-            "`drag_m` is allowed only in the mode 'sensed'; in the mode 'open_loop', set"
+            "`drag_m` is allowed only in the mode 'sensed'; for mode 'open_loop', set"
             " `release_after_s` instead"
         )
 

@@ -78,7 +78,7 @@ class ModuleFaults(Stateful):
 
     @property
     def working(self) -> np.ndarray:
-        """Whether each segment is neither faulty nor being tested, shape (segments,)."""
+        """Whether each segment is neither faulty nor under test, shape (segments,)."""
         return ~(self.faulty | self.tested)
 
     def events(self) -> list[Event]:

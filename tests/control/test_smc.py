@@ -275,7 +275,7 @@ def test_clipping_of_the_reference_is_reported_once(kind):
     (event,) = controller.events()
     first = math.asin(0.5 / 0.6) / (2 * math.pi * 2.0)
     assert event.kind == "saturation" and first < event.time <= first + TICK
-    assert "cut at 0.5 rad" in event.text
+    assert "clipped at 0.5 rad" in event.text
 
 
 @pytest.mark.parametrize("kind", BOTH)
