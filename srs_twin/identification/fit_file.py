@@ -404,8 +404,8 @@ def _check_data(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:
         yield (
             ("data",),
             (
-                "no data have the role `fit`; a fit needs at least one data set with"
-                " this role"
+                "no data set has the role `fit`; a fit needs at least one data set"
+                " with this role"
             ),
         )
     try:

@@ -115,10 +115,14 @@ def _changes(
     names = {parameter.name for parameter in used}
     has_gain = any(name.startswith("modules.gain") for name in names)
     if has_gain and _BEND in fit.held and _BEND not in names:
-        why = "gains are multiples of it"
+        why = "the fitted gains are multiples of this value"
         yield _BEND, "calibrated", f"held in fit {fit.name}: {why}"
     for name in changed:
-        yield name, "estimated", f"held in fit {fit.name}: its values refer to it"
+        yield (
+            name,
+            "estimated",
+            f"held in fit {fit.name}: the fitted values depend on it",
+        )
 
 
 def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec:

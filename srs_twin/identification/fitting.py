@@ -38,15 +38,12 @@ RobotOption = Annotated[
     str,
     option(
         "--robot -r ROBOT",
-        "Robot whose parameters are the initial values of the fit, as the name of a"
-        " shipped robot or the path of a robot file.",
+        "Robot that provides the initial values of the fit: name of a shipped robot, or"
+        " path of a robot file.",
     ),
 ]
 
-_VALIDATE = (
-    "Recording or table that validates the fit and does not influence it. Can be"
-    " repeated."
-)
+_VALIDATE = "Recording or table that is used only to validate the fit. Can be repeated."
 ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
 
 _PARAMETERS = "Names of the parameters to fit, for example friction.mu_t,friction.mu_n."
@@ -272,13 +269,15 @@ class FitOutput:
         elif not self.quiet:
             print_estimate(result.estimate)
         report = display_path(self.path.with_suffix(".html"))
-        self.say(f"fit in {display_path(self.path)}, residuals in {report}")
+        self.say(f"fit written to {display_path(self.path)}, residuals to {report}")
         if result.plateaus is not None:
             from srs_twin.identification.static_tables import write_static_table
 
             table = self.path.with_suffix(".table.csv")
             write_static_table(result.plateaus, table)
-            self.say(f"{len(result.plateaus.bend)} plateaus in {display_path(table)}")
+            self.say(
+                f"{len(result.plateaus.bend)} plateaus written to {display_path(table)}"
+            )
 
 
 def _check_same_command(path: Path, command: str) -> None:
@@ -289,7 +288,8 @@ def _check_same_command(path: Path, command: str) -> None:
         existing: FitFile = load_fit(path)
     except InputError as error:
         raise InputError(
-            f"{display_path(path)}: the file already exists and is not a fit; {remedy}"
+            f"{display_path(path)}: the file already exists and is not a fit file;"
+            f" {remedy}"
         ) from error
     if existing.command != command:
         raise InputError(

@@ -137,7 +137,10 @@ def footprint(
         print_json(file.model_dump(mode="json", exclude_none=True))
     elif not quiet:
         _print_footprint(measured)
-    say(f"footprint in {display_path(Path(out) / f'{file_name}.yaml')}", quiet=quiet)
+    say(
+        f"footprint written to {display_path(Path(out) / f'{file_name}.yaml')}",
+        quiet=quiet,
+    )
 
 
 def margin(
@@ -196,7 +199,9 @@ def margin(
             ("plant", "half of the runs", "90 %", "95 %", "all, mm"), rows, left=(0,)
         )
     name = load_footprint_file(loaded.file.section("planner").footprint).name
-    say(f"excursions in {display_path(Path(out) / f'{name}.yaml')}", quiet=quiet)
+    say(
+        f"excursions written to {display_path(Path(out) / f'{name}.yaml')}", quiet=quiet
+    )
 
 
 def _print_footprint(measured: FootprintMeasurement) -> None:

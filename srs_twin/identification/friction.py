@@ -136,13 +136,13 @@ class Pulls:
             pulls = np.asarray(getattr(self, direction), dtype=float)
             if pulls.ndim != 1 or not (np.isfinite(pulls) & (pulls >= 0)).all():
                 raise InputError(
-                    f"{self.name}: the pulls {direction} are not allowed; they must be"
-                    " a list of lengths of at least 0, in m"
+                    f"{self.name}: the pulls {direction} the body are not allowed; they"
+                    " must be a list of spring deformations of at least 0 m"
                 )
             if len(pulls) == 1:
                 raise InputError(
-                    f"{self.name}: a single pull {direction} does not show the"
-                    " scatter; give 2 or more pulls, or none"
+                    f"{self.name}: a single pull {direction} the body does not show"
+                    " the scatter; give 2 or more pulls, or none"
                 )
 
     @property
@@ -216,10 +216,10 @@ def _parameter(
     k: int, values: np.ndarray, mean: float, variance: float, error: float
 ) -> Parameter:
     if not len(values):  # `Pulls` does not accept a single value
-        why = f"there are no pulls {_DIRECTIONS[k]}"
+        why = f"there are no pulls {_DIRECTIONS[k]} the body"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     if error >= UNIDENTIFIABLE_ERROR * mean:
-        why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
+        why = f"the pulls {_DIRECTIONS[k]} the body scatter by as much as their mean"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     # The Welch-Satterthwaite formula gives the degrees of freedom. The standard errors
     # of k and m are treated as exact, so they have infinitely many degrees of freedom.
@@ -483,7 +483,7 @@ def fit_coasting(
     allowed = [name for name in FRICTION_LAWS if name != "viscous"]
     if friction_law not in allowed:
         raise InputError(
-            f"friction law '{friction_law}' is not allowed here; allowed are"
+            f"friction law '{friction_law}' is not allowed here; use one of"
             f" {', '.join(allowed)}"
         )
     assign_roles("coasting tests", runs, validation)
@@ -543,7 +543,7 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
     value = parameter.value or 0.0
     is_wide = max(value - low, high - value) > _MAX_HALF_WIDTH * value
     if is_wide and parameter.verdict == "identified":
-        why = f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %"
+        why = f"its 95 % interval exceeds ±{100 * _MAX_HALF_WIDTH:.0f} %"
         return replace(widened, verdict="weakly identified", why=why)
     return widened
 

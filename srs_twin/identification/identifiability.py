@@ -84,7 +84,9 @@ class Identifiability:
             name for k, name in enumerate(self.names) if k != i and rows[:, k].any()
         )
         if not len(rows):
-            return f"its standard error in z is {self.errors[i]:.2g}, 1 or more"
+            return (
+                f"its standard error in z is {self.errors[i]:.2g}, which is not below 1"
+            )
         if not others:
             return "the residuals do not depend on it"
         return f"only a combination of it with {', '.join(others)} has an effect"
@@ -181,8 +183,8 @@ class Accuracy:
         if 2 * self.bias[i] ** 2 > error**2:
             true = unknown.value(z - self.bias[i])
             model_error = (
-                f"mostly model error: a fit to the reference with {true:.4g} gives this"
-                " value"
+                f"mostly model error: data that the reference simulates with {true:.4g}"
+                " give this value"
             )
             why = "; ".join(filter(None, (why, model_error)))
         if not self.explained:

@@ -430,9 +430,8 @@ def signals(
         metrics = plant_metrics(trajectory)
         if metrics["com_speed_m_s"] is None:
             raise InputError(
-                f"{name}: the average over gait periods cannot be computed; three"
-                " complete periods, and `gait_frequency_hz` in the metadata, are"
-                " needed"
+                f"{name}: the speed cannot be averaged over gait periods; record three"
+                " or more complete periods, and give `gait_frequency_hz` in the metadata"
             )
         result["speed"] = np.array([metrics["com_speed_m_s"]])
         result["yaw_rate"] = np.array([metrics["yaw_rate_rad_s"]])

@@ -95,8 +95,8 @@ class Priors:
                 )
         if not parameters:
             raise InputError(
-                f"robot {robot.name}: the robot file has no uncertain numbers; add"
-                " `uncertain` to some of them (docs/uncertainty.md)"
+                f"robot {robot.name}: the robot file has no uncertain values; add"
+                " `uncertain` to one or more values (docs/uncertainty.md)"
             )
         index = {prior.path: i for i, prior in enumerate(parameters)}
         correlation = np.eye(len(parameters))
@@ -107,7 +107,7 @@ class Priors:
         if np.linalg.eigvalsh(correlation)[0] <= 1e-9:
             raise InputError(
                 f"robot {robot.name}: the correlations contradict each other, because"
-                " their matrix is not positive definite; reduce some of them"
+                " their matrix is not positive definite; reduce some correlations"
             )
         return cls(tuple(parameters), correlation)
 

@@ -361,8 +361,8 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
         )
     if not np.isfinite(bend).any() or (np.abs(bend) > _MAX_BEND_RAD).any():
         raise table.file.error(
-            f"bends must be given and at most {_MAX_BEND_RAD:.3g} rad; if they are in"
-            " degrees, name the columns bend_1_deg, …"
+            f"the file must contain bends, each of at most {_MAX_BEND_RAD:.3g} rad; if"
+            " the bends are in degrees, name the columns bend_1_deg, …"
         )
     return StaticTable(table.file.name, table.file.sha256, pressure, bend, error)
 
@@ -464,8 +464,8 @@ def _fit_dead_zone(
     partial = with_dead_zone({_ONSET_FRACTION: 0.8} | complete.values, {})
     best = partial if _is_significant(partial, complete) else complete
     why = (
-        f"a straight line leaves {linear.rms('fit'):.3g} times the noise, a dead zone"
-        f" {best.rms('fit'):.3g}"
+        f"the residuals are {linear.rms('fit'):.3g} times the noise without a dead zone"
+        f" and {best.rms('fit'):.3g} times with a dead zone"
     )
     parameters = list(best.parameters)
     for k, parameter in enumerate(parameters):
