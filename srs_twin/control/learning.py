@@ -1,7 +1,5 @@
 """Iterative learning control of a gait (Section 5.1).
 
-The duty of each chamber is updated once per gait period.
-
 The controller uses the wave of the open-loop gait without offset (Eq. 13). While the
 wave fills a chamber, the valve is pulse-width modulated with the duty of the chamber.
 With all duties at 1, the valves switch as in the open-loop gait.

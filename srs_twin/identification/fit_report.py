@@ -1,4 +1,4 @@
-"""HTML report of a fit: parameters, plots of the residuals, data and versions."""
+"""HTML report of a fit, with parameters, residual plots, data and package versions."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
 
 
 def fit_page(fit: FitEstimate | FitFile) -> str:
-    """Return the HTML of a fit for a notebook."""
+    """Return HTML that shows a fit in a notebook."""
     return notebook_output(
         getattr(fit, "title", "Fit"),
         parameter_table((*fit.parameters, *(fit.derived or ()))),

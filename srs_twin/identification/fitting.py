@@ -1,4 +1,4 @@
-"""Options, progress display and output of the commands that fit parameters."""
+"""Options, progress display and output of the fit commands."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class DataOptions:
     pressure: PressureOption = None
 
     def given(self) -> dict[str, Any]:
-        """Return the options as arguments of the functions in `calibration`."""
+        """Return the options as arguments for the functions in `calibration`."""
         if self.pressure is not None and not 0.1 <= self.pressure <= 2000.0:
             raise InputError(
                 f"--pressure: {self.pressure:g} kPa is not allowed; it must be between"
@@ -129,14 +129,14 @@ _MAX_SIGNALS = 24
 def print_table(
     headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()
 ) -> None:
-    """Print a table, with the columns whose indices are in `left` left-aligned."""
+    """Print a table. The columns with the indices `left` are left-aligned."""
     table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
     terminal = console()
     terminal.width = max(
         terminal.width, _TABLE_WIDTH
-    )  # a truncated number would look like another number
+    )  # a truncated number would be misread
     terminal.print(table)
 
 
@@ -158,7 +158,7 @@ def print_estimate(estimate: FitEstimate) -> None:
         _residual_lines(estimate),
         *estimate.misfit,
     ):
-        terminal.print(line, soft_wrap=True)  # a path with line breaks cannot be copied
+        terminal.print(line, soft_wrap=True)  # line breaks would prevent copying a path
     if not estimate.converged:
         terminal.print("the search did not converge")
 
@@ -224,7 +224,7 @@ class FitOutput:
     def from_options(
         cls, context: typer.Context, method: str, robot: str, options: FitOptions
     ) -> FitOutput:
-        """Check that the output files may be written, and return the settings."""
+        """Return the settings after checking that the output files may be written."""
         from srs_twin.identification.fit_file import check_fit_suffix
 
         out = options.out
@@ -248,15 +248,15 @@ class FitOutput:
         return cls(name, path, robot, command, options.quiet, options.as_json)
 
     def say(self, text: str) -> None:
-        """Print a note on stderr."""
+        """Print a message to stderr."""
         say(text, quiet=self.quiet)
 
     def run(
         self, function: Callable[..., Calibration], files: list[str], **settings: Any
     ) -> None:
-        """Call a function of `calibration`, write the files, and print the result.
+        """Call a fit function, write the files, and print the result.
 
-        If the user interrupts the search, no file is written.
+        If the user interrupts the search, no files are written.
         """
         with (
             interruptible(NOTHING_WRITTEN),

@@ -1,4 +1,4 @@
-"""Footprint files: conversion of measurements, and header with the study settings."""
+"""Conversion of footprint measurements to footprint files."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         f" {measured.periods} gait periods at each of {phases} at the start"
     )
     edge = "as curvature_per_m; the farthest that any repeat reached"
-    # A straight snake has the maximum length, so half of this length is an upper bound.
+    # Upper bound: a snake is longest when it is straight.
     body = setup.spec.geometry
     straight = round((body.body_length + body.width) / 2, _DIGITS)
 
@@ -127,9 +127,9 @@ def calibrate_footprint(
     Args:
         robot: name or path of the robot, or a loaded robot.
         out: folder of the footprint file, or None to write nothing.
-        name: name of the footprint and of its file, by default composed of the names of
-            robot and controller.
-        overwrite: whether the file of another measurement is replaced.
+        name: name of the footprint and of its file, by default the names of the robot
+            and the controller.
+        overwrite: whether an existing file from another measurement is replaced.
         controller: controller, "gait" (open loop) or "ilc" (iterative learning
             control).
         frequency_hz: gait frequency, Hz, by default `FREQUENCY_HZ`.
@@ -217,9 +217,9 @@ def header_lines(
 
 
 def robot_hash(spec: RobotSpec) -> str:
-    """Return the SHA-256 of the values of a robot that differ from their defaults.
+    """Return the SHA-256 of all values of a robot that differ from their defaults.
 
-    Adding a new parameter with a default value therefore does not change the hash.
+    Adding a parameter with a default value to the package does not change the hash.
     """
 
     def non_defaults(section: object) -> object:

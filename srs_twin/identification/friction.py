@@ -37,10 +37,9 @@ fitted parameter.
 
 The misalignment ε is computed from the recorded bends. If no bends were recorded, ε is
 computed from the rest bends in the robot file. Because ε(bends) is a seminorm, errors
-of the bends (`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most ε(errors). Two
-further fits use values of ε that are increased or decreased by the 95 % quantile of
-ε(errors). The confidence interval of a coefficient contains the intervals of the two
-fits with changed ε.
+of the bends (`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most ε(errors). The
+fit is repeated with ε increased and decreased by the 95 % quantile of ε(errors). The
+confidence interval of a coefficient also covers the intervals of these two fits.
 """
 
 from __future__ import annotations
@@ -91,12 +90,12 @@ from srs_twin.trajectory import Trajectory
 _NAMES = ("friction.mu_t", "friction.mu_n")
 
 _DIRECTIONS = ("along", "across")
-"""Directions of pulls and coasting, in the order of `_NAMES`."""
+"""Directions relative to the body, in the order of `_NAMES`."""
 
 
 @dataclass(frozen=True)
 class Pulls:
-    """Spring deformations measured while a spring car pulled the robot.
+    """Spring deformations measured in pulls of the robot with a spring car.
 
     Attributes:
         along: maximum deformation of the spring in each pull along the body, m.
@@ -372,7 +371,7 @@ _UNSEEN_BEND_RAD = 0.03
 """Standard deviation of a rest bend in the robot file, rad."""
 
 _BEND_DRAWS = 1000
-"""Number of random draws of the errors of the bends."""
+"""Number of random samples of the bend errors."""
 
 _MAX_HALF_WIDTH = 0.1
 """Maximum relative half width of the interval of an identified coefficient."""
@@ -386,8 +385,7 @@ class CoastingTest:
         time: time since the first sample that is used, s, shape (samples,).
         position: displacement of the centre of mass along and across the heading, m,
             shape (samples, 2).
-        velocity: initial guess of the initial velocity along and across the heading,
-            m/s.
+        velocity: first guess of the initial velocity along and across the heading, m/s.
         span: first and last time of the samples that are used, on the clock of the
             recording, s.
         bends: mean recorded bends, rad, shape (segments,), or None if the bends were
@@ -406,7 +404,7 @@ class CoastingTest:
     def from_trajectory(
         cls, trajectory: Trajectory, name: str, *, start: float | None = None
     ) -> CoastingTest:
-        """Extract the coasting test from a trajectory.
+        """Return the part of a trajectory in which the robot coasts.
 
         `start` is the time from which the robot coasts (s), by default the time of the
         maximum speed.
@@ -474,11 +472,11 @@ def fit_coasting(
 ) -> FitEstimate:
     """Estimate μ_t and μ_n from coasting tests.
 
-    The coefficient of a direction is identifiable only if the robot coasts in this
-    direction. Validation tests do not influence the coefficients, but their initial
-    velocities are fitted. If `wheel_inertia` is false, the wheels have no rotational
-    inertia, as on skids and in the analytical plant. `friction_law` is one of
-    `robot.friction.FRICTION_LAWS` except "viscous".
+    A coefficient is identifiable only if the robot coasts in its direction. Validation
+    tests do not influence the coefficients, but their initial velocities are fitted. If
+    `wheel_inertia` is false, the wheels have no rotational inertia, as on skids and in
+    the analytical plant. `friction_law` is one of `robot.friction.FRICTION_LAWS` except
+    "viscous".
     """
     allowed = [name for name in FRICTION_LAWS if name != "viscous"]
     if friction_law not in allowed:
@@ -552,8 +550,8 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
 class _CoastingModel:
     """Model that predicts coasting tests.
 
-    `fraction` is the fraction s of `floor.slide`. `mu_n` is the coefficient for the
-    lateral slip of a bent body, by default the fitted μ_n.
+    `fraction` is the fraction s of `floor.slide`. `mu_n` is the coefficient of lateral
+    slip for a bent body, by default the fitted μ_n.
     """
 
     spec: RobotSpec
@@ -638,7 +636,7 @@ class _CoastingModel:
 
 
 _SHARP_SLIP = 1e-12
-"""Slip speed of the regularised friction law, m/s. Its effect is negligible."""
+"""Slip speed that regularises the friction law, m/s, with negligible effect on fits."""
 
 
 def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
