@@ -63,7 +63,7 @@ _BLOCK = 20_000
 
 @dataclass(frozen=True)
 class PitchWave:
-    """Wave that bends a spatial robot upwards and downwards. See the module docstring.
+    """Wave that bends a spatial robot upwards and downwards.
 
     Attributes:
         fraction: pitch fraction s, from 0 (lateral wave only) to 1 (pitch wave only).
@@ -252,10 +252,7 @@ class Gait(Controller):
         self._tick = tick
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick.
-
-        The array has no slot axis if no state changes within the tick.
-        """
+        """Return the valve states of the next tick."""
         return self.valves_at(float(state.time))
 
     def valves_at(self, time: float) -> np.ndarray:

@@ -82,14 +82,14 @@ def check_release(mode: str, drag_m: float | None) -> None:
 
 
 def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> None:
-    """Set the valves of the holding segments at the tail to a duty.
+    """Apply a duty to the holding segments at the tail.
 
     Args:
         valves: valve states of a tick, shape (slots, segments, 2), changed in place.
         hold: number of holding segments.
         duty: signed fraction of the slots in which a chamber fills. Positive values
             fill the left chambers, and negative values fill the right chambers.
-        pulses: number of equal pulses in the tick.
+        pulses: number of equal pulses per tick.
     """
     slots = len(valves) // pulses
     chamber = 0 if duty >= 0 else 1
@@ -100,7 +100,7 @@ def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> No
 
 
 class Grasp(Controller):
-    """Grasp and drag of an object next to the tail. See the module docstring.
+    """Grasp and drag of an object next to the tail.
 
     Attributes:
         frequency: gait frequency of the dragging segments, Hz.

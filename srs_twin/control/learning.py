@@ -57,7 +57,7 @@ _MAX_LOST = 0.5
 
 
 class ILC(Controller):
-    """Iterative learning control of a gait. See the module docstring.
+    """Controller that learns the duties of a gait iteratively.
 
     Attributes:
         frequency: gait frequency f, Hz.

@@ -162,7 +162,7 @@ class ModuleFaults(Stateful):
             self._report(time, j, f"valve of the {side} chamber stuck open")
         elif weak.all():
             both = "both valves stuck shut, or no air"
-            self._report(time, j, f"neither chamber bends it: {both}")
+            self._report(time, j, f"neither chamber bends the segment: {both}")
         elif weak.any():
             side = SIDES[int(np.argmax(weak))]
             self._report(time, j, f"valve of the {side} chamber stuck shut")

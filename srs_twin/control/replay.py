@@ -48,10 +48,7 @@ class Replay(Controller):
         self._slot_centres = tick * (np.arange(slots) + 0.5) / slots
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick.
-
-        The array has no slot axis if no state changes within the tick.
-        """
+        """Return the valve states of the next tick."""
         schedule = self.schedule
         time = float(state.time) + self._slot_centres
         runs = np.searchsorted(schedule.starts, time, side="right") - 1

@@ -3,7 +3,7 @@ r"""Sliding mode control of modules by valve states or by duties (Chapter 4).
 `DirectSMC` and `IterativeSMC` make the sensed bend q of each segment track a reference
 r by means of the sliding variable
 
-$$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eq. 24, 31}). $$
+$$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eqs. 24, 31}). $$
 
 On the sliding manifold σ = 0, the error decays as e^{−Dt}. The controllers differ in
 how they estimate ė from noisy readings and in how they convert σ to valve states.
@@ -74,9 +74,7 @@ if TYPE_CHECKING:
 
 
 class VelocityFilter(Stateful):
-    """Second-order low-pass filter for readings and their rates.
-
-    See the module docstring.
+    """Second-order low-pass filter for noisy readings and their rates.
 
     Attributes:
         value: filtered readings x̂, shape (segments,), unit of the readings.

@@ -35,10 +35,10 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult
 
 IDENTIFIED_ERROR = 0.1
-"""Maximum standard error of the coordinate z of an identified parameter."""
+"""Maximum standard error, in z, of an identified parameter."""
 
 UNIDENTIFIABLE_ERROR = 1.0
-"""Minimum standard error of the coordinate z of an unidentifiable parameter."""
+"""Minimum standard error, in z, of an unidentifiable parameter."""
 
 MAX_RESIDUAL_SCALE = 2.0
 """RMS of the weighted residuals above which the model does not explain the data."""

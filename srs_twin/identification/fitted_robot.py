@@ -47,7 +47,7 @@ A correlation of 1 would make the correlation matrix singular.
 """
 
 _ROUNDING = 1e-7
-"""Relative tolerance for equal values (numbers in fit files have nine digits)."""
+"""Relative tolerance for equal values. Values in fit files have nine digits."""
 
 
 def robot_override(

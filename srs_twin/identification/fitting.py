@@ -90,7 +90,7 @@ class FitOptions:
 
 
 class FitProgress(Display):
-    """Display of the progress of a search."""
+    """Progress display of a search."""
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)

@@ -63,8 +63,8 @@ class Pneumatics(Stateful, ABC):
         kind: short name of the pneumatic model.
         depends_on_bend: whether the pressures depend on the actual bends. A plant with
             compliant bends must then pass the actual bends to `advance`.
-        coupling_step_s: maximum interval after which the plant and the chambers
-            exchange bends and pressures, s.
+        coupling_step_s: maximum interval between two exchanges of bends and pressures
+            with the plant, s.
         stiffness: maximum stiffness that closed chambers add to a segment, N·m/rad.
         max_pressure_ratio: ratio of the maximum chamber pressure to the supply
             pressure.

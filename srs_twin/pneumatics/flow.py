@@ -118,8 +118,7 @@ def _conductance(
 ) -> float:
     """Return the conductance C for which dṗ/dp = −1/τ at the gauge pressure p.
 
-    The function `passed` returns P₁ ψ (Pa) of the valve for a gauge pressure of the
-    chamber.
+    `passed` returns P₁ ψ (Pa) of the valve at a given gauge pressure of the chamber.
     """
     dead = spec.chamber.dead_volume
     growth = spec.chamber.displacement * spec.actuator.gain

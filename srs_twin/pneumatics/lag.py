@@ -12,7 +12,7 @@ x of a segment without load lags the pressures with the mode time constant τ₂
 $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
 
 where `chambers` defines φ, b and the gains. Nominal modules with τ_fill = τ_vent = τ₁
-satisfy Eq. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀
+satisfy Eqs. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀
 u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of τ₂. By default, there is no
 additional valve delay.
 
@@ -220,7 +220,7 @@ class LagChambers(Pneumatics):
 
 
 class LagPneumatics(LagChambers):
-    """Planar chambers with a first-order lag, as described in the module `lag`."""
+    """Planar chambers with a first-order lag."""
 
     state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 

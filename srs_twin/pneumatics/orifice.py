@@ -165,7 +165,7 @@ class OrificeOptions:
 
 
 class OrificePneumatics(Pneumatics):
-    """Chambers behind orifices, as described in the module `orifice`.
+    """Planar chambers behind orifices.
 
     Attributes:
         conductances: inlet and outlet conductances, shape (segments, 2) each, m³/(s

@@ -303,7 +303,7 @@ def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyp
     for j in range(y.shape[0]):
         for k in range(3):
             step = linear[j, k, _ALONE] + linear[j, k, _BY_LINE] * change
-            # The decrease of an amount of air is limited so that it remains positive.
+            # The decrease is limited so that the amount of air remains positive.
             if k == _X:
                 y[j, k] = y[j, k] + step
             else:

@@ -25,9 +25,8 @@ from srs_twin.robot.spec import RobotSpec
 class SpatialLagPneumatics(LagChambers):
     """Chambers with a first-order lag that bend a segment in several directions.
 
-    The module docstring contains the equations. The arrays `bend` and `rest_bend` and
-    the bends of a `Trace` have the shape (…, segments, 2), with components to the left
-    and upwards.
+    The arrays `bend` and `rest_bend` and the bends of a `Trace` have the shape (…,
+    segments, 2), with components to the left and upwards.
     """
 
     state_attributes = ("_lagged", "_supply")
