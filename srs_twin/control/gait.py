@@ -5,7 +5,7 @@ $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\
 Here f is the gait frequency, β the phase lag per segment, ψ the phase and φ the
 steering offset. S_j = +1 fills the + chamber of segment j and vents the − chamber. S_j
 = −1 vents the + chamber and fills the − chamber. The sign of 0 is +1. The wave travels
-from head to tail and propels the snake forward. The wave of Eq. 13 as printed travels
+from head to tail and propels the snake forward. As printed, the wave of Eq. 13 travels
 in the opposite direction (E12). A positive φ turns the snake to the left. The mirror
 image of a gait has the offset −φ and the phase ψ + π.
 
@@ -261,8 +261,8 @@ class Gait(Controller):
             return self._spatial_valves(time + self._tick * self._slot_centres)
         first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
         # A tick that is shorter than the shortest constant section of the wave contains
-        # at most one change. If the states at the two ends of a short tick are equal,
-        # there is no change within the tick.
+        # at most one change. Equal states at both ends of a short tick therefore rule
+        # out a change within the tick.
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)

@@ -31,7 +31,7 @@ from srs_twin.trajectory import Event
 STILL_RAD = 0.02
 """Maximum range of the readings of a dead sensor in one period, rad."""
 MIN_DRIVING_DUTY = 0.1
-"""Minimum duty at which a working segment must move, dimensionless."""
+"""Minimum duty from which a working segment is expected to move, dimensionless."""
 WEAK_RATIO = 0.1
 """Ratio of amplitude to target below which a chamber at full duty is suspicious."""
 STRONG_RATIO = 1.05

@@ -25,7 +25,8 @@ _ROUNDING = 1e-9
 class Reference(ABC):
     """Reference bend as a function of time, rad.
 
-    The methods accept a time or an array of times, and return an array of that shape.
+    The methods accept a time or an array of times, and return an array of the same
+    shape.
     """
 
     @property
@@ -207,7 +208,7 @@ class Sine(_Periodic):
 
 @dataclass(frozen=True)
 class Square(_Periodic):
-    """Square wave, offset ± amplitude, in phase with the `Sine` of equal parameters.
+    """Square wave, offset ± amplitude, in phase with the corresponding `Sine`.
 
     The value is offset + amplitude in the first half of each period.
 

@@ -45,8 +45,8 @@ Clipping causes no wind-up, because μ leaves its bound as soon as σ changes si
 The errors e and ė are averaged over the last carrier period. The mean of ė is the
 change of e over the period divided by T. Averaging over a whole period removes the
 ripple caused by the valves. A single reading per period would always sample the ripple
-at the same phase, which would cause an offset of several degrees. If the reference
-steps, the step is part of the mean of ė.
+at the same phase, which would cause an offset of several degrees. A step of the
+reference is included in the mean of ė.
 
 Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). In the implemented law, K
 multiplies D e.
@@ -219,8 +219,8 @@ class SlidingMode(Controller):
         return time
 
 
-# The following values are tuned by benchmarks/gains.py for generation 4 at 7 psi. One
-# set of values is used for all experiments of Chapter 4.
+# These values were tuned with benchmarks/gains.py for generation 4 at 7 psi and are
+# used for all experiments of Chapter 4.
 DIRECT_D_PER_S = 58.0
 """Slope D of the sliding manifold of `DirectSMC`, 1/s."""
 EPSILON_RAD_PER_S = math.radians(84.0)
@@ -272,8 +272,8 @@ class DirectSMC(SlidingMode):
         return super().signals() | {"rate": self._rate}
 
 
-# The following values are tuned by benchmarks/gains.py for generation 4 at 7 psi. One
-# set of values is used for all experiments of Chapter 4.
+# These values were tuned with benchmarks/gains.py for generation 4 at 7 psi and are
+# used for all experiments of Chapter 4.
 K_S_PER_RAD = 0.042
 """Gain K of `IterativeSMC`, s/rad."""
 ITERATIVE_D_PER_S = 16.0

@@ -38,7 +38,7 @@ _MIN_SAMPLES_PER_SWING = 5.0
 _MIN_HALF_SWINGS = 3
 
 _MIN_TURN = 6.0
-"""Minimum visible half swing, in standard deviations of the noise."""
+"""Minimum half swing that counts as visible, in standard deviations of the noise."""
 
 _MIN_SIZE = 12.0
 """Minimum range of the bends, in standard deviations of the noise.
@@ -47,10 +47,10 @@ Noise alone has a range of about 6 standard deviations.
 """
 
 _MIN_TURN_FRACTION = 0.02
-"""Minimum visible half swing, as a fraction of the range of the bends."""
+"""Minimum half swing that counts as visible, as a fraction of the bend range."""
 
 _LEAST_DECREMENT = 0.01
-"""Minimum initial logarithmic decrement of a search."""
+"""Minimum logarithmic decrement with which a search starts."""
 
 _WINDOW = 12
 """Number of columns of the trajectory matrix.

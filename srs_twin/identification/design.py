@@ -8,8 +8,8 @@ is
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
 The initial information matrix is computed from the `uncertain` entries of the robot
-file. If a parameter such as drag is 0, z is the parameter divided by a tenth of the
-axial friction of the robot.
+file. For a parameter with the value 0, such as drag, z is instead the parameter divided
+by a tenth of the axial friction of the robot.
 
 The experiments are chosen one after another. Let w be the ratio of an interval width to
 the requested width. Each choice minimises the mean of ln w over all intervals that are
@@ -237,8 +237,8 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 class ExperimentDesign:
     """Chosen experiments and the accuracy after each experiment.
 
-    The accuracy of a parameter is the half width of its 95 % interval relative to its
-    value. If the value is 0, the accuracy is the absolute half width.
+    The accuracy of a parameter is the half width of the 95 % interval divided by the
+    value. If the value is 0, the accuracy is the half width itself.
 
     Attributes:
         chosen: experiments in the order in which they were chosen.

@@ -7,7 +7,7 @@ verdict is "cannot tell", because the confidence intervals of a wrong model are
 meaningless.
 
 **Independent samples.** Residuals of successive samples are correlated, because cameras
-and filters smooth the noise and because the model has errors. If the residuals have the
+and filters smooth the noise and because of model errors. If the residuals have the
 autocorrelation ρ_k, n samples are equivalent to n/τ independent samples, where
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k . $$
@@ -175,9 +175,9 @@ class FitEstimate(HtmlResult):
         correlation: correlation matrix of the estimates, shape (parameters,
             parameters). Entries of a parameter without a value are NaN.
         residuals: residuals of the fitted data and of the validation data.
-        cancels: unidentifiable directions in the coordinates z, each as a mapping from
-            parameter names to components. If only the ratio of two parameters has an
-            effect, the two components of the direction are 0.71.
+        cancels: unidentifiable directions in z, each as a mapping from parameter names
+            to components. If only the ratio of two parameters has an effect, the two
+            components of the direction are 0.71.
         samples: number of fitted samples.
         independent: equivalent number of independent samples (see `correlation_time`).
         residual_scale: standard deviation of the weighted residuals, which is 1 if the
@@ -323,7 +323,7 @@ _ITERATIONS = 5
 """Number of iterations of the correction for fitted parameters."""
 
 _MAX_REMOVED_FRACTION = 0.5
-"""Maximum value of c.
+"""Maximum value of the fraction c of the noise power.
 
 With a larger c, the residuals would no longer represent the noise.
 """

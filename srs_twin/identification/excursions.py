@@ -61,12 +61,12 @@ The reference is the lowest speed over all offsets in the footprint.
 """
 
 _DIGITS = 4
-"""Number of decimals of excursions in a footprint file."""
+"""Number of decimals with which excursions are written to a footprint file."""
 
 
 @dataclass(frozen=True)
 class FollowerRun:
-    """Simulation of the path follower of a scenario on a random path.
+    """Simulation in which the path follower of a scenario tracks a random path.
 
     Attributes:
         document: scenario that follows a straight path, as plain data.
@@ -235,7 +235,7 @@ def measure_excursions(
     workers: int | None,
     progress: Callable[[], None],
 ) -> ExcursionsFile:
-    """Measure the excursions of the path follower of a scenario on a plant.
+    """Measure how far a scenario's path follower leaves the footprint on one plant.
 
     The seeds of the runs are 0 to `runs` − 1. The result is an entry of a footprint
     file.

@@ -139,7 +139,7 @@ class GaitSetup:
 
     @property
     def transient_periods(self) -> int:
-        """Maximum number of gait periods of the transient after a change of offset."""
+        """Maximum duration of a transient after an offset change, in gait periods."""
         return 12 if self.controller == "ilc" else 6
 
     @property
@@ -257,7 +257,7 @@ _OFFSETS = (3, 101)
 """Minimum and maximum number of offsets."""
 
 _LIMITS = {"periods": (3, 200), "phases": (1, 64)}
-"""Minimum and maximum number of measured gait periods and of phases of the gait."""
+"""Minimum and maximum number of measured gait periods, and of gait phases."""
 
 
 @dataclass(frozen=True)

@@ -45,7 +45,7 @@ _SPREADS = {
     "left_m": "left",
     "right_m": "right",
 }
-"""Attributes of `SteadyPath` that correspond to the keys of the spread in the file."""
+"""Attributes of `SteadyPath` whose spread is written, by key in the file."""
 
 
 def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:

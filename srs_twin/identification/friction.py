@@ -10,11 +10,11 @@ $$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 The kinetic friction coefficient may be smaller. The estimate is the mean over all
 pulls. The standard error includes the errors of k and m, which are common to all pulls.
 
-A table of pulls is a CSV file. A row contains the maximum deformation of the spring in
-a pull along the body (column ``along_mm``), in a pull across the body (``across_mm``),
-or in one pull in each direction. The columns ``spring_n_per_m`` and ``mass_kg`` and the
-optional standard errors ``spring_error_n_per_m`` and ``mass_error_kg`` must be
-constant.
+A table of pulls is a CSV file. Each row contains the maximum spring deformation of a
+pull along the body (column ``along_mm``), of a pull across the body (``across_mm``), or
+of one pull in each direction. The columns ``spring_n_per_m`` and ``mass_kg`` must be
+constant, as must the optional columns of standard errors, ``spring_error_n_per_m`` and
+``mass_error_kg``.
 
 **Coasting tests.** The robot with vented chambers is pushed and released on the floor.
 A straight robot decelerates by μ_t g/(1 + s) along the wheels and by μ_n g across the
@@ -248,7 +248,7 @@ PULL_COLUMNS = "along_mm,across_mm,spring_n_per_m,mass_kg"
 
 
 def is_pull_table(path: StrPath) -> bool:
-    """Return whether the header of a file contains a column of a table of pulls."""
+    """Return whether the header of a file has a column of a table of pulls."""
     return any(
         name == direction or name.startswith((f"{direction}_", f"{direction} "))
         for name in first_line_names(path)
@@ -595,7 +595,7 @@ class _CoastingModel:
     def _residuals(
         self, run: CoastingTest, k: int, values: Mapping[str, float], angle: float
     ) -> list[Residual]:
-        """Return the residuals of run k minus their mean values.
+        """Return the residuals of run k without their means.
 
         Subtracting the mean value is equivalent to fitting the initial position.
         """

@@ -237,12 +237,15 @@ def ringing(
 ) -> Ringing:
     r"""Return the small oscillation about the bend at which the segment hangs at rest.
 
-    The linearised equation has the complex stiffness of the material and the air $$
-    K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad r =
-    \varphi'(x)\,G\,P\,\frac{A}{V}. $$ The damped frequency follows from the complex
-    root of M s² + K(s) + w = 0, where w is the stiffness due to the weight. The loss
-    factor at the damped frequency is Im K/Re K. Each Maxwell branch adds g s τ/(1 + s
-    τ) to the stiffness of the material.
+    The linearised equation has the complex stiffness of the material and the air
+
+    $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
+    r = \varphi'(x)\,G\,P\,\frac{A}{V}. $$
+
+    The damped frequency follows from the complex root of M s² + K(s) + w = 0, where w
+    is the stiffness due to the weight. The loss factor at the damped frequency is
+    Im K/Re K. Each Maxwell branch adds g s τ/(1 + s τ) to the stiffness of the
+    material.
 
     Args:
         segment: hanging segment.

@@ -6,8 +6,8 @@ rate ("averages"), or the path, heading and bends over time ("shapes"), or all o
 signals ("both").
 
 Some parameters cannot be identified from these data. The motion depends only on ratios
-of masses, and on the ratios of stiffness and damping to the masses. The model
-`complete` has prescribed bends, so its motion does not depend on the stiffness.
+of masses, and on the ratios of stiffness and damping to the masses. In the model
+`complete` the bends are prescribed, so the motion does not depend on the stiffness.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ _COARSE_STEP = 0.1
 """Coarse step of finite differences in z for the analytical plants."""
 
 MAX_TWIN_RUNS = 150
-"""Maximum number of simulations of all recordings with the twin in one search."""
+"""Maximum number of model runs in a search with the twin."""
 
 _CLOSE_STEPS = {"tolerance": 2e-5}  # m/s, multiplied by the time scale of the robot
 """Settings of an analytical plant in a fit.

@@ -4,7 +4,7 @@ The name of a parameter has the form `section.key` as in robot files. For exampl
 ``actuator.bend_rad`` is the bend at the nominal supply pressure. The name of a list
 element ends with the number of the connector or segment, as in ``mass.connectors_kg_5``
 or ``modules.gain_plus_2``. Without a number, ``mass.connectors_kg`` is the mean
-connector mass. Changing it scales all masses, including those of the wheels. The
+connector mass. A change of this mean scales all masses, including the wheel masses. The
 parameter ``modules.sensor_bias_rad`` applies to the sensors of all modules.
 
 A search uses the coordinate z = ln(value), or z = value/scale if the value may be 0 or
@@ -34,7 +34,7 @@ class FreeParameter:
         start: initial value of the search.
         scale: difference that is considered significant, in `unit`. If `scale` is None,
             the value is positive and z is the logarithm of the value.
-        nuisance: whether the parameter is not a result of interest, such as the initial
+        nuisance: whether the parameter is only needed for the fit, such as the initial
             velocity of a coasting test.
     """
 

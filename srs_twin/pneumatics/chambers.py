@@ -16,8 +16,8 @@ $$ x = G\,(g^+ p^+ - g^- p^-), \qquad q = b + \varphi(x), \qquad
 y = x - \frac{s w}{2} \ln \frac{\cosh((x + d)/w)}{\cosh((x - d)/w)}. $$
 
 The variable x is called the linear bend. The function φ is odd, smooth, and monotone
-for all s ≤ 1, d, w and q_m. With s = 0 and infinite q_m it is linear, as in the
-dissertation (Eq. 14). The free bend changes with x immediately, whereas x lags the
+for all s ≤ 1, d, w and q_m. With s = 0 and infinite q_m, the function is linear, as in
+the dissertation (Eq. 14). The free bend changes with x immediately, whereas x lags the
 pressures with the mode time constant τ₂.
 
 - *Saturation.* Inextensible strips and chambers that touch each other limit the bend to

@@ -1,24 +1,24 @@
 r"""Chambers that fill and vent with a first-order lag, solved in closed form.
 
 A valve state of +1 fills the chamber from the supply, −1 vents the chamber, and 0 holds
-the air in the chamber. Between valve events the gauge pressure of each chamber decays
-exponentially
+the air in the chamber. Between valve events, the gauge pressure of each chamber
+approaches an asymptote P exponentially:
 
-$$ p(t) = P + (p_0 - P)\,e^{-a t}, $$
+$$ p(t) = P + (p_0 - P)\,e^{-a t}. $$
 
-to the asymptote P with the rate a, which is 1/τ₁ plus the leak rate λ. The linear bend
-x of a segment without load lags the pressures with the mode time constant τ₂,
+The rate a is 1/τ₁ plus the leak rate λ. The linear bend x of a segment without load
+lags the pressures with the mode time constant τ₂:
 
-$$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
+$$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x). $$
 
-where `chambers` defines φ, b and the gains. Nominal modules with τ_fill = τ_vent = τ₁
-satisfy Eqs. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀
+The module `chambers` defines φ, b and the gains. Nominal modules with τ_fill = τ_vent =
+τ₁ satisfy Eqs. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀
 u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of τ₂. By default, there is no
 additional valve delay.
 
 A valve may fill the chamber for a fraction o of the time and vent it for the remaining
-time. The chamber pressure then decays at the rate a = o/τ_fill + (1 − o)/τ_vent + λ to
-P = (o S/τ_fill + r)/a, where S is the supply pressure and r an additional rate of
+time. The chamber pressure then approaches P = (o S/τ_fill + r)/a at the rate a =
+o/τ_fill + (1 − o)/τ_vent + λ. Here S is the supply pressure and r an additional rate of
 change (`relaxation_of`).
 
 **Pneumatic energy.** The amount of air n = P V(q) in a filling chamber increases by the

@@ -62,7 +62,7 @@ from srs_twin.robot.spec import RobotSpec
 CRITICAL_RATIO = 0.3
 """Critical pressure ratio b of a small solenoid valve, dimensionless.
 
-The value is an estimate. Small solenoid valves have ratios from 0.2 to 0.5.
+This estimate lies in the range of small solenoid valves, 0.2 to 0.5.
 """
 
 MAX_CRITICAL_RATIO = 0.8
@@ -262,7 +262,7 @@ class OrificePneumatics(Pneumatics):
             self._state[j, side] = (AMBIENT_PA + pressure[j, side]) * size
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures (Pa), and equal free and actual bends (rad)."""
+        """Set pressures (Pa), and set free and actual bends to equal values (rad)."""
         parameters = self.parameters
         linear = invert_bend_law(bend - self.rest_bend, parameters.bend_law)
         self.pressure = check_pressure(
