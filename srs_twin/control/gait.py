@@ -10,7 +10,7 @@ in the opposite direction (E12). A positive φ turns the snake to the left. The 
 image of a gait has the offset −φ and the phase ψ + π.
 
 The wave has two extensions that are not part of the dissertation. Each segment may have
-an additional phase lag α_j, and both chambers may vent for a fraction r of the period,
+an additional phase lag α_j. Both chambers may vent for a fraction r of the period,
 centred at the sign changes of the wave:
 
 $$ S_j = 0 \quad \text{where} \quad
@@ -23,13 +23,12 @@ phase lag λ:
 $$ P_j = \operatorname{sign}
    \sin\bigl(\rho\,(2\pi f t - \beta (j-1) + \psi - \alpha_j) - \lambda\bigr) . $$
 
-Valves can only open and close, so the amplitude of a wave is reduced by holding the
-wave at 0 for a fraction r of each period. The rest multiplies the amplitude of the
-fundamental by cos(π r/2). The pitch fraction s, from 0 to 1, is the amplitude of the
-pitch wave divided by the sum of the amplitudes of the pitch wave and the lateral wave.
-For s < 1/2 the pitch wave has the amplitude s/(1 − s), and for s > 1/2 the lateral wave
-has the amplitude (1 − s)/s. Chamber c with the direction d_c fills where d_c · (S_j,
-P_j) > 0.
+Valves can only open and close. To reduce its amplitude, a wave therefore rests at 0 for
+a fraction r of each period. The rest multiplies the amplitude of the fundamental by
+cos(π r/2). The pitch fraction s, from 0 to 1, is the amplitude of the pitch wave
+divided by the sum of both amplitudes. For s < 1/2, the pitch wave has the amplitude
+s/(1 − s). For s > 1/2, the lateral wave has the amplitude (1 − s)/s. Chamber c with the
+direction d_c fills where d_c · (S_j, P_j) > 0.
 
 | gait | pitch wave |
 |---|---|

@@ -7,9 +7,9 @@ depends on the sensed bends. The phases are:
    from 0 to 1, because a fast curl would push the object away. The remaining segments
    vent.
 2. *Drag.* The holding segments stay filled, and the remaining segments perform the gait
-   of Eq. 13. In the sensed mode the drag begins when the bend readings have settled,
-   provided that the holding segments bend less than they would without an object.
-   Otherwise the tail has missed the object, and the run ends.
+   of Eq. 13. In the sensed mode, the drag begins when the bend readings have settled,
+   if the holding segments bend less than they would without an object. Otherwise the
+   tail has missed the object, and the run ends.
 3. *Release.* The holding segments vent after a given time, or after the centre of mass
    has moved a given distance.
 """

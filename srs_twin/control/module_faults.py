@@ -1,20 +1,21 @@
 """Detection of dead sensors and stuck valves from the bend readings of a gait.
 
-**Sensors.** A sensor is considered dead if all readings of a period are lost, or if the
-readings do not change during a whole period in which a chamber of the segment fills.
+**Sensors.** A sensor is considered dead if all readings of a period are lost. A sensor
+is also considered dead if its readings stay constant over a period in which a chamber
+of the segment fills.
 
 **Valves.** A valve may be stuck if the amplitude of its chamber contradicts the duty in
 two successive periods. At full duty, an amplitude below a tenth of the target is a
 contradiction. At duty 0, an amplitude above the target is a contradiction. A + chamber
-that never vents and a − chamber that never fills produce the same readings, because in
-either case the segment moves between straight and bent to the left. A suspected segment
-is therefore tested by venting both chambers. If the segment remains bent, the valve of
-the chamber that bends the segment to this side is stuck open. If the segment
-straightens and an amplitude was too small, the valve of the chamber with this amplitude
-is stuck shut. If the segment straightens and an amplitude was too large, the cause is a
-load or a biased sensor, and the segment resumes the gait. The bend at rest is averaged
-over a whole period, which cancels the motion imposed by the segments that continue the
-gait. The average begins half a period after the start of venting, when the chambers are
+that never vents and a − chamber that never fills produce the same readings. In either
+case, the segment moves between straight and bent to the left. A suspected segment is
+therefore tested by venting both chambers. If the segment remains bent, the valve of the
+chamber that bends the segment to this side is stuck open. If the segment straightens
+and an amplitude was too small, the valve of the chamber with this amplitude is stuck
+shut. If the segment straightens and an amplitude was too large, the cause is a load or
+a biased sensor, and the segment resumes the gait. The bend at rest is averaged over a
+whole period, which cancels the motion imposed by the segments that continue the gait.
+The average begins half a period after the start of venting, when the chambers are
 empty.
 """
 

@@ -17,11 +17,10 @@ class PulseWidthModulator(Stateful):
     """Pulse-width modulation of 3/2 valves.
 
     In each carrier period, each chamber fills for a fraction of the period that equals
-    the chamber's duty, and vents for the remaining time. By default the pulse of the +
-    chamber begins at the start of the period, and the pulse of the − chamber ends at
-    the end of the period. If the two duties add up to 1, the two valves are always in
-    opposite states, as in Fig. 45c. If `aligned` is True, both pulses begin at the
-    start of the period.
+    the chamber's duty, and vents for the remaining time. By default, the pulse of the +
+    chamber begins with the period, and the pulse of the − chamber ends with the period.
+    If the two duties add up to 1, the two valves are always in opposite states, as in
+    Fig. 45c. If `aligned` is True, both pulses begin at the start of the period.
 
     The carrier period need not be a multiple of the tick or of the slot duration. A
     valve is open in a slot if the centre of the slot lies within the pulse. The

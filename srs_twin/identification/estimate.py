@@ -12,11 +12,11 @@ autocorrelation ρ_k, n samples are equivalent to n/τ independent samples, wher
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k . $$
 
-As in the initial positive sequence estimator (Geyer 1992, Statistical Science 7), the
-sum is truncated at the first pair ρ_{2m} + ρ_{2m+1} that is not positive. A fit of p
-parameters removes about a fraction c = p τ/n of the noise power from the residuals,
-mainly at low frequencies. The autocorrelation is therefore replaced by (ρ_k + c)/(1 +
-c). This correction is iterated because c depends on τ.
+The sum is truncated at the first pair ρ_{2m} + ρ_{2m+1} that is not positive (initial
+positive sequence estimator, Geyer 1992, Statistical Science 7). A fit of p parameters
+removes about a fraction c = p τ/n of the noise power from the residuals, mainly at low
+frequencies. The autocorrelation is therefore replaced by (ρ_k + c)/(1 + c). This
+correction is iterated because c depends on τ.
 
 The autocorrelation is a mean over all series, weighted by their power. The values of a
 short series, such as pulls or averages of runs, are treated as independent samples.

@@ -10,9 +10,9 @@ $$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 The kinetic friction coefficient may be smaller. The estimate is the mean over all
 pulls. The standard error includes the errors of k and m, which are common to all pulls.
 
-A table of pulls is a CSV file. Each row contains the maximum spring deformation of a
-pull along the body (column ``along_mm``), of a pull across the body (``across_mm``), or
-of one pull in each direction. The columns ``spring_n_per_m`` and ``mass_kg`` must be
+A table of pulls is a CSV file. The columns ``along_mm`` and ``across_mm`` contain the
+maximum spring deformation in pulls along and across the body. A row contains one pull
+in one or both directions. The columns ``spring_n_per_m`` and ``mass_kg`` must be
 constant, as must the optional columns of standard errors, ``spring_error_n_per_m`` and
 ``mass_error_kg``.
 
@@ -32,8 +32,8 @@ $$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert , $$
 where δ_i is the heading of connector i, m_i the mass of connector i, and M the total
 mass. Under the friction law `wheel`, the lateral slip of the wheels increases the drag
 coefficient to μ_t + ε √(μ_n² − μ_t²). The motion is expressed in a frame that turns
-with the body, and the angle between the mean heading and the rolling direction is a
-fitted parameter.
+with the body. The angle between the mean heading and the rolling direction is also
+fitted.
 
 The misalignment ε is computed from the recorded bends. If no bends were recorded, ε is
 computed from the rest bends in the robot file. Because ε(bends) is a seminorm, errors

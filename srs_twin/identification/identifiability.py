@@ -12,8 +12,8 @@ Each identifiable direction has the standard error σ/s_k. A parameter is not
 identifiable if its component in the unidentifiable directions exceeds 0.1. If the
 component is smaller, the parameter is assumed to be uniformly distributed between the
 bounds along these directions, which increases the variance. A parameter is also not
-identifiable if its standard error in z is at least 1, because the data then restrict
-the parameter little more than the bounds do. Otherwise a parameter is identified if its
+identifiable if its standard error in z is at least 1. The data then restrict the
+parameter little more than the bounds do. Otherwise a parameter is identified if its
 standard error is at most 0.1, and weakly identified above 0.1.
 """
 

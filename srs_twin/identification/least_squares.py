@@ -11,9 +11,9 @@ of the parameters. For a crawling robot, the first stage uses the residuals of t
 bends. The residuals of path and heading are monotonic only within a few per cent of the
 solution. Further away, the simulated robot may turn in a different direction.
 
-**Intervals.** Let S be the sum of squares at the estimate, p the number of parameters,
-and n the number of samples, which are equivalent to n/τ independent samples
-(`correlation_time`). The covariance is
+**Intervals.** Let S be the sum of squares at the estimate, p the number of parameters
+and n the number of samples. Due to correlations, these samples are equivalent to n/τ
+independent samples (`correlation_time`). The covariance is
 
 $$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\tau - p}.
 $$

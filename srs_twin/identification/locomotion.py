@@ -169,9 +169,9 @@ _COMPLIANT_STEPS = _CLOSE_STEPS | {
 }  # s and m/s, multiplied by the time scale of the robot
 """Settings of the model `compliant` in a fit.
 
-With the default time step of 2 ms and slip speed of 0.25 mm/s, the sum of squares has
-many local minima a few standard errors apart. The slip speed set here is also used by
-the twin.
+With the defaults, a time step of 2 ms and a slip speed of 0.25 mm/s, the sum of squares
+has many close local minima, a few standard errors apart. The slip speed set here is
+also used by the twin.
 """
 
 _DIVERGED_RESIDUAL = 1e3

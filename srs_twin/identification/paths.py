@@ -15,10 +15,10 @@ the new offset. In fact, the path after the transient is
 
 $$ P ∘ D ∘ A(v (t − t_s)), $$
 
-where D is a constant displacement due to the transient. The path has settled when the
-turning angle per gait period differs from the steady value at the new offset by at most
-10 % of the change. If iterative learning still varies the turning angle, a deviation of
-twice the variation is allowed.
+where D is a constant displacement due to the transient. The error of the turning angle
+per gait period is the difference from the value at the new offset. The path has settled
+when this error is at most 10 % of the change. If iterative learning still varies the
+turning angle, an error of twice the variation is allowed.
 """
 
 from __future__ import annotations
@@ -252,8 +252,8 @@ def measure_transient(
     """Measure the transient after one change of offset.
 
     The part of the body that is still on the old arc is excluded, because a planner
-    includes this part in the area swept along the old arc. `paths` contains the steady
-    paths of the old and the new offset.
+    assigns it to the area swept along that arc. `paths` contains the steady paths of
+    the old and the new offset.
     """
     old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:

@@ -112,9 +112,9 @@ class StaticTable:
     ) -> StaticTable:
         """Return the plateaus of a recording that has a log.
 
-        If the log contains valve states, a filling chamber is assumed to reach the
-        supply pressure after 5 τ, and a venting chamber is assumed to reach zero gauge
-        pressure. Times at which a chamber holds its air are excluded, because the
+        If the log contains valve states, pressures are assumed to be constant after 5
+        τ: the supply pressure in filling chambers, and zero gauge pressure in venting
+        chambers. Times at which a chamber holds its air are excluded, because the
         chamber pressure is then unknown.
         """
         trajectory = recording.trajectory

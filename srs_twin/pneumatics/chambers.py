@@ -21,8 +21,8 @@ the dissertation (Eq. 14). The free bend changes with x immediately, whereas x l
 pressures with the mode time constant τ₂.
 
 - *Saturation.* Inextensible strips and chambers that touch each other limit the bend to
-  q_m. The deviation of φ from the linear law is at most 1.5 % up to q_m/2, and the
-  derivative of φ is one third at 0.87 q_m.
+  q_m. Up to q_m/2, φ deviates from the linear law by at most 1.5 %. At 0.87 q_m, the
+  derivative of φ is one third.
 - *Dead zone.* The walls of some modules must swell before the module bends. For |x| <
   d, the dead zone reduces the derivative by the fraction s. For larger |x|, it reduces
   the bend by s d. The width of the transition is w, and the derivative at x = 0 is 1 −

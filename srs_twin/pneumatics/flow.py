@@ -84,8 +84,8 @@ def conductances(spec: RobotSpec, critical: float) -> Conductances:
 
     One chamber is assumed to fill or vent while the opposite chamber is empty. To first
     order in τ₂, the bend is q ≈ G (p − τ₂ ṗ). A change dp of the gauge pressure
-    requires the amount of air K dp, so that ṗ = ṅ/K with the capacity K(p) = V + (p +
-    P_a) A G. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures. For a
+    requires the amount of air K dp with the capacity K(p) = V + (p + P_a) A G. Hence ṗ
+    = ṅ/K. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures. For a
     valve, C is chosen so that dṗ/dp = −1/τ₁ at one working point. At the working point,
     a pressure change between ambient and nominal supply has reached the fraction 1 −
     e⁻².

@@ -1,8 +1,8 @@
 r"""Isothermal chambers behind orifices (ISO 6358) whose volumes grow with the bend.
 
-One supply feeds all chambers. The unknowns are the amount of air n = P V of each
-chamber, the linear bends x, and the amount of air in the line between the supply and
-the inlets:
+One supply feeds all chambers. The unknowns are the amounts of air n = P V in the
+chambers, the linear bends x, and the amount of air in the line from the supply to the
+inlets:
 
 $$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),\qquad
 \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q_f = b + \varphi(x). $$
