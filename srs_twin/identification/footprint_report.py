@@ -52,12 +52,12 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
     """Convert a measurement to a footprint file."""
     setup = measured.setup
     paths = measured.steady
-    phases = f"{measured.repeats} phases of the gait"
+    phases = f"{measured.repeats} gait phases"
     source = (
         f"measured on {_plant_text(setup)} by `srs-twin calibrate footprint`, over"
-        f" {measured.periods} gait periods at each of {phases} at the start"
+        f" {measured.periods} gait periods from each of {phases}"
     )
-    edge = "as curvature_per_m; the farthest that any repeat reached"
+    edge = "as curvature_per_m; maximum over all runs"
     # Upper bound: a snake is longest when it is straight.
     body = setup.spec.geometry
     straight = round((body.body_length + body.width) / 2, _DIGITS)
@@ -81,11 +81,13 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         "left_m": record(_column(paths, "left"), "m", edge),
         "right_m": record(_column(paths, "right"), "m", "as left_m"),
         "ahead_m": record(
-            max(*_column(paths, "ahead"), straight), "m", "as left_m, or straight"
+            max(*_column(paths, "ahead"), straight),
+            "m",
+            "as left_m, or half a straight robot",
         ),
         "behind_m": record(max(*_column(paths, "behind"), straight), "m", "as ahead_m"),
         "spread": {
-            "source": f"half the range over {phases} at the start",
+            "source": f"half the range over runs from {phases}",
             **{key: _column(measured.spread, name) for key, name in _SPREADS.items()},
         },
     }
@@ -93,8 +95,8 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         content["transients"] = {
             "status": "calibrated",
             "source": (
-                f"as curvature_per_m, each change at {phases}: the widest and longest"
-                " of them, and the mean jump"
+                f"as curvature_per_m, for changes at {phases}: maximum widths and"
+                " lengths, and mean displacement"
             ),
             "changes": [_change_entry(transient) for transient in measured.transients],
         }
