@@ -49,9 +49,9 @@ def fitted(bias: float, spread: float = 0.0) -> Accuracy:
 
 def test_a_value_shifted_by_model_error_names_the_value_without_it():
     high = fitted(0.5).parameter(0)
-    assert "a fit to the reference with 9 gives this value" in high.why
+    assert "the reference simulates with 9 give this value" in high.why
     low = fitted(-0.5).parameter(0)
-    assert "a fit to the reference with 11 gives this value" in low.why
+    assert "the reference simulates with 11 give this value" in low.why
     assert "model error" not in fitted(0.0).parameter(0).why
 
 

@@ -1,4 +1,4 @@
-"""Base class of the controllers, and replacement of lost sensor readings."""
+"""Base class for controllers, and a filter that replaces lost sensor readings."""
 
 from __future__ import annotations
 
@@ -19,17 +19,16 @@ if TYPE_CHECKING:
 
 
 class Controller(Claimable, Stateful, ABC):
-    """Controller that computes the valve commands of one control tick.
+    """Base class for controllers, which compute valve commands once per control tick.
 
-    A controller reads the sensed bends in `SnakeState.measured_bend` and poses from a
-    camera. A controller never reads the true `bend`, and does not know which plant it
-    controls.
+    A controller reads the sensed bends in `SnakeState.measured_bend` and the camera
+    poses, but never the true `bend`. It works with any plant.
 
     Attributes:
         kind: name of the controller in scenario files.
         frequency: gait frequency, Hz, or None if the controller is not periodic.
         layouts: names of the supported valve layouts, a subset of `LAYOUTS`.
-        spatial: whether the controller commands the chambers of a spatial robot.
+        spatial: whether the controller commands a spatial robot.
         finished: whether the controller has ended its task. The rollout ends after the
             tick in which `finished` becomes True.
     """
@@ -53,20 +52,20 @@ class Controller(Claimable, Stateful, ABC):
             seed: random seed of the controller.
 
         Raises:
-            InputError: the controller does not support the valve layout or the tick of
-                the robot.
+            InputError: the controller does not support the valve layout of the robot,
+                or the control tick.
         """
 
     @abstractmethod
     def step(self, state: SnakeState) -> np.ndarray:
         """Return the valve states of the next tick.
 
-        The array has the dtype int8 and the shape (segments, 2), or (slots, segments,
-        2) if the states change within the tick.
+        The result is an int8 array of shape (segments, 2), or of shape (slots,
+        segments, 2) if states change within the tick.
         """
 
     def save(self) -> SavedState:
-        """Return the controller's state, which `restore` accepts in any process.
+        """Return the controller state, which `restore` also accepts in another process.
 
         Raises:
             InputError: the class does not list its `state_attributes`.
@@ -77,8 +76,7 @@ class Controller(Claimable, Stateful, ABC):
     def restore(self, state: SavedState) -> None:
         """Continue from a saved state.
 
-        Before this call, the controller must be reset with an equal robot and an equal
-        tick.
+        Call `reset` first, with the robot and the tick that the saved controller used.
 
         Raises:
             InputError: the state belongs to another controller, or `reset` has not been
@@ -89,25 +87,25 @@ class Controller(Claimable, Stateful, ABC):
         self.load_state_dict(state.content)
 
     def identity(self) -> dict[str, object]:
-        """Return the properties, as JSON values, that a saved state must match."""
+        """Return JSON values that a saved state and this controller must share."""
         return {"controller": self.kind, "class": type(self).__name__}
 
     def script(self, duration: float) -> Schedule | None:
-        """Return the valve states of the whole run, or None in closed loop.
+        """Return the valve states of the whole run, or None for closed-loop control.
 
         The rollout calls this method after `reset`. A controller that returns a
         schedule must have constant signals and must not record events.
 
         Args:
-            duration: duration of the run, s, which is a whole number of ticks.
+            duration: duration of the run, a whole number of ticks, s.
         """
         return None
 
     def signals(self) -> dict[str, Any]:
         """Return the signals to record, keyed by name.
 
-        Each value is a number or an array. The recorded names of array elements are
-        numbered from 1.
+        Each value is a number or an array. Array elements are recorded under the name
+        followed by the element number, counted from 1.
         """
         return {}
 
@@ -131,8 +129,7 @@ class SensorReadings(Stateful):
     """Latest valid bend readings of all segments.
 
     A reading counts as lost if it is not finite or exceeds a full turn. A lost reading
-    is replaced by the previous valid reading, which is initially 0. Events record when
-    readings are lost and recovered.
+    is replaced by the previous valid reading, which is initially 0.
 
     Attributes:
         value: latest valid readings, shape (segments,), rad.
@@ -147,7 +144,7 @@ class SensorReadings(Stateful):
         self.lost: np.ndarray = np.zeros(segments, dtype=bool)
 
     def update(self, time: float, measured_bend: np.ndarray) -> list[Event]:
-        """Store the readings (rad) of one tick, and return loss and recovery events."""
+        """Store the readings of one tick (rad), and return events for lost readings."""
         measured_bend = np.asarray(measured_bend, dtype=float)
         lost = ~(np.abs(measured_bend) <= MAX_READING_RAD)
         self.value = np.where(lost, self.value, measured_bend)
@@ -156,13 +153,15 @@ class SensorReadings(Stateful):
         events = []
         for j in np.flatnonzero(lost & ~self.lost):
             text = (
-                f"segment {j + 1}: reading lost; the last good one, {self.value[j]:.4g}"
-                " rad, is held"
+                f"segment {j + 1}: reading lost; the last valid reading,"
+                f" {self.value[j]:.4g} rad, is used instead"
             )
             events.append(Event(time, "reading_lost", text))
         for j in np.flatnonzero(self.lost & ~lost):
             events.append(
-                Event(time, "reading_back", f"segment {j + 1}: readings are back")
+                Event(
+                    time, "reading_back", f"segment {j + 1}: readings are valid again"
+                )
             )
         self.lost = lost
         return events

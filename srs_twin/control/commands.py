@@ -34,7 +34,7 @@ RELATIVE_PRESSURE_RANGE = (0.85, 1.15)
 In generation 2 the limits correspond to 41 and 55 kPa (Section 3.4.2).
 """
 _TIME_ROUNDING_S = 1e-9
-"""Tolerance for comparing times, s, because sums of ticks have rounding errors."""
+"""Tolerance for comparing times, s. Sums of ticks have rounding errors."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class CommandedGait(Stateful):
     ) -> None:
         """Start the gait at time 0.
 
-        The pneumatics must be built for the maximum pressure that will be commanded.
+        Construct the pneumatics with the highest pressure that will be commanded.
 
         Raises:
             InputError: a gait parameter or the supply pressure is out of range.
@@ -108,10 +108,10 @@ class CommandedGait(Stateful):
     def valves(
         self, time: float, command: GaitCommand, pitch: PitchWave | None = None
     ) -> np.ndarray:
-        """Apply a command and return the valve states of one tick.
+        """Apply a command and return the valve states of the tick starting at `time`.
 
-        The tick begins at `time` (s). The phase of the wave is continuous, and the new
-        supply pressure acts immediately. A spatial robot also needs a pitch wave.
+        `time` is in seconds. A change of frequency does not make the wave jump, and a
+        new supply pressure acts immediately. A spatial robot also needs `pitch`.
 
         Raises:
             InputError: a gait parameter or the supply pressure is out of range.
@@ -133,11 +133,11 @@ class ScheduledOffset(Controller):
     def __init__(
         self, controller: Gait | ILC, changes: Sequence[tuple[float, float]]
     ) -> None:
-        """Wrap the controller to steer.
+        """Schedule offset changes for a controller.
 
         Args:
-            controller: controller to steer. The current offset of the controller is
-                used until the first change.
+            controller: controller to steer, which keeps its current offset until the
+                first change.
             changes: pairs of time (s) and new offset. A change takes effect at the
                 first tick that begins at or after its time.
 
@@ -148,7 +148,7 @@ class ScheduledOffset(Controller):
         if not all(b > a for a, b in zip(times, times[1:], strict=False)):
             raise InputError(
                 f"the times of the offset changes {times[1:]} s are not allowed; they"
-                " must be above 0 and increase"
+                " must be positive and strictly increasing"
             )
         self.kind = controller.kind
         self.frequency = controller.frequency
@@ -192,7 +192,7 @@ class ScheduledOffset(Controller):
         return self._inner.signals()
 
     def events(self) -> list[Event]:
-        """Return the events of the offset changes and of the wrapped controller."""
+        """Return events for offset changes and the events of the wrapped controller."""
         return super().events() + self._inner.events()
 
     def describe(self) -> dict[str, object]:

@@ -9,20 +9,20 @@ A_{\text{smaller}} = A \Bigl(1 - \tfrac{3}{7} \tfrac{|\varphi|}{0.3}\Bigr). $$
 
 **Periods.** The amplitude of each chamber is measured over the chamber's own period.
 Period n of a chamber begins when the chamber is filled for the n-th time and ends when
-the chamber is filled again. Air flow and inertia delay the peak of the bend, but by
-less than the duration of the following vent. The peak therefore lies within one period,
-and the duty is updated before the next fill. Section 5.1 uses one common period for all
-chambers. For some chambers the common period ends during a peak, and the duty changes
-during a fill.
+the chamber is filled again. Air flow and inertia delay the bend peak beyond the end of
+the fill, but by less than the duration of the vent that follows. The peak therefore
+lies within one period, and the duty is updated before the next fill. Section 5.1
+instead uses one period for all chambers. For some chambers, this period ends during a
+peak, and the duty changes during a fill.
 
 **Duties.** The learning law updates one duty per chamber (Eq. 32),
 
 $$ u_n = \operatorname{clip}\bigl(u_{n-1} + k\,e_{n-1},\, 0,\, 1\bigr), \qquad
 e_{n-1} = \text{target} - \text{amplitude}. $$
 
-If the amplitude is c u, each update multiplies the error by 1 − k c. Clipping the duty
-itself, instead of an integral of the error, avoids wind-up. A duty at a bound leaves
-the bound as soon as the error changes sign.
+For an amplitude c u with constant c, each update multiplies the error by 1 − k c.
+Clipping the duty avoids integrator wind-up, because a saturated duty leaves its bound
+as soon as the error changes sign.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ rad/0.7 rad).
 MIN_READINGS_PER_PERIOD = 8
 """Minimum number of readings per gait period for an amplitude measurement."""
 SIDES = ("+", "−")
-"""Names of the two chambers of a segment, in the order of the last axis of arrays."""
+"""Sides of the two chambers of a segment, in the order of the last array axis."""
 CONVERGENCE_TOLERANCE = 0.05
 """Relative amplitude error below which learning has converged, dimensionless."""
 
@@ -87,10 +87,10 @@ class ChamberPeriods(Stateful):
 
     Attributes:
         period: duration T of a period, s.
-        fill_starts: start time of the first fill, s, from −T/2 to T/2. The start time
-            is negative for a chamber that is already filling at time 0.
-        number: number of the current period, counted from 1. Before the first period
-            the number is 0.
+        fill_starts: start time of the first fill, s, from −T/2 to T/2. It is negative
+            if the chamber is already filling at time 0.
+        number: number of the current period, counted from 1, or 0 before the first
+            period.
         peak: maximum bend towards the side of the chamber in the last completed period,
             rad. The + chamber is on the left.
         span: difference between the maximum and the minimum reading in the last
@@ -147,8 +147,8 @@ class ChamberPeriods(Stateful):
         """Shift the start times of the fills according to a steering offset φ (Eq. 13).
 
         Args:
-            shift: phase asin φ, rad. The fills of the + chambers begin earlier and the
-                fills of the − chambers begin later by this phase.
+            shift: phase asin φ, rad, by which + chambers begin to fill earlier and −
+                chambers begin to fill later.
         """
         lead = shift / (2 * math.pi) * self.period
         self.fill_starts = self._unsteered + lead * np.array([-1, 1])
@@ -195,12 +195,12 @@ class ChamberPeriods(Stateful):
 
 
 class Duties(Stateful):
-    """Learnt duty of each chamber. Events report saturation and convergence.
+    """Learnt duty of each chamber.
 
     Attributes:
         value: duties u, shape (segments, 2), from 0 to 1.
-        error: amplitude errors e in the last update, shape (segments, 2), rad. The
-            errors are NaN before the first update.
+        error: amplitude errors e in the last update, or NaN before the first update,
+            shape (segments, 2), rad.
     """
 
     state_attributes = (
@@ -244,7 +244,7 @@ class Duties(Stateful):
         return events
 
     def restart_convergence(self) -> None:
-        """Mark all amplitudes as not converged, because the targets have changed."""
+        """Mark all amplitudes as not converged after the targets have changed."""
         self._relative_error = np.full_like(self._relative_error, math.inf)
         self._converged = False
 

@@ -1,16 +1,16 @@
-r"""Lateral undulation by a square wave of valve states from head to tail (Eq. 13).
+r"""Lateral undulation driven by a square wave of valve states (Eq. 13).
 
 $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\bigr) $$
 
 Here f is the gait frequency, β the phase lag per segment, ψ the phase and φ the
 steering offset. S_j = +1 fills the + chamber of segment j and vents the − chamber. S_j
 = −1 vents the + chamber and fills the − chamber. The sign of 0 is +1. The wave travels
-from head to tail and propels the snake forward. The wave of Eq. 13 as printed travels
+from head to tail and propels the snake forward. As printed, the wave of Eq. 13 travels
 in the opposite direction (E12). A positive φ turns the snake to the left. The mirror
 image of a gait has the offset −φ and the phase ψ + π.
 
 The wave has two extensions that are not part of the dissertation. Each segment may have
-an additional phase lag α_j, and both chambers may vent for a fraction r of the period,
+an additional phase lag α_j. Both chambers may vent for a fraction r of the period,
 centred at the sign changes of the wave:
 
 $$ S_j = 0 \quad \text{where} \quad
@@ -23,13 +23,12 @@ phase lag λ:
 $$ P_j = \operatorname{sign}
    \sin\bigl(\rho\,(2\pi f t - \beta (j-1) + \psi - \alpha_j) - \lambda\bigr) . $$
 
-Valves only open and close, so the amplitude of a wave is reduced by holding the wave at
-0 for a fraction r of each period. The fundamental of a square wave that rests for the
-fraction r of each period has the amplitude cos(π r/2). The pitch fraction s, from 0 to
-1, is the amplitude of the pitch wave divided by the sum of the amplitudes of the pitch
-wave and the lateral wave. For s < 1/2 the pitch wave has the amplitude s/(1 − s), and
-for s > 1/2 the lateral wave has the amplitude (1 − s)/s. Chamber c with the direction
-d_c fills where d_c · (S_j, P_j) > 0.
+Valves can only open and close. To reduce its amplitude, a wave therefore rests at 0 for
+a fraction r of each period. The rest multiplies the amplitude of the fundamental by
+cos(π r/2). The pitch fraction s, from 0 to 1, is the amplitude of the pitch wave
+divided by the sum of both amplitudes. For s < 1/2, the pitch wave has the amplitude
+s/(1 − s). For s > 1/2, the lateral wave has the amplitude (1 − s)/s. Chamber c with the
+direction d_c fills where d_c · (S_j, P_j) > 0.
 
 | gait | pitch wave |
 |---|---|
@@ -58,17 +57,15 @@ from srs_twin.pneumatics.valves import Schedule, count_slots
 from srs_twin.robot.spec import RobotSpec
 
 _BLOCK = 20_000
-"""Maximum number of slots evaluated at once, which bounds the memory use."""
+"""Maximum number of slots evaluated in one batch, which limits the memory use."""
 
 
 @dataclass(frozen=True)
 class PitchWave:
-    """Wave that bends a spatial robot upwards and downwards. See the module docstring.
+    """Wave that bends a spatial robot upwards and downwards.
 
     Attributes:
-        fraction: pitch fraction s, from 0 to 1, which is the amplitude of the pitch
-            wave divided by the sum of the amplitudes of the pitch wave and the lateral
-            wave.
+        fraction: pitch fraction s, from 0 (lateral wave only) to 1 (pitch wave only).
         lag_rad: phase lag λ behind the lateral wave, rad.
         frequency_ratio: ratio ρ of the pitch wave's frequency to the gait frequency,
             above 0.
@@ -101,8 +98,8 @@ class PitchWave:
         """Check that a robot can perform the pitch wave.
 
         Raises:
-            InputError: the robot bends in one plane, or has fewer segments than the
-                wave lifts.
+            InputError: the robot bends in one plane, or has fewer segments than
+                `lifted_segments`.
         """
         if not spec.is_spatial:
             raise InputError(
@@ -132,13 +129,13 @@ class Gait(Controller):
     """Open-loop gait of Eq. 13.
 
     Attributes:
-        frequency: gait frequency f, Hz. `change_frequency` changes the frequency during
-            a run.
+        frequency: gait frequency f, Hz. Call `change_frequency` to change it during a
+            run.
         offset: steering offset φ, between −1 and 1. The offset may be changed during a
             run.
         phase: phase ψ, rad.
-        phase_lag: phase lag β (j − 1) − ψ of each segment, shape (segments,), rad.
-            `reset` sets the phase lags.
+        phase_lag: phase lag β (j − 1) − ψ of each segment, set by `reset`, shape
+            (segments,), rad.
     """
 
     kind = "gait"
@@ -177,14 +174,13 @@ class Gait(Controller):
         Raises:
             InputError: a rest fraction is given together with a pitch wave, the
                 frequency is not above 0, or the offset or the rest fraction is out of
-                range. Setting `offset` to a value that is out of range raises the same
-                error.
+                range.
         """
         rest_fraction = rest_fraction or 0.0
         if not 0 <= rest_fraction < 1:
             raise InputError(
-                f"gait rest {rest_fraction!r} is not allowed; it must be at least 0 and"
-                " below 1"
+                f"gait `rest_fraction` {rest_fraction!r} is not allowed; it must be at"
+                " least 0 and below 1"
             )
         self.frequency = _checked_frequency(frequency)
         self.offset = offset
@@ -255,10 +251,7 @@ class Gait(Controller):
         self._tick = tick
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick.
-
-        The array has no slot axis if no state changes within the tick.
-        """
+        """Return the valve states of the next tick."""
         return self.valves_at(float(state.time))
 
     def valves_at(self, time: float) -> np.ndarray:
@@ -267,8 +260,8 @@ class Gait(Controller):
             return self._spatial_valves(time + self._tick * self._slot_centres)
         first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
         # A tick that is shorter than the shortest constant section of the wave contains
-        # at most one change. If the states at the two ends of a short tick are equal,
-        # there is no change within the tick.
+        # at most one change. Equal states at both ends of a short tick therefore rule
+        # out a change within the tick.
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)
@@ -355,7 +348,7 @@ class Gait(Controller):
 def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
     """Return 1 above the rest level, −1 below the negated rest level, and 0 in between.
 
-    Without a rest level, a value of 0 returns 1.
+    If the rest level is 0, the result is never 0: a value of 0 gives 1.
     """
     # The tolerance makes the sign of an exact zero independent of rounding.
     low = -rest - 1e-12

@@ -3,13 +3,13 @@
 In open loop, the phases begin at given times. In the sensed mode, the start of the drag
 depends on the sensed bends. The phases are:
 
-1. *Curl.* The valves of the holding segments at the tail fill one side with a duty that
-   rises from 0 to 1, because a fast curl would push the object away. The valves of the
-   remaining segments vent.
+1. *Curl.* The holding segments at the tail fill on one side. The duty rises gradually
+   from 0 to 1, because a fast curl would push the object away. The remaining segments
+   vent.
 2. *Drag.* The holding segments stay filled, and the remaining segments perform the gait
-   of Eq. 13. In the sensed mode the drag begins when the bend readings have settled,
-   provided that the holding segments bend less than without an object. Otherwise the
-   tail has not enclosed an object, and the run ends.
+   of Eq. 13. In the sensed mode, the drag begins when the bend readings have settled,
+   if the holding segments bend less than they would without an object. Otherwise the
+   tail has missed the object, and the run ends.
 3. *Release.* The holding segments vent after a given time, or after the centre of mass
    has moved a given distance.
 """
@@ -34,13 +34,13 @@ if TYPE_CHECKING:
 MODES = ("open_loop", "sensed")
 SIDES = ("left", "right")
 _SLOTS = 20
-"""Number of slots per tick, which determines the resolution of the duty."""
+"""Number of slots per tick, which sets the resolution of the duty."""
 _SETTLED_RAD_PER_S = 0.3
 """Bend rate below which the tail counts as settled, rad/s."""
 _SETTLING_S = 0.3
 """Time over which the bend rate is averaged, s."""
 _GRIP_RAD = 0.1
-"""Minimum decrease of the mean bend that indicates an object, rad."""
+"""Minimum reduction of the mean bend from which an object is inferred, rad."""
 
 
 class Phase(IntEnum):
@@ -76,20 +76,20 @@ def check_release(mode: str, drag_m: float | None) -> None:
     """
     if drag_m is not None and mode == "open_loop":
         raise InputError(
-            "`drag_m` is used only in mode sensed; for mode open_loop, set"
+            "`drag_m` is allowed only in the mode 'sensed'; for mode 'open_loop', set"
             " `release_after_s` instead"
         )
 
 
 def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> None:
-    """Set the valves of the holding segments at the tail to a duty.
+    """Apply a duty to the holding segments at the tail.
 
     Args:
         valves: valve states of a tick, shape (slots, segments, 2), changed in place.
         hold: number of holding segments.
         duty: signed fraction of the slots in which a chamber fills. Positive values
             fill the left chambers, and negative values fill the right chambers.
-        pulses: number of equal pulses in the tick.
+        pulses: number of equal pulses per tick.
     """
     slots = len(valves) // pulses
     chamber = 0 if duty >= 0 else 1
@@ -100,7 +100,7 @@ def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> No
 
 
 class Grasp(Controller):
-    """Grasp and drag of an object next to the tail. See the module docstring.
+    """Grasp and drag of an object next to the tail.
 
     Attributes:
         frequency: gait frequency of the dragging segments, Hz.
@@ -145,13 +145,13 @@ class Grasp(Controller):
             mode: one of `MODES`.
             side: side of the object, one of `SIDES`.
             hold: number of holding segments at the tail.
-            curl_s: time in which the duty of the curl rises to 1, s.
+            curl_s: time in which the duty of the holding segments rises from 0 to 1, s.
             drag_after_s: start time of the drag in open-loop mode, or the latest start
                 time in the sensed mode, s.
-            release_after_s: time from the start of the drag to the release, s. If None,
-                the object is not released after a given time.
-            drag_m: distance after which the object is released, m. A distance is
-                allowed only in the sensed mode.
+            release_after_s: time from the start of the drag to the release, s, or None
+                for no timed release.
+            drag_m: drag distance after which the object is released, m. This argument
+                is allowed only in the sensed mode.
             phase_step: phase lag of the gait per segment, rad. If None, the phase lag
                 of the robot is used.
 
@@ -225,7 +225,7 @@ class Grasp(Controller):
             if not (has_settled or time >= self.drag_after_s):
                 return
             if is_sensed and self.grip < _GRIP_RAD:
-                missed = "the tail is closed without an object"
+                missed = "the tail has curled without enclosing an object"
                 self._events.append(Event(time, "grasp_missed", missed))
                 self.finished = True
             else:
@@ -244,8 +244,8 @@ class Grasp(Controller):
         self.phase = phase
         name = phase.name.lower()
         text = (
-            f"{name} begins; the object keeps the holding segments {self.grip:.2g} rad"
-            " from their free bend"
+            f"{name} begins; the holding segments bend {self.grip:.2g} rad less than"
+            " without an object"
         )
         self._events.append(Event(time, "grasp", text))
 

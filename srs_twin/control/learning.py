@@ -1,18 +1,15 @@
 """Iterative learning control of a gait (Section 5.1).
 
-The duty of each chamber is updated once per gait period.
-
 The controller uses the wave of the open-loop gait without offset (Eq. 13). While the
 wave fills a chamber, the valve is pulse-width modulated with the duty of the chamber.
-If all duties are 1, the valve states are equal to those of the open-loop gait.
+With all duties at 1, the valves switch as in the open-loop gait.
 
 When a period of a chamber ends (`ChamberPeriods`), the duty of the chamber is corrected
 according to the measured amplitude (`Duties`, Eq. 32). The amplitude of a + chamber is
 the maximum sensed bend in the period. The amplitude of a − chamber is the negated
-minimum sensed bend. The snake is steered by different target amplitudes on the two
-sides (`targets`). With `steering="targets_and_wave"`, the steering offset φ also enters
-the wave as in Eq. 13, which lengthens the fills on the side towards which the snake
-turns.
+minimum sensed bend. To turn the snake, the two sides have different target amplitudes
+(`targets`). With `steering="targets_and_wave"`, the steering offset φ also enters the
+wave as in Eq. 13, which lengthens the fills on the side towards which the snake turns.
 
 During the first periods, called free periods, all duties stay at 1. The amplitudes of
 the following period are recorded. The target amplitude A is either a given value or the
@@ -60,7 +57,7 @@ _MAX_LOST = 0.5
 
 
 class ILC(Controller):
-    """Iterative learning control of a gait. See the module docstring.
+    """Controller that learns the duties of a gait iteratively.
 
     Attributes:
         frequency: gait frequency f, Hz.
@@ -68,8 +65,8 @@ class ILC(Controller):
             offset may be changed during a run.
         amplitude: target amplitude A, rad, or None before the target amplitude is
             known.
-        duties: learnt duties. The chambers of faulty segments vent regardless of the
-            learnt duties.
+        duties: learnt duties. The chambers of faulty segments vent whatever their
+            duties.
         faults: fault detection for the modules.
     """
 
@@ -107,15 +104,14 @@ class ILC(Controller):
             carrier_hz: carrier frequency of the pulse-width modulation, Hz.
             on_fault: action after the detection of a fault. "go_on" continues without
                 the faulty module, and "stop" ends the run.
-            steering: quantities that depend on φ. With "targets" only the target
-                amplitudes depend on φ, and with "targets_and_wave" also the wave of Eq.
-                13.
+            steering: how φ steers. With "targets", φ changes only the target
+                amplitudes. With "targets_and_wave", φ also changes the wave of Eq. 13.
             phase: phase ψ of the wave, rad.
             phase_step: phase lag β per segment, rad. If None, the phase lag of the
                 robot is used.
 
         Raises:
-            InputError: a number is out of range, or a fill has too few pulses.
+            InputError: an argument is out of range, or a fill has too few pulses.
             UnknownNameError: an option has an unknown value.
         """
         if on_fault not in ON_FAULT:
@@ -132,7 +128,7 @@ class ILC(Controller):
         check_positive("ilc carrier_hz", carrier_hz)
         if free_periods < 1:
             raise InputError(
-                f"ilc free_periods {free_periods!r} is not allowed; it must be 1 or"
+                f"ilc `free_periods` {free_periods!r} is not allowed; it must be 1 or"
                 " more"
             )
         self._gait = Gait(frequency, phase=phase, phase_step=phase_step)
@@ -217,7 +213,7 @@ class ILC(Controller):
         }
 
     def events(self) -> list[Event]:
-        """Return the new events of updates, targets, saturated duties and faults."""
+        """Return new events about updates, targets, saturated duties and faults."""
         return super().events() + self.faults.events()
 
     def describe(self) -> dict[str, object]:
@@ -281,8 +277,7 @@ class ILC(Controller):
         updated = measured & ~free & faults.working[:, None]
         self._events += self.duties.learn(time, updated, peak, self._targets)
         self._events += self.duties.converged(time, faults.working)
-        # Report once per gait period, at the end of the period of the chamber that
-        # fills last.
+        # Report once per gait period, when the period of the last chamber to fill ends.
         if ended[self._last_chamber]:
             number = int(periods.number[self._last_chamber]) - 1
             self._events += self.duties.summary(time, number, faults.working)

@@ -1,20 +1,22 @@
 """Detection of dead sensors and stuck valves from the bend readings of a gait.
 
-**Sensors.** A sensor is considered dead if all readings of a period are lost, or if the
-readings do not change during a whole period in which a chamber of the segment fills.
+**Sensors.** A sensor is considered dead if all readings of a period are lost. A sensor
+is also considered dead if its readings stay constant over a period in which a chamber
+of the segment fills.
 
-**Valves.** A valve is suspected to be stuck if, in two successive periods, the
-amplitude of the chamber is below a tenth of the target at full duty or above the target
-at duty 0. A + chamber that never vents and a − chamber that never fills produce the
-same readings, because in either case the segment moves between straight and bent to the
-left. A suspected segment is therefore tested by venting both chambers. If the segment
-remains bent, the valve of the chamber that bends the segment to this side is stuck
-open. If the segment becomes straight, the valve of the chamber whose amplitude was too
-small is stuck shut. If the segment becomes straight but an amplitude was too large, the
-cause is a load or a biased sensor, and the segment is used again. The bend at rest is
-averaged over a whole period, which cancels the effect of the gait of the remaining
-segments. The average begins half a period after the start of venting, when the chambers
-are empty.
+**Valves.** A valve may be stuck if the amplitude of its chamber contradicts the duty in
+two successive periods. At full duty, an amplitude below a tenth of the target is a
+contradiction. At duty 0, an amplitude above the target is a contradiction. A + chamber
+that never vents and a − chamber that never fills produce the same readings. In either
+case, the segment moves between straight and bent to the left. A suspected segment is
+therefore tested by venting both chambers. If the segment remains bent, the valve of the
+chamber that bends the segment to this side is stuck open. If the segment straightens
+and an amplitude was too small, the valve of the chamber with this amplitude is stuck
+shut. If the segment straightens and an amplitude was too large, the cause is a load or
+a biased sensor, and the segment resumes the gait. The bend at rest is averaged over a
+whole period, which cancels the motion imposed by the segments that continue the gait.
+The average begins half a period after the start of venting, when the chambers are
+empty.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ from srs_twin.trajectory import Event
 STILL_RAD = 0.02
 """Maximum range of the readings of a dead sensor in one period, rad."""
 MIN_DRIVING_DUTY = 0.1
-"""Minimum duty at which a working segment must move, dimensionless."""
+"""Minimum duty from which a working segment is expected to move, dimensionless."""
 WEAK_RATIO = 0.1
 """Ratio of amplitude to target below which a chamber at full duty is suspicious."""
 STRONG_RATIO = 1.05
@@ -50,7 +52,7 @@ class ModuleFaults(Stateful):
     Attributes:
         detected: descriptions of the detected faults, in chronological order.
         faulty: whether each segment has a detected fault, shape (segments,).
-        tested: whether the chambers of each segment vent for a test, shape (segments,).
+        tested: whether each segment is being vented for a test, shape (segments,).
         resumed: end time of the last test of each segment, shape (segments,), s.
     """
 
@@ -77,7 +79,7 @@ class ModuleFaults(Stateful):
 
     @property
     def working(self) -> np.ndarray:
-        """Segments that are neither faulty nor tested, shape (segments,)."""
+        """Whether each segment is neither faulty nor under test, shape (segments,)."""
         return ~(self.faulty | self.tested)
 
     def events(self) -> list[Event]:
@@ -90,8 +92,8 @@ class ModuleFaults(Stateful):
         self, time: float, ended: np.ndarray, duty: np.ndarray, periods: ChamberPeriods
     ) -> None:
         """Detect dead sensors."""
-        # The first period of a chamber is incomplete if the chamber already fills at
-        # time 0.
+        # The first period of a chamber is incomplete if the chamber is already filling
+        # at time 0.
         whole = ended & (periods.number > 2) & self.working[:, None]
         driven = duty.max(axis=1, keepdims=True) >= MIN_DRIVING_DUTY
         silent = (whole & (periods.lost == 1)).any(axis=1)
@@ -161,7 +163,7 @@ class ModuleFaults(Stateful):
             self._report(time, j, f"valve of the {side} chamber stuck open")
         elif weak.all():
             both = "both valves stuck shut, or no air"
-            self._report(time, j, f"neither chamber bends it: {both}")
+            self._report(time, j, f"neither chamber bends the segment: {both}")
         elif weak.any():
             side = SIDES[int(np.argmax(weak))]
             self._report(time, j, f"valve of the {side} chamber stuck shut")

@@ -1,4 +1,4 @@
-"""Pulse-width modulation of valves in slots shorter than a control tick."""
+"""Pulse-width modulation of valves, with slots that are shorter than a control tick."""
 
 from __future__ import annotations
 
@@ -17,17 +17,16 @@ class PulseWidthModulator(Stateful):
     """Pulse-width modulation of 3/2 valves.
 
     In each carrier period, each chamber fills for a fraction of the period that equals
-    the chamber's duty, and vents for the remaining time. By default the pulse of the +
-    chamber begins at the start of the period, and the pulse of the − chamber ends at
-    the end of the period. If the two duties add up to 1, the two valves are always in
-    opposite states, as in Fig. 45c. If `aligned` is True, the pulses of the + and −
-    chambers begin at the start of the period.
+    the chamber's duty, and vents for the remaining time. By default, the pulse of the +
+    chamber begins with the period, and the pulse of the − chamber ends with the period.
+    If the two duties add up to 1, the two valves are always in opposite states, as in
+    Fig. 45c. If `aligned` is True, both pulses begin at the start of the period.
 
-    The carrier period need not be a multiple of a tick or a slot. A valve is open in a
-    slot if the centre of the slot lies within the pulse. The duration of a pulse is
-    therefore wrong by at most one slot, and the mean duration over many periods is
-    exact. A valve opens at most once per period. A valve with duty 0 or 1 does not
-    switch.
+    The carrier period need not be a multiple of the tick or of the slot duration. A
+    valve is open in a slot if the centre of the slot lies within the pulse. The
+    duration of a pulse is therefore wrong by at most one slot, and the mean duration
+    over many periods is exact. A valve opens at most once per period. A valve with duty
+    0 or 1 does not switch.
 
     The modulator does not suppress pulses shorter than the switching time of 3 ms.
     `LagPneumatics` smooths short pulses, because its time constant τ₂ includes the
@@ -63,8 +62,8 @@ class PulseWidthModulator(Stateful):
                 ticks are useful for controllers that do not update the duties in every
                 carrier period.
             scale: scale of the robot, which determines the duration of the slots.
-            chambers: number of chambers per segment. `aligned` is required unless the
-                number is 2.
+            chambers: number of chambers per segment. `aligned` must be True unless
+                there are two chambers.
 
         Raises:
             InputError: the carrier frequency or the tick is not positive, or the tick
@@ -88,7 +87,7 @@ class PulseWidthModulator(Stateful):
     def due(self) -> bool:
         """Return whether a carrier period begins in the next tick.
 
-        `step` uses new duties only if a carrier period begins.
+        `step` uses new duties only at the start of a carrier period.
         """
         return self._last_period() != self._period_number
 
@@ -117,7 +116,7 @@ class PulseWidthModulator(Stateful):
                 f"duty {new_duty[outside][0]:g} is not allowed; it must be between 0"
                 " and 1"
             )
-        # The elapsed time at the centres of the slots is expressed in carrier periods.
+        # Elapsed time at the centres of the slots, in carrier periods.
         elapsed = (
             self._ticks * self._slots + np.arange(self._slots) + 0.5
         ) * self._periods_per_slot

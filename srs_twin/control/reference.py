@@ -15,7 +15,7 @@ from srs_twin.errors import InputError, UnknownNameError
 
 Policy = Literal["refuse", "saturate"]
 POLICIES: tuple[Policy, ...] = ("refuse", "saturate")
-"""Possible treatments of a reference that exceeds the range of the module."""
+"""Policies for a reference that exceeds the bend range of the module."""
 
 _ROUNDING = 1e-9
 """Tolerance for comparing times (s) and phases (fraction of a period)."""
@@ -25,7 +25,8 @@ _ROUNDING = 1e-9
 class Reference(ABC):
     """Reference bend as a function of time, rad.
 
-    The methods accept a time or an array of times and return an array of equal shape.
+    The methods accept a time or an array of times, and return an array of the same
+    shape.
     """
 
     @property
@@ -52,10 +53,9 @@ class Reference(ABC):
         """Return a reference that stays within the range of the module.
 
         Args:
-            limit: maximum bend of the module, rad, which is the bend per pressure times
-                the supply pressure.
-            policy: treatment of a reference beyond the limit. "refuse" raises an error,
-                and "saturate" clips the reference.
+            limit: maximum bend of the module at the supply pressure, rad.
+            policy: "refuse" to raise an error if the reference exceeds the limit, or
+                "saturate" to clip the reference.
 
         Raises:
             InputError: the reference exceeds the limit and the policy is "refuse", or
@@ -108,7 +108,7 @@ class Constant(Reference):
 class Staircase(Reference):
     """Sequence of bends that are held for equal durations.
 
-    The last bend is held for ever.
+    The last bend is held indefinitely.
 
     Attributes:
         bends: one or more bends, rad.
@@ -208,7 +208,7 @@ class Sine(_Periodic):
 
 @dataclass(frozen=True)
 class Square(_Periodic):
-    """Square wave, offset ± amplitude, which is in phase with a sine wave.
+    """Square wave, offset ± amplitude, in phase with the corresponding `Sine`.
 
     The value is offset + amplitude in the first half of each period.
 

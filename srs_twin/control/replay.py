@@ -1,4 +1,4 @@
-"""Open-loop replay of recorded valve states, and constant valve states (Fig. 41)."""
+"""Open-loop controllers with recorded or constant valve states (Fig. 41)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from srs_twin.robot.spec import RobotSpec
 class Replay(Controller):
     """Open-loop replay of a valve schedule from time 0.
 
-    The last valve states are held after the end of the schedule.
+    After the end of the schedule, the last valve states are held.
 
     Attributes:
         schedule: recorded valve states.
@@ -48,10 +48,7 @@ class Replay(Controller):
         self._slot_centres = tick * (np.arange(slots) + 0.5) / slots
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick.
-
-        The array has no slot axis if no state changes within the tick.
-        """
+        """Return the valve states of the next tick."""
         schedule = self.schedule
         time = float(state.time) + self._slot_centres
         runs = np.searchsorted(schedule.starts, time, side="right") - 1
@@ -77,7 +74,7 @@ def layouts_for(states: ArrayLike) -> tuple[str, ...]:
 
 
 class HoldValves(Controller):
-    """Open-loop controller that holds the same constant valve states in all segments.
+    """Open-loop controller that holds two valve states, one per side, in all segments.
 
     Attributes:
         layouts: names of the valve layouts that support the given states.

@@ -3,10 +3,10 @@ r"""Sliding mode control of modules by valve states or by duties (Chapter 4).
 `DirectSMC` and `IterativeSMC` make the sensed bend q of each segment track a reference
 r by means of the sliding variable
 
-$$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eq. 24, 31}). $$
+$$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eqs. 24, 31}). $$
 
 On the sliding manifold σ = 0, the error decays as e^{−Dt}. The controllers differ in
-the estimation of ė from noisy readings and in the conversion of σ to valve states.
+how they estimate ė from noisy readings and in how they convert σ to valve states.
 
 `VelocityFilter` estimates the rate of a noisy reading x, because finite differences
 would amplify the noise. The second-order Butterworth low-pass filter with the cutoff
@@ -16,7 +16,7 @@ $$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qqu
 
 The equation is solved exactly for a reading that varies linearly between ticks. At
 frequencies far below the cutoff, the filtered value and the rate are delayed by √2/ω_c.
-For a cutoff of 25 Hz the delay is 9 ms, which is 0.34 rad of a 6 Hz sine. White noise
+For a cutoff of 25 Hz the delay is 9 ms, a phase lag of 0.34 rad at 6 Hz. White noise
 with the standard deviation s, sampled with the period T, causes a standard deviation of
 about s √(ω_c³ T / √8) in the rate. Finite differences would cause s √2 / T. For noise
 of 0.2° sampled every millisecond and a cutoff of 25 Hz, the filter causes 7°/s and
@@ -27,8 +27,8 @@ finite differences cause 283°/s.
 $$ \sigma > \varepsilon: \text{fill +, vent −}; \qquad \sigma < -\varepsilon: \text{vent +, fill −};
 \qquad |\sigma| \le \varepsilon: \text{hold both}. $$
 
-At rest σ = D e, so errors up to ε/D persist. One `VelocityFilter` estimates the bend
-and the bend rate. The delays of e and ė are therefore equal, and the noise of D e is
+At rest σ = D e, so errors up to ε/D persist. A single `VelocityFilter` estimates both
+the bend and the bend rate. Therefore e and ė have equal delays, and the noise in D e is
 filtered as well. The published value D = 0.5 1/s would result in a time constant of 2
 s. The published value ε = 2°/s is below the noise of any sufficiently fast rate
 estimate (E6).
@@ -46,7 +46,7 @@ The errors e and ė are averaged over the last carrier period. The mean of ė is
 change of e over the period divided by T. Averaging over a whole period removes the
 ripple caused by the valves. A single reading per period would always sample the ripple
 at the same phase, which would cause an offset of several degrees. A step of the
-reference contributes to ė.
+reference is included in the mean of ė.
 
 Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). In the implemented law, K
 multiplies D e.
@@ -74,9 +74,7 @@ if TYPE_CHECKING:
 
 
 class VelocityFilter(Stateful):
-    """Second-order low-pass filter for readings and their rates.
-
-    See the module docstring.
+    """Second-order low-pass filter for noisy readings and their rates.
 
     Attributes:
         value: filtered readings x̂, shape (segments,), unit of the readings.
@@ -196,8 +194,8 @@ class SlidingMode(Controller):
     def signals(self) -> dict[str, Any]:
         """Return the reference, e and σ.
 
-        Signals are recorded at the end of a tick. The reference is evaluated at the end
-        of the tick, and e and σ are evaluated at the start.
+        Signals are recorded at the end of a tick. The recorded reference belongs to
+        this time, whereas e and σ belong to the start of the tick.
         """
         return {
             "reference": self._next_reference,
@@ -213,7 +211,7 @@ class SlidingMode(Controller):
         clipped = bool(self.reference.is_clipped(time))
         if clipped and not self._was_clipped:
             text = (
-                "the reference exceeds the range of the module and is cut at"
+                "the reference exceeds the range of the module and is clipped at"
                 f" {self.reference.peak:.4g} rad"
             )
             self._events.append(Event(time, "saturation", text))
@@ -221,8 +219,8 @@ class SlidingMode(Controller):
         return time
 
 
-# The following values are tuned by benchmarks/gains.py for generation 4 at 7 psi. One
-# set of values is used for all experiments of Chapter 4.
+# These values were tuned with benchmarks/gains.py for generation 4 at 7 psi and are
+# used for all experiments of Chapter 4.
 DIRECT_D_PER_S = 58.0
 """Slope D of the sliding manifold of `DirectSMC`, 1/s."""
 EPSILON_RAD_PER_S = math.radians(84.0)
@@ -274,8 +272,8 @@ class DirectSMC(SlidingMode):
         return super().signals() | {"rate": self._rate}
 
 
-# The following values are tuned by benchmarks/gains.py for generation 4 at 7 psi. One
-# set of values is used for all experiments of Chapter 4.
+# These values were tuned with benchmarks/gains.py for generation 4 at 7 psi and are
+# used for all experiments of Chapter 4.
 K_S_PER_RAD = 0.042
 """Gain K of `IterativeSMC`, s/rad."""
 ITERATIVE_D_PER_S = 16.0

@@ -8,7 +8,7 @@ each module has its own gain and rest bend.
 The segments must bend freely (on a bench, or with the robot lifted), because contact
 with the floor also changes the bends. Scaling `actuator.bend_rad` has the same effect
 as scaling all gains. A fit therefore keeps `actuator.bend_rad` constant unless it is
-requested.
+among the requested parameters.
 
 If the log contains pressures instead of valve states, the model assumes that each bend
 lags its pressures by τ_mode. For pressures with the time constant τ₁, the relative
@@ -41,7 +41,7 @@ from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec
 
 _BEND_NOISE_RAD = 0.01
-"""Assumed standard deviation of a bend without a stated error, rad."""
+"""Standard deviation assumed for a bend without a stated error, rad."""
 
 _PRESSURE_NOISE_PA = 500.0
 """Standard deviation of measured pressures, Pa."""
@@ -65,10 +65,10 @@ class Response:
         supply_pa: gauge supply pressure, Pa, which is ignored if pressures were logged.
         time: sample times in ascending order, s, shape (samples,).
         bend: measured bends, rad, shape (samples, segments). An unknown bend is NaN.
-        pressure: pressures measured in addition to the valve states, Pa, shape
-            (samples, segments, 2).
-        clock_known: whether drive and bends have the same clock. If the clocks differ,
-            the fit estimates the clock offset.
+        pressure: pressures measured in addition to valve states, Pa, shape (samples,
+            segments, 2).
+        clock_known: whether `drive` and `bend` use the same clock. If not, the fit
+            estimates the offset between the clocks.
     """
 
     name: str
@@ -86,7 +86,7 @@ class Response:
     ) -> Response:
         """Create a response from a recording with a log.
 
-        An interpolated bend becomes NaN.
+        Bends from interpolated marker positions become NaN.
         """
         trajectory = recording.trajectory
         log = log_of(recording, name)
@@ -154,8 +154,8 @@ def fit_actuator(
 ) -> FitEstimate:
     """Estimate time constants, gains and rest bends from measured responses.
 
-    The values of `spec` are the starting point of the search. The `validation`
-    responses do not influence the fit.
+    The search starts from the values in `spec`. The `validation` responses do not
+    influence the fit.
     """
     data = assign_roles("responses", responses, validation)
     for response, _ in data:
@@ -195,7 +195,7 @@ def fit_actuator(
 def fixed_values(
     spec: RobotSpec, unknowns: Sequence[FreeParameter]
 ) -> dict[str, float]:
-    """Return the constants to which the fitted gains refer.
+    """Return the constants relative to which the gains are fitted.
 
     The constants are the nominal pressure and, unless the bend is a free parameter, the
     bend at this pressure.
@@ -242,8 +242,8 @@ def bend_residuals(
 ) -> list[Residual]:
     """Return the residuals of the measured bends of each segment.
 
-    The scale of the residuals of a segment is the RMS of the standard errors of the
-    bends. If a standard error is unknown, the scale is `_BEND_NOISE_RAD`.
+    For each segment, the residuals are scaled by the RMS of the bend errors, or by
+    `_BEND_NOISE_RAD` if an error is unknown.
     """
     residuals = []
     columns = zip(difference.T, np.broadcast_to(error, difference.shape).T, strict=True)

@@ -1,4 +1,4 @@
-"""Functions that fit a robot to recordings and tables, as `srs-twin calibrate` does."""
+"""Functions that fit robot parameters to data, as `srs-twin calibrate` does."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ from srs_twin.scenario.provenance import versions
 Paths = Sequence[StrPath]
 Robot = StrPath | RobotSpec
 Notify = Callable[[str], object]
-"""Function that receives a message about each recording before the search starts."""
+"""Callback that receives a message about each recording before the search starts."""
 
 LOCOMOTION = (
     "friction.mu_t",
@@ -83,8 +83,7 @@ class Calibration:
     """Result of a fit, with the data that were fitted.
 
     Attributes:
-        estimate: estimated parameters, correlations and residuals. A notebook displays
-            the estimate as an HTML page.
+        estimate: estimated parameters, correlations and residuals.
         method: fit method.
         title: one-line title of the report.
         robot: name or path of the initial robot.
@@ -154,7 +153,7 @@ def calibrate_friction(
         friction_law: friction law for coasting tests: "wheel", "axis" or "ellipse".
         wheel_inertia: whether the model of coasting tests includes the rotational
             inertia of the wheels.
-        reader: reader of recordings.
+        reader: object that reads the recordings.
         out: path of the fit file, or None to write nothing. An existing file is
             replaced, and the report is written to the same folder.
         notify: function that receives a message about each recording.
@@ -191,8 +190,8 @@ def calibrate_actuator(
     """Estimate the actuator parameters, as `srs-twin calibrate actuator` does.
 
     Args:
-        files: paths of recordings of step responses, or of tables or recordings of
-            constant pressures. Constant pressures determine only the gains.
+        files: paths of recordings of step responses, or of tables or recordings with
+            constant pressures. Constant pressures do not determine the time constants.
         robot: initial robot.
         valves: paths of the logs for `files`, followed by paths of the logs for
             `validate`. By default, each log is in the folder of its recording.
@@ -241,7 +240,7 @@ def calibrate_locomotion(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate friction, gap, masses or stiffness from runs on the floor.
+    """Estimate friction, gap, masses or stiffness from runs of the crawling robot.
 
     If the recordings contain markers, the rigid gap or the length of a segment is
     measured from the marker positions.
@@ -305,9 +304,9 @@ def calibrate_damping(
         valves: state of the chambers, "open" to the air or "closed".
         mass_kg: mass of the body at the end of the segment, by default the mass of the
             first connector.
-        inertia_kg_m2: moment of inertia of the body about the centre of the body. The
-            default is computed from the radius of gyration of the first connector.
-        leak_per_s: leak rate of closed chambers, 1/s, or None to estimate the rate.
+        inertia_kg_m2: moment of inertia of the body about its centre, kg·m². The
+            default follows from the radius of gyration of the first connector.
+        leak_per_s: leak rate of closed chambers, 1/s, or None to estimate it.
         noise_rad: standard deviation of a recorded bend, rad, or None to estimate it.
         from_s: start time of the free swing, s, or None to detect the start.
         out: see `calibrate_friction`.
@@ -446,8 +445,8 @@ def _read_gait_runs(task: _Task) -> list[GaitRun]:
     recordings = task.recordings()
     length = measured()
     if length is not None:
-        # The recordings are read again, because the bends and the centre of mass depend
-        # on the measured length.
+        # Read the recordings again, because the bends and the centre of mass depend on
+        # the measured length.
         task.spec = with_values(task.spec, {length.name: length.value or 0.0})
         task.notify = str
         recordings = task.recordings()
@@ -455,8 +454,8 @@ def _read_gait_runs(task: _Task) -> list[GaitRun]:
     for path, recording in recordings:
         if not recording.starts_at_rest():
             task.given["notify"](
-                f"warning: {path}: some chambers are filling at the start, but the"
-                " simulated chambers are empty then"
+                f"warning: {path}: some chambers are already filling at the start, but"
+                " the simulation starts with empty chambers"
             )
     return [gait_run(recording, path, task.supply_pa) for path, recording in recordings]
 
@@ -470,7 +469,7 @@ def _read_decays(task: _Task) -> list[Decay]:
     if task.given["valves"] == "closed":
         task.notify(
             "the valves are closed, so the estimated frequency and `loss_factor`"
-            " include the spring and the loss of the air"
+            " include the stiffness and the damping of the enclosed air"
         )
     return decays
 

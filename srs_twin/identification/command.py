@@ -133,8 +133,8 @@ def design(
     pressure steps and gait runs.
 
     Options:
-        --target-accuracy NAMES: Parameters with the target half-width of each 95 % interval, for
-            example friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
+        --target-accuracy NAMES: Parameters with the required half-width of each 95 %
+            interval, for example friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
     """
     from srs_twin.identification.design import calibrate_design
 
@@ -158,7 +158,7 @@ def design(
     print_table(headings, rows, left=(0,))
     for k, experiment in enumerate(plan.chosen, start=1):
         print(f"{k}. {experiment.description}")
-    print("The model is assumed to be right.")
+    print("The predictions assume that the model is correct.")
     for name in plan.unmet:
         print(
             f"{name}: no further experiment of these kinds reaches"
@@ -282,8 +282,8 @@ def robot(
     """Write a robot file with the results of fits.
 
     Options:
-        fits: Fit files of one robot. If several contain a parameter, the last one sets
-            its value.
+        fits: Fit files of one robot. If several files contain the same parameter, the
+            last file sets its value.
         --name NAME: Name of the new robot and of its file.
         --out FILE.yaml: Path of the robot file. [default: robots/NAME.yaml]
         --weak/--no-weak: Include parameters that the data determine only weakly.
@@ -294,7 +294,7 @@ def robot(
     robot_file = calibrate_robot(fits, name, out=path, weak=weak, overwrite=overwrite)
     if as_json:
         print_json(robot_file.model_dump(mode="json", exclude_none=True))
-    say(f"robot in {path}", quiet=quiet)
+    say(f"robot file written to {path}", quiet=quiet)
 
 
 for _command in (footprint, margin):

@@ -6,19 +6,19 @@ are known.
 
 **Fit.** The stiffness k, the damping time T and the leak rate have the same values in
 all recordings. Each recording has its own initial state and rest bend. Two exponentials
-describe how the rest bend recovers after the segment was held.
+describe how the rest bend recovers after the segment has been held bent.
 
 If the pressures were not measured, closed chambers are assumed to be at ambient
 pressure at the first sample, when the segment is at rest. The amount of air at the
-release is computed from the leak rate and the recorded bends. The rest bends before and
-after the release make the stiffness distinguishable from the effect of the enclosed
-air.
+release is computed from the leak rate and the recorded bends. The effect of the
+enclosed air can be separated from the stiffness because the rest bend is recorded
+before and after the release.
 
 **Intervals.** The scale of the residuals combines the noise with a model error of 1 %
 of the amplitude. The model assumes viscous damping, so its loss factor η = 2π f T is
-proportional to the frequency f. The error due to viscous damping is estimated by
-fitting the model to a simulated material with a nearly constant loss factor. At the
-frequency f, the simulated material has the fitted stiffness and loss factor.
+proportional to the frequency f. To estimate the error due to this assumption, the model
+is fitted to a simulated material with a nearly constant loss factor. At the frequency
+f, this material has the fitted stiffness and loss factor.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ truncated.
 _STAGES = (2.0, 4.0, 8.0)
 """Numbers of swings in the successive stages of the fit.
 
-A search over all swings at once could converge to a wrong frequency, at which the
-number of periods is wrong.
+A search that starts with all swings could converge to a frequency with a wrong number
+of periods.
 """
 
 _SEARCH = SearchOptions(step=1e-3, tolerance=1e-8)
@@ -122,9 +122,10 @@ class HangingBody:
     def of(
         cls, spec: RobotSpec, mass: float | None = None, inertia: float | None = None
     ) -> HangingBody:
-        """Return the first connector, or a body with the given mass or inertia.
+        """Return a body with the mass and inertia of the first connector.
 
-        If only the mass is given, the radius of gyration is taken from the connector.
+        `mass` and `inertia` replace the values of the connector. If only `mass` is
+        given, the radius of gyration stays unchanged.
         """
         if spec.skin is not None or spec.chamber.directions is not None:
             raise InputError(
@@ -144,7 +145,7 @@ class HangingBody:
         return cls(mass, inertia)
 
     def segment(self, spec: RobotSpec, encloses_air: bool) -> HangingSegment:
-        """Return the first segment of a robot with this body attached to the end."""
+        """Return the first segment of a robot with this body at its end."""
         g = spec.geometry
         chamber = spec.chamber
         plus, minus = (float(gain) for gain in chamber_gains(spec)[0])
@@ -171,9 +172,9 @@ def fit_damping(
 ) -> FitEstimate:
     """Estimate stiffness, damping time, frequency and loss factor.
 
-    The state `valves` of the chambers is "open" to the air or "closed". By default, the
-    hanging body is the first connector. If the leak rate `leak` (1/s) is None, the leak
-    rate is estimated.
+    `valves` states whether the chambers are "open" to the air or "closed". By default,
+    the hanging body is the first connector. If `leak` (1/s) is None, the leak rate is
+    estimated.
     """
     check_choice("valves", valves, VALVES)
     if not decays:
@@ -190,8 +191,8 @@ def fit_damping(
     for swings in _STAGES:
         fit.search(fit.unknowns(coarse=True), watch=watch, swings=swings)
     start = fit.search(fit.unknowns(), watch=watch)
-    # The fitted frequency hardly depends on the assumed damping law. The error of the
-    # frequency therefore comes from the first fit, before the bias of k and T is
+    # The fitted frequency hardly depends on the assumed damping law. The frequency
+    # error is therefore taken from the first fit, before the bias of k and T is
     # included.
     error = fit.frequency_error()
     estimate = fit.search(fit.unknowns(), watch=watch, refit=fit.refit)
@@ -271,7 +272,7 @@ class _DampingFit:
     def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
         """Return the free parameters.
 
-        A coarse fit does not include the leak rate and the recovery of the rest bend.
+        A coarse fit excludes the leak rate and the recovery of the rest bend.
         """
 
         def free(
@@ -365,8 +366,8 @@ class _DampingFit:
     ) -> Ringing:
         """Return the small oscillation about the rest position of the first recording.
 
-        The loss factor is nearly constant about the frequency `constant_about` (rad/s).
-        If `constant_about` is None, the loss factor is proportional to the frequency.
+        The loss factor is nearly constant around the angular frequency `constant_about`
+        (rad/s), or proportional to the frequency if `constant_about` is None.
         """
         values = self.values | dict(values)
         material = self._material(values)
@@ -408,7 +409,7 @@ class _DampingFit:
     def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
         """Return p V of each chamber at the start of the free swing, J."""
         volumes = self._volumes(decay.before)
-        # The amount of air approaches the amount at ambient pressure, which depends on
+        # The amount of air approaches its value at ambient pressure, which depends on
         # the volume.
         kept = np.exp(-leak * (decay.time[0] - decay.before_time))
         weights = np.append(np.diff(kept), 0.0)

@@ -5,8 +5,8 @@ A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), sa
 contain the gauge pressures of closed chambers.
 
 The free swing begins at the maximum speed, about a quarter of a period after the
-release. The model is fitted to an interval that is twice as long as the interval in
-which the half swings exceed the noise.
+release. The fitted interval is twice as long as the interval in which the half swings
+exceed the noise.
 
 The noise is estimated from the smallest singular values of the trajectory matrix.
 Without noise the smallest singular values would be 0, because successive samples of a
@@ -38,7 +38,7 @@ _MIN_SAMPLES_PER_SWING = 5.0
 _MIN_HALF_SWINGS = 3
 
 _MIN_TURN = 6.0
-"""Minimum visible half swing, in standard deviations of the noise."""
+"""Minimum half swing that counts as visible, in standard deviations of the noise."""
 
 _MIN_SIZE = 12.0
 """Minimum range of the bends, in standard deviations of the noise.
@@ -47,10 +47,10 @@ Noise alone has a range of about 6 standard deviations.
 """
 
 _MIN_TURN_FRACTION = 0.02
-"""Minimum visible half swing, as a fraction of the range of the bends."""
+"""Minimum half swing that counts as visible, as a fraction of the bend range."""
 
 _LEAST_DECREMENT = 0.01
-"""Minimum initial logarithmic decrement of a search."""
+"""Minimum logarithmic decrement with which a search starts."""
 
 _WINDOW = 12
 """Number of columns of the trajectory matrix.
@@ -71,8 +71,8 @@ class Decay:
     Attributes:
         time: times of the free swing, s, shape (samples,).
         bend: measured bends, rad, shape (samples,).
-        before: bends recorded before the free swing and at the first sample of the free
-            swing, rad, shape (earlier samples + 1,).
+        before: bends recorded up to and including the first sample of the free swing,
+            rad, shape (earlier samples + 1,).
         before_time: sample times of `before`, s.
         pressure: measured gauge pressures of the + and − chamber, Pa, shape (samples,
             2), or None if the pressures were not measured.
@@ -100,8 +100,7 @@ class Decay:
     def first_state(self) -> tuple[float, float]:
         """Return the bend (rad) and bend rate (rad/s) at the first sample.
 
-        The bend and the bend rate are computed from a sine that is fitted to the first
-        swing.
+        Both are computed from a sine fitted to the first swing.
         """
         since = (
             self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
@@ -138,8 +137,8 @@ def read_decay(
     """Read the free swing in a recording.
 
     `start` is the time from which the segment swings freely (s), by default the time of
-    the maximum speed. `noise` is the standard deviation of a bend (rad). If `noise` is
-    None, the standard deviation is estimated.
+    the maximum speed. `noise` is the standard deviation of a bend (rad), or None to
+    estimate it.
     """
     pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
     table = read_table(read_file(path), CLOCK | {"bend": ANGLES} | pressures)
@@ -154,8 +153,8 @@ def read_decay(
     measured = [name for name in pressures if name in by_name]
     if len(measured) == 1:
         raise file.error(
-            f"the column '{measured[0]}' is given alone; give the pressures of both"
-            " chambers or none",
+            f"only the column '{measured[0]}' is given; give the pressures of both"
+            " chambers, or of none",
             1,
         )
     clock = table.clock(
@@ -280,7 +279,7 @@ def _turning_points(bend: np.ndarray, threshold: float) -> list[int]:
 
 
 def calm_samples(decay: Decay) -> int:
-    """Return the number of samples at rest at the start of a recording."""
+    """Return the number of initial samples at which the segment is at rest."""
     moved = (
         np.abs(decay.before - np.median(decay.before[:_MIN_CALM_SAMPLES]))
         > _MIN_TURN * decay.noise

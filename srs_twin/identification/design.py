@@ -1,4 +1,4 @@
-r"""Optimal experimental design: choice of the recordings for a requested accuracy.
+r"""Optimal experimental design: choice of experiments for a requested accuracy.
 
 Each candidate experiment has predicted observations with known noise. Let z be the
 logarithms of all uncertain parameters, J the Jacobian of the predictions with respect
@@ -8,16 +8,17 @@ is
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
 The initial information matrix is computed from the `uncertain` entries of the robot
-file. If a parameter such as drag is 0, z is the parameter divided by a tenth of the
-axial friction of the robot.
+file. For a parameter with the value 0, such as drag, z is instead the parameter divided
+by a tenth of the axial friction of the robot.
 
-The experiments are chosen one after another. Each choice minimises the mean logarithm
-of the ratio of interval to requested interval, over all intervals that are still too
-wide. The design is complete if no further experiment narrows an interval by 2 %.
+The experiments are chosen one after another. Let w be the ratio of an interval width to
+the requested width. Each choice minimises the mean of ln w over all intervals that are
+still too wide. The design ends early if no further experiment would narrow any of these
+intervals by 2 %.
 
-Model errors are included only for gait runs. The model error is 2 % of the speed and 2
-% of the turning rate, regardless of the duration of a run. The model error is estimated
-as the difference between the model `compliant` and the twin.
+Model errors are included only for gait runs. For runs of any duration, the model error
+is 2 % of the speed and 2 % of the turning rate. This is the difference between the
+model `compliant` and the twin.
 """
 
 from __future__ import annotations
@@ -58,10 +59,10 @@ RUN_DISCREPANCY = 0.02
 """Relative difference between `compliant` and the twin in speed and turning rate."""
 
 _MAX_REPETITIONS = 3
-"""Maximum number of times that an experiment is chosen."""
+"""Maximum number of times that one experiment may be chosen."""
 
 _MIN_NARROWING = 0.98
-"""Maximum ratio of the new to the old interval of a worthwhile experiment."""
+"""Maximum ratio of new to old interval width for an experiment to be worthwhile."""
 
 _STEP = 0.05
 """Step of finite differences in z.
@@ -70,7 +71,7 @@ The step is large because the metrics of simulated runs are not smooth functions
 """
 
 _PRIOR_STD = 3.0
-"""Standard deviation of z if the robot file states no uncertainty of the parameter."""
+"""Standard deviation of z for a parameter without uncertainty in the robot file."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def _measurements(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         )
 
     yield CandidateExperiment(
-        "markers on connectors: calibrate locomotion gives the lengths",
+        "record markers on the connectors (calibrate locomotion)",
         10,
         lengths,
         _constant_noise(LENGTH_STD_M),
@@ -144,10 +145,16 @@ def _pulls(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 
         noise = _relative_noise(PULL_FRACTION)
         yield CandidateExperiment(
-            f"10 pulls along{words}, hoses as in use, moving", 10, along, noise
+            f"10 pulls along the body{words}, in motion, hoses attached",
+            10,
+            along,
+            noise,
         )
         yield CandidateExperiment(
-            f"10 pulls across{words}, wheels fixed, moving", 10, across, noise
+            f"10 pulls across the body{words}, in motion, wheels fixed",
+            10,
+            across,
+            noise,
         )
 
 
@@ -161,8 +168,8 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         return air_bend(robot, pressure)[:, 0]
 
     yield CandidateExperiment(
-        f"held pressures up to {supply / 1e3:.0f} kPa, segments lifted: calibrate"
-        " actuator --static",
+        f"constant pressures up to {supply / 1e3:.0f} kPa, segments lifted (calibrate"
+        " actuator --static)",
         20,
         static,
         _constant_noise(BEND_STD_RAD),
@@ -182,7 +189,8 @@ def _actuator_tests(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         return np.concatenate(bends)
 
     yield CandidateExperiment(
-        f"steps of lifted segments, {supply / 1e3:.0f} kPa: calibrate actuator",
+        f"pressure steps of {supply / 1e3:.0f} kPa, segments lifted (calibrate"
+        " actuator)",
         10,
         steps,
         _constant_noise(BEND_STD_RAD),
@@ -219,8 +227,8 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
             return np.array(observed)
 
         description = (
-            f"walk at {frequency:g} Hz, offset {offset:g}, {supply / 1e3:.0f} kPa, 20"
-            " s: calibrate locomotion"
+            f"gait run at {frequency:g} Hz, offset {offset:g}, {supply / 1e3:.0f} kPa,"
+            " 20 s (calibrate locomotion)"
         )
         yield CandidateExperiment(description, 5, run, noise)
 
@@ -229,8 +237,8 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 class ExperimentDesign:
     """Chosen experiments and the accuracy after each experiment.
 
-    The accuracy of a parameter is the half width of its 95 % interval relative to its
-    value. If the value is 0, the accuracy is the absolute half width.
+    The accuracy of a parameter is the half width of the 95 % interval divided by the
+    value. If the value is 0, the accuracy is the half width itself.
 
     Attributes:
         chosen: experiments in the order in which they were chosen.
@@ -274,11 +282,10 @@ class ExperimentDesign:
 def calibrate_design(
     robot: StrPath, target_accuracy: Mapping[str, float]
 ) -> ExperimentDesign:
-    """Choose recordings for a requested accuracy, as `srs-twin calibrate design` does.
+    """Choose experiments for a requested accuracy, as `srs-twin calibrate design` does.
 
     Args:
-        robot: name or path of the robot. The robot file states the current
-            uncertainties.
+        robot: name or path of the robot, whose file states the current uncertainties.
         target_accuracy: half width of the requested 95 % interval of each parameter,
             relative to the value, for example 0.05.
 

@@ -7,17 +7,16 @@ verdict is "cannot tell", because the confidence intervals of a wrong model are
 meaningless.
 
 **Independent samples.** Residuals of successive samples are correlated, because cameras
-and filters smooth the noise and because the model has errors. If the residuals have the
+and filters smooth the noise and because of model errors. If the residuals have the
 autocorrelation ρ_k, n samples are equivalent to n/τ independent samples, where
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k . $$
 
-The sum is truncated at the first pair ρ_{2m} + ρ_{2m+1} that is not positive. The
-truncation follows the initial positive sequence estimator (Geyer 1992, Statistical
-Science 7). A fit of p parameters removes about a fraction c = p τ/n of the power of the
-noise from the residuals, mainly at low frequencies. The autocorrelation is therefore
-replaced by (ρ_k + c)/(1 + c). The correction of the autocorrelation is iterated because
-c depends on τ.
+The sum is truncated at the first pair ρ_{2m} + ρ_{2m+1} that is not positive (initial
+positive sequence estimator, Geyer 1992, Statistical Science 7). A fit of p parameters
+removes about a fraction c = p τ/n of the noise power from the residuals, mainly at low
+frequencies. The autocorrelation is therefore replaced by (ρ_k + c)/(1 + c). This
+correction is iterated because c depends on τ.
 
 The autocorrelation is a mean over all series, weighted by their power. The values of a
 short series, such as pulls or averages of runs, are treated as independent samples.
@@ -36,13 +35,13 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult
 
 IDENTIFIED_ERROR = 0.1
-"""Maximum standard error of the coordinate z of an identified parameter."""
+"""Maximum standard error, in z, of an identified parameter."""
 
 UNIDENTIFIABLE_ERROR = 1.0
-"""Minimum standard error of the coordinate z of an unidentifiable parameter."""
+"""Minimum standard error, in z, of an unidentifiable parameter."""
 
 MAX_RESIDUAL_SCALE = 2.0
-"""Maximum RMS of the weighted residuals if the model explains the data."""
+"""RMS of the weighted residuals above which the model does not explain the data."""
 
 LEVEL = 0.95
 """Confidence level of the intervals."""
@@ -109,7 +108,7 @@ class Parameter:
         is_empty = self.verdict == "not identifiable"
         if any((number is None) != is_empty for number in numbers):
             required = "value, standard_error, low and high"
-            expected = "none of these numbers" if is_empty else required
+            expected = "no value, standard_error, low or high" if is_empty else required
             raise InputError(
                 f"{self.name}: a parameter with the verdict '{self.verdict}' must"
                 f" have {expected}"
@@ -117,10 +116,10 @@ class Parameter:
 
 
 def half_width(error: float, freedom: float) -> float:
-    """Return half the width of a confidence interval.
+    """Return half the width of the confidence interval of a parameter.
 
-    The interval follows from the standard error and the degrees of freedom of the
-    standard error.
+    `error` is the standard error of the parameter, estimated with `freedom` degrees of
+    freedom.
     """
     from scipy import stats  # slow import
 
@@ -128,9 +127,9 @@ def half_width(error: float, freedom: float) -> float:
 
 
 def verdict_on(error: float, scale: float) -> Verdict:
-    """Return the verdict on a standard error.
+    """Return the verdict on a parameter with a given standard error.
 
-    `scale` is a significant difference, in the unit of the error.
+    `scale` is a significant change of the parameter, in the unit of the error.
     """
     if error <= IDENTIFIED_ERROR * scale:
         return "identified"
@@ -138,11 +137,11 @@ def verdict_on(error: float, scale: float) -> Verdict:
 
 
 class Estimated(Protocol):
-    """Parameter with or without a value."""
+    """Parameter that may have no value."""
 
     @property
     def value(self) -> float | None:
-        """Estimate."""
+        """Estimated value, or None."""
 
 
 def with_value(parameters: Sequence[Estimated]) -> list[int]:
@@ -176,9 +175,9 @@ class FitEstimate(HtmlResult):
         correlation: correlation matrix of the estimates, shape (parameters,
             parameters). Entries of a parameter without a value are NaN.
         residuals: residuals of the fitted data and of the validation data.
-        cancels: unidentifiable directions in the coordinates z, each as a mapping from
-            parameter names to components. If only the ratio of two parameters has an
-            effect, the two components of the direction are 0.71.
+        cancels: unidentifiable directions in z, each as a mapping from parameter names
+            to components. If only the ratio of two parameters has an effect, the two
+            components of the direction are 0.71.
         samples: number of fitted samples.
         independent: equivalent number of independent samples (see `correlation_time`).
         residual_scale: standard deviation of the weighted residuals, which is 1 if the
@@ -266,10 +265,13 @@ class FitEstimate(HtmlResult):
 
 
 _MIN_SERIES = 20
-"""Minimum number of values of a signal that is treated as a time series."""
+"""Minimum number of values for a signal to be treated as a time series."""
 
 _GROWTH = 1.5
-"""Minimum ratio of the RMS of growing residuals in the second and the first half."""
+"""Minimum ratio of the RMS in the second to the RMS in the first half of a series.
+
+Residuals with a larger ratio are reported as growing with time.
+"""
 
 
 def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]]:
@@ -321,7 +323,7 @@ _ITERATIONS = 5
 """Number of iterations of the correction for fitted parameters."""
 
 _MAX_REMOVED_FRACTION = 0.5
-"""Maximum value of c.
+"""Maximum value of the fraction c of the noise power.
 
 With a larger c, the residuals would no longer represent the noise.
 """

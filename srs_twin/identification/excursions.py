@@ -1,9 +1,9 @@
-"""Measurement of the excursions of a path follower on random paths.
+"""Measurement of how far a path follower leaves the footprint on random paths.
 
-An excursion is the maximum distance of the body beyond the footprint. The runs are
-simulated under the conditions of a scenario. After the straight lead-in of the
+An excursion is the maximum distance by which the body leaves the footprint. The runs
+are simulated under the conditions of a scenario. After the straight lead-in of the
 scenario, the robot follows a random path of length `LENGTH_M` without obstacles. The
-seed of a run determines the modules, the camera noise and the path.
+seed of a run determines the module properties, the camera noise and the path.
 """
 
 from __future__ import annotations
@@ -55,18 +55,18 @@ A path with a larger heading could cross itself.
 """
 
 _SLOWEST_FRACTION = 0.5
-"""Minimum mean speed of a successful run, relative to the speed in the footprint.
+"""Minimum mean speed of a successful run, relative to the footprint.
 
-The speed in the footprint is the minimum over all offsets.
+The reference is the lowest speed over all offsets in the footprint.
 """
 
 _DIGITS = 4
-"""Number of decimals of excursions in a footprint file."""
+"""Number of decimals with which excursions are written to a footprint file."""
 
 
 @dataclass(frozen=True)
 class FollowerRun:
-    """Simulation of the path follower of a scenario on a random path.
+    """Simulation in which the path follower of a scenario tracks a random path.
 
     Attributes:
         document: scenario that follows a straight path, as plain data.
@@ -113,7 +113,7 @@ class FollowerRun:
             replan=lambda pose, fraction: plan_from(pose),
         )
         longest = (self.lead_in + LENGTH_M + 1) / (_SLOWEST_FRACTION * min(body.speeds))
-        # A multiple of the duration of the scenario is also a multiple of the tick.
+        # A multiple of the scenario duration is also a multiple of the tick.
         duration = scenario.duration * math.ceil(longest / scenario.duration)
         trajectory = rollout(
             scenario.build_plant(self.plant),
@@ -161,7 +161,7 @@ def _random_arcs(
 
 
 NO_MARGIN = Override("a margin to be measured", ("planner", "margin_probability"), None)
-"""Override that removes the margin, because a margin would hide the excursions."""
+"""Scenario override that removes the margin, because a margin would hide excursions."""
 
 
 @checked
@@ -175,7 +175,7 @@ def calibrate_margin(
     workers: int | None = None,
     progress: Callable[[int, int], object] = max,
 ) -> tuple[ExcursionsFile, ...]:
-    """Measure excursions from random paths, as `srs-twin calibrate margin` does.
+    """Measure excursions on random paths, as `srs-twin calibrate margin` does.
 
     Args:
         scenario: name or path of a scenario that follows a plan, or a loaded scenario.
@@ -235,7 +235,7 @@ def measure_excursions(
     workers: int | None,
     progress: Callable[[], None],
 ) -> ExcursionsFile:
-    """Measure the excursions of the path follower of a scenario on a plant.
+    """Measure how far a scenario's path follower leaves the footprint on one plant.
 
     The seeds of the runs are 0 to `runs` − 1. The result is an entry of a footprint
     file.
@@ -278,7 +278,7 @@ def measure_excursions(
     sorted_lead_in = sorted(lead_in) if conditions.lead_in_m else None
     return ExcursionsFile(
         conditions=conditions,
-        source=f"{command}: {runs} drawn ways of {LENGTH_M:g} m",
+        source=f"{command}: {runs} random paths of {LENGTH_M:g} m",
         path_m=sorted(path),
         lead_in_m=sorted_lead_in,
     )

@@ -1,7 +1,7 @@
 """Fit files, which store a fit with its data, command line and package versions.
 
 The files are calibration/fits/*.yaml. Each data set is listed with its SHA-256 and its
-role, fit or validation. An error is raised if a sample is used for fit and validation.
+role, fit or validation. Using a sample for both fit and validation raises an error.
 """
 
 from __future__ import annotations
@@ -40,8 +40,7 @@ class DataSet:
 
     Attributes:
         name: file name or label.
-        sha256: SHA-256 of the file. If there is no file, the SHA-256 of the numbers is
-            stored.
+        sha256: SHA-256 of the file, or of the values if there is no file.
         from_s: start of the interval that is used, s, or None for the start of the
             data.
         to_s: end of the interval that is used, s, or None for the end of the data.
@@ -69,7 +68,7 @@ class DataSet:
 
 
 class Data(Protocol):
-    """Protocol of measurements that a fit can use."""
+    """Protocol for measurements that a fit can use."""
 
     def data_set(self, role: Role) -> DataSet:
         """Return name, hash and size of the data."""
@@ -81,9 +80,9 @@ Measured = TypeVar("Measured", bound=Data)
 def assign_roles(
     label: str, fitted: Iterable[Measured], validation: Iterable[Measured]
 ) -> list[tuple[Measured, Role]]:
-    """Return all data of a fit with their roles.
+    """Return the data of a fit, each with the role "fit" or "validation".
 
-    `label` is the plural name of the data in error messages.
+    `label` is the plural noun for the data in error messages.
     """
     result: list[tuple[Measured, Role]] = [(data, "fit") for data in fitted]
     if not result:
@@ -94,7 +93,7 @@ def assign_roles(
 
 
 def data_sets(fitted: Iterable[Data], validation: Iterable[Data]) -> list[DataSet]:
-    """Return the data sets of a fit, with their roles."""
+    """Return the data sets of a fit, each with its role."""
     return [
         data.data_set(role) for data, role in assign_roles("data", fitted, validation)
     ]
@@ -153,7 +152,7 @@ _MAX_COMMAND_LENGTH = 2000
 
 
 def short_command(command: str) -> str:
-    """Return a command, truncated to the maximum length in a fit file."""
+    """Truncate a command to the maximum length in a fit file."""
     if len(command) <= _MAX_COMMAND_LENGTH:
         return command
     return command[: _MAX_COMMAND_LENGTH - 1] + "…"
@@ -174,19 +173,19 @@ class DataEntry(StrictModel):
     sha256: Annotated[
         str, Field(pattern="^[0-9a-f]{64}$", min_length=64, max_length=64)
     ]
-    """SHA-256 of the data as a hexadecimal text."""
+    """SHA-256 of the data as a hexadecimal string."""
     role: Role
     """Role of the data: fit, or validation for data that the fit does not use."""
     samples: Count
     """Number of samples, 0 to 1e9."""
     from_s: Number | None = None
-    """Start of the part that is used, s (default: start of the data)."""
+    """Start of the interval that is used, s (default: start of the data)."""
     to_s: Number | None = None
-    """End of the part that is used, s (default: end of the data)."""
+    """End of the interval that is used, s (default: end of the data)."""
     measured: Averages | None = None
-    """Measured averages by name with unit."""
+    """Measured averages, keyed by name with unit."""
     predicted: Averages | None = None
-    """Averages predicted by the plant with the fitted values."""
+    """Averages that the plant predicts with the fitted values."""
 
     def data_set(self) -> DataSet:
         """Return the data set of the entry."""
@@ -197,13 +196,13 @@ class ParameterEntry(StrictModel):
     """Fitted parameter."""
 
     name: Text
-    """Name section.key as in robot files, with a number for an element of a list."""
+    """Parameter name section.key as in robot files, numbered for a list element."""
     unit: Annotated[str, Field(min_length=1, max_length=20)]
-    """Unit of value, standard_error, low and high."""
+    """Unit of `value`, `standard_error`, `low` and `high`."""
     verdict: Verdict
     """Verdict on identifiability."""
     value: Number | None = None
-    """Estimated value, which is missing if the parameter is not identifiable."""
+    """Estimated value, missing if the parameter is not identifiable."""
     standard_error: Size | None = None
     """Standard error of the estimate."""
     low: Number | None = None
@@ -222,9 +221,9 @@ class QualityFile(StrictModel):
     independent_samples: Annotated[float, bounded(0.0, 1e9)]
     """Equivalent number of independent samples."""
     rms: Size | None = None
-    """RMS of the weighted residuals of the fit (1 if they are as large as expected)."""
+    """RMS of the weighted residuals of the fit (1 if as large as expected)."""
     validation_rms: Size | None = None
-    """RMS of the weighted residuals of the validation."""
+    """RMS of the weighted residuals of the validation data."""
     converged: bool
     """Whether the search converged."""
     misfit: Annotated[list[Long], Field(max_length=20)] | None = None
@@ -239,9 +238,9 @@ class FitFile(StrictModel, HtmlResult):
     name: Annotated[
         str, Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)
     ]
-    """Short name."""
+    """Short name of the fit."""
     title: Text
-    """Title, one line."""
+    """One-line title."""
     robot: Text
     """Name or path of the robot that the fit started from."""
     method: Method
@@ -251,7 +250,7 @@ class FitFile(StrictModel, HtmlResult):
     versions: Annotated[dict[str, Text], Field(max_length=30)]
     """Version of each package."""
     data: Annotated[list[DataEntry], Field(min_length=1, max_length=200)]
-    """Data sets of fit and validation."""
+    """Data sets used for the fit and for the validation."""
     held: Annotated[dict[str, Number], Field(max_length=100)]
     """Values that were fixed in the fit and affect the estimates."""
     parameters: Annotated[list[ParameterEntry], Field(min_length=1, max_length=100)]
@@ -259,12 +258,12 @@ class FitFile(StrictModel, HtmlResult):
     correlation: Annotated[
         list[Annotated[list[Fraction], Field(max_length=100)]], Field(max_length=100)
     ]
-    """Correlation matrix of the parameters that have a value, in their order."""
+    """Correlation matrix of the parameters with a value, in the order of parameters."""
     cancels: Annotated[
         list[Annotated[dict[str, Fraction], Field(max_length=100)]],
         Field(max_length=100),
     ]
-    """Unidentifiable directions, each with components by parameter name."""
+    """Unidentifiable directions, each with its components keyed by parameter name."""
     derived: Annotated[list[ParameterEntry], Field(max_length=20)] | None = None
     """Quantities that follow from the parameters, such as a frequency (default: none).
     """
@@ -272,7 +271,7 @@ class FitFile(StrictModel, HtmlResult):
     """Quality of the fit."""
 
     def estimate(self) -> FitEstimate:
-        """Return the estimate, without residuals."""
+        """Return the stored estimate, which has no residuals."""
         parameters = tuple(
             Parameter(**parameter.model_dump()) for parameter in self.parameters
         )
@@ -304,7 +303,7 @@ class FitFile(StrictModel, HtmlResult):
         ]
 
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
-        """Yield the location and message of each inconsistency."""
+        """Yield the location and the message of each inconsistency in the file."""
         yield from _check_data(self.data)
         missing = self.unidentified()
         for k, data in enumerate(self.data):
@@ -335,7 +334,7 @@ class FitFile(StrictModel, HtmlResult):
 def fit_file(
     estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any
 ) -> FitFile:
-    """Build the fit file of an estimate.
+    """Create the fit file of an estimate.
 
     `about` contains the values of name, title, robot, method, command and versions.
     """
@@ -404,8 +403,8 @@ def _check_data(data: Sequence[DataEntry]) -> Iterator[tuple[Loc, str]]:
         yield (
             ("data",),
             (
-                "no data have the role `fit`; a fit needs at least one data set with"
-                " this role"
+                "no data set has the role `fit`; a fit needs at least one data set"
+                " with this role"
             ),
         )
     try:

@@ -1,4 +1,4 @@
-"""HTML report of a fit: parameters, plots of the residuals, data and versions."""
+"""HTML report of a fit, with parameters, residual plots, data and package versions."""
 
 from __future__ import annotations
 
@@ -37,12 +37,13 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
     validated = (
         ""
         if quality.validation_rms is None
-        else f", of the validation {quality.validation_rms:.3g}"
+        else f", of the validation data {quality.validation_rms:.3g}"
     )
     summary = (
-        f"Weighted residuals of the fit {quality.rms or 0.0:.3g} RMS{validated} (1: as"
-        f" large as the expected noise); {quality.samples} samples, equivalent to"
-        f" {quality.independent_samples:.4g} independent ones."
+        f"RMS of the weighted residuals of the fit {quality.rms or 0.0:.3g}{validated}"
+        " (1 if they are as large as the expected noise);"
+        f" {quality.samples} samples, equivalent to"
+        f" {quality.independent_samples:.4g} independent samples."
         f" {'; '.join(quality.misfit or ())}"
     )
     data = [
@@ -63,7 +64,7 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
 
 
 def fit_page(fit: FitEstimate | FitFile) -> str:
-    """Return the HTML of a fit for a notebook."""
+    """Return HTML that shows a fit in a notebook."""
     return notebook_output(
         getattr(fit, "title", "Fit"),
         parameter_table((*fit.parameters, *(fit.derived or ()))),

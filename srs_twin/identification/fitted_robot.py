@@ -1,7 +1,7 @@
 """Robot whose parameters are replaced by the results of one or more fits.
 
 The result is the block `robot: {base: …}` of a scenario, or a robot file. If several
-fits contain a parameter, the last fit sets its value.
+fits contain the same parameter, the last fit sets its value.
 """
 
 from __future__ import annotations
@@ -38,31 +38,32 @@ _STDS_IN_INTERVAL = 3.92
 """Ratio of the width of a 95 % interval to the standard deviation."""
 
 _MIN_CORRELATION = 0.05
-"""Minimum magnitude of a correlation that is written."""
+"""Minimum magnitude of a correlation to be written to the robot."""
 
 _MAX_CORRELATION = 0.99
-"""Maximum magnitude of a correlation that is written.
+"""Maximum magnitude of a correlation written to the robot.
 
 A correlation of 1 would make the correlation matrix singular.
 """
 
 _ROUNDING = 1e-7
-"""Relative tolerance for equal values (numbers in fit files have nine digits)."""
+"""Relative tolerance for equal values. Values in fit files have nine digits."""
 
 
 def robot_override(
     fit: FitFile, *, weak: bool = True, over: RobotSpec | None = None
 ) -> dict[str, Any]:
-    """Return the robot block of a scenario with the result of a fit.
+    """Return the block `robot` of a scenario with the result of a fit.
 
     A parameter that is not identifiable keeps the value of the base robot, or the
     constant value used in the fit.
 
     Args:
-        fit: fit file. The robot of the fit is the base robot of the block.
+        fit: fit file. The block is based on the robot from which the fit started.
         weak: whether weakly identified parameters are included.
-        over: robot with the results of other fits, by default the base robot. List
-            elements that the fit does not estimate are copied from `over`.
+        over: robot that already has the results of other fits, by default the base
+            robot. List elements that the fit does not estimate are copied from this
+            robot.
 
     Raises:
         InputError: the base robot does not exist or draws a fitted parameter at random,
@@ -115,14 +116,18 @@ def _changes(
     names = {parameter.name for parameter in used}
     has_gain = any(name.startswith("modules.gain") for name in names)
     if has_gain and _BEND in fit.held and _BEND not in names:
-        why = "gains are multiples of it"
+        why = "the fitted gains are multiples of this value"
         yield _BEND, "calibrated", f"held in fit {fit.name}: {why}"
     for name in changed:
-        yield name, "estimated", f"held in fit {fit.name}: its values refer to it"
+        yield (
+            name,
+            "estimated",
+            f"held in fit {fit.name}: the fitted values depend on it",
+        )
 
 
 def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec:
-    """Return a robot with the values that a fit estimated or held constant."""
+    """Return a robot with the values that a fit estimated or kept constant."""
     used = _used_parameters(fit, weak)
     values = {parameter.name: parameter.value or 0.0 for parameter in used}
     base = load_robot_file(fit.robot).spec()
@@ -186,7 +191,7 @@ def _prior(parameter: ParameterEntry) -> dict[str, object]:
     if parameter.name.startswith(("modules.", "mass.")) or None in numbers:
         return {}
     value, low, high = (float(number or 0.0) for number in numbers)
-    if low > 0.0:  # the fit used the logarithms of positive parameters
+    if low > 0.0:  # the fit estimates the logarithms of positive parameters
         factor = (high / low) ** (1 / _STDS_IN_INTERVAL)
         if factor > 1.0 and value:
             return {"uncertain": {"kind": "lognormal", "factor": min(factor, 100.0)}}
@@ -221,11 +226,11 @@ def _source(fit: FitFile, entries: list[ParameterEntry]) -> str:
 def merge_overrides(
     fits: Sequence[StrPath], *, base: str | None = None, weak: bool = True
 ) -> dict[str, Any]:
-    """Return the robot block of a scenario with the results of several fits.
+    """Return the block `robot` of a scenario with the results of several fits.
 
     Args:
-        fits: paths of fit files. If several files contain a parameter, the last file
-            sets its value.
+        fits: paths of fit files. If several files contain the same parameter, the last
+            file sets its value.
         base: name or path of the robot to change, by default the robot of the fits.
         weak: whether weakly identified parameters are included.
 
@@ -264,7 +269,7 @@ def merge_overrides(
 
 
 def fitted_robot(fits: Sequence[StrPath], name: str, *, weak: bool = True) -> RobotFile:
-    """Return a robot file with the values of the base robot and the results of fits."""
+    """Return a robot file that applies the results of fits to the base robot."""
     block = merge_overrides(fits, weak=weak)
     title = f"{block['base']}, fitted: {', '.join(Path(path).stem for path in fits)}"
     return robot_in(Document(name, block | {"name": name, "title": title[:200]}))
@@ -281,18 +286,17 @@ def calibrate_robot(
 ) -> RobotFile:
     """Return a robot with the results of fits, as `srs-twin calibrate robot` does.
 
-    `RobotFile.spec` converts the result to a specification for the plants.
-
     Args:
-        fits: paths of fit files of one robot. If several files contain a parameter, the
-            last file sets its value.
+        fits: paths of fit files of one robot. If several files contain the same
+            parameter, the last file sets its value.
         name: name of the robot.
         out: path of the robot file, or None to write nothing.
         weak: whether weakly identified parameters are included.
         overwrite: whether an existing file is replaced.
 
     Raises:
-        InputError: a fit cannot be used, or the robot file exists or cannot be written.
+        InputError: a fit does not match the robot, or the robot file already exists or
+            cannot be written.
     """
     if out is not None:
         path = Path(out)

@@ -1,4 +1,4 @@
-"""Options, progress display and output of the commands that fit parameters."""
+"""Options, progress display and output of the fit commands."""
 
 from __future__ import annotations
 
@@ -38,15 +38,12 @@ RobotOption = Annotated[
     str,
     option(
         "--robot -r ROBOT",
-        "Robot whose parameters are the initial values of the fit, as the name of a"
-        " shipped robot or the path of a robot file.",
+        "Robot that provides the initial values of the fit: name of a shipped robot, or"
+        " path of a robot file.",
     ),
 ]
 
-_VALIDATE = (
-    "Recording or table that validates the fit and does not influence it. Can be"
-    " repeated."
-)
+_VALIDATE = "Recording or table that is used only to validate the fit. Can be repeated."
 ValidateOption = Annotated[list[str] | None, option("--validate FILE", _VALIDATE)]
 
 _PARAMETERS = "Names of the parameters to fit, for example friction.mu_t,friction.mu_n."
@@ -63,7 +60,7 @@ class DataOptions:
     pressure: PressureOption = None
 
     def given(self) -> dict[str, Any]:
-        """Return the options as arguments of the functions in `calibration`."""
+        """Return the options as arguments for the functions in `calibration`."""
         if self.pressure is not None and not 0.1 <= self.pressure <= 2000.0:
             raise InputError(
                 f"--pressure: {self.pressure:g} kPa is not allowed; it must be between"
@@ -93,7 +90,7 @@ class FitOptions:
 
 
 class FitProgress(Display):
-    """Display of the progress of a search."""
+    """Progress display of a search."""
 
     def __init__(self, title: str, *, quiet: bool = False) -> None:
         super().__init__(title, quiet=quiet)
@@ -132,14 +129,14 @@ _MAX_SIGNALS = 24
 def print_table(
     headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()
 ) -> None:
-    """Print a table, with the columns whose indices are in `left` left-aligned."""
+    """Print a table. The columns with the indices `left` are left-aligned."""
     table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
     terminal = console()
     terminal.width = max(
         terminal.width, _TABLE_WIDTH
-    )  # a truncated number would look like another number
+    )  # a truncated number would be misread
     terminal.print(table)
 
 
@@ -161,7 +158,7 @@ def print_estimate(estimate: FitEstimate) -> None:
         _residual_lines(estimate),
         *estimate.misfit,
     ):
-        terminal.print(line, soft_wrap=True)  # a path with line breaks cannot be copied
+        terminal.print(line, soft_wrap=True)  # line breaks would prevent copying a path
     if not estimate.converged:
         terminal.print("the search did not converge")
 
@@ -227,7 +224,7 @@ class FitOutput:
     def from_options(
         cls, context: typer.Context, method: str, robot: str, options: FitOptions
     ) -> FitOutput:
-        """Check that the output files may be written, and return the settings."""
+        """Return the settings after checking that the output files may be written."""
         from srs_twin.identification.fit_file import check_fit_suffix
 
         out = options.out
@@ -251,15 +248,15 @@ class FitOutput:
         return cls(name, path, robot, command, options.quiet, options.as_json)
 
     def say(self, text: str) -> None:
-        """Print a note on stderr."""
+        """Print a message to stderr."""
         say(text, quiet=self.quiet)
 
     def run(
         self, function: Callable[..., Calibration], files: list[str], **settings: Any
     ) -> None:
-        """Call a function of `calibration`, write the files, and print the result.
+        """Call a fit function, write the files, and print the result.
 
-        If the user interrupts the search, no file is written.
+        If the user interrupts the search, no files are written.
         """
         with (
             interruptible(NOTHING_WRITTEN),
@@ -272,13 +269,15 @@ class FitOutput:
         elif not self.quiet:
             print_estimate(result.estimate)
         report = display_path(self.path.with_suffix(".html"))
-        self.say(f"fit in {display_path(self.path)}, residuals in {report}")
+        self.say(f"fit written to {display_path(self.path)}, residuals to {report}")
         if result.plateaus is not None:
             from srs_twin.identification.static_tables import write_static_table
 
             table = self.path.with_suffix(".table.csv")
             write_static_table(result.plateaus, table)
-            self.say(f"{len(result.plateaus.bend)} plateaus in {display_path(table)}")
+            self.say(
+                f"{len(result.plateaus.bend)} plateaus written to {display_path(table)}"
+            )
 
 
 def _check_same_command(path: Path, command: str) -> None:
@@ -289,7 +288,8 @@ def _check_same_command(path: Path, command: str) -> None:
         existing: FitFile = load_fit(path)
     except InputError as error:
         raise InputError(
-            f"{display_path(path)}: the file already exists and is not a fit; {remedy}"
+            f"{display_path(path)}: the file already exists and is not a fit file;"
+            f" {remedy}"
         ) from error
     if existing.command != command:
         raise InputError(

@@ -1,9 +1,9 @@
 """Measurement of footprints, which describe the area that a crawling robot sweeps.
 
 In the dissertation, the curvature, the speed and the circles that bound the body were
-measured at seven offsets (Section 5.3, Fig. 58, Table 8). This module measures
-curvature, speed and bounding circles in simulations. Each offset is simulated with
-several initial phases of the gait, and each change of offset occurs at several phases.
+measured at seven offsets (Section 5.3, Fig. 58, Table 8). This module determines the
+same quantities from simulations. Each offset is simulated with several initial gait
+phases, and each change of offset is simulated at several gait phases.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _MIN_SAMPLES = 25
 
 @dataclass(frozen=True)
 class GaitSetup:
-    """Robot, gait and plant for which a footprint is measured.
+    """Robot, gait and plant of a footprint measurement.
 
     Attributes:
         frequency: gait frequency, Hz.
@@ -134,12 +134,12 @@ class GaitSetup:
 
     @property
     def settling_periods(self) -> int:
-        """Number of gait periods after which a run is steady."""
+        """Number of gait periods after which a run is considered steady."""
         return 16 if self.controller == "ilc" else 8
 
     @property
     def transient_periods(self) -> int:
-        """Maximum number of gait periods of the transient after a change of offset."""
+        """Maximum duration of a transient after an offset change, in gait periods."""
         return 12 if self.controller == "ilc" else 6
 
     @property
@@ -228,8 +228,8 @@ def _make_plant(setup: GaitSetup) -> Plant:
         return TwinSnake(setup.spec, **settings)
     from srs_twin.plants.analytical import AnalyticalSnake
 
-    # With the pulses of iterative learning, a model with prescribed bends would slip
-    # too much (docs/module.md).
+    # Iterative learning pulses the valves, and a model with prescribed bends would then
+    # slip too much (docs/module.md).
     return AnalyticalSnake(setup.spec, model="compliant", friction="wheel", **settings)
 
 
@@ -238,7 +238,8 @@ class FootprintMeasurement:
     """Measured footprint.
 
     Attributes:
-        spread: half the range of the repeated simulations, for each entry of `steady`.
+        spread: half the range over the repeated simulations, for each entry of
+            `steady`.
         repeats: number of simulations per offset and per change of offset.
         periods: number of measured gait periods of each steady simulation.
     """
@@ -256,20 +257,20 @@ _OFFSETS = (3, 101)
 """Minimum and maximum number of offsets."""
 
 _LIMITS = {"periods": (3, 200), "phases": (1, 64)}
-"""Minimum and maximum number of measured gait periods and of phases of the gait."""
+"""Minimum and maximum number of measured gait periods, and of gait phases."""
 
 
 @dataclass(frozen=True)
 class FootprintStudy:
-    """Simulations from which a footprint is measured.
+    """Set of simulations from which a footprint is measured.
 
     Attributes:
-        offsets: three or more offsets in ascending order, with negative and positive
-            values.
+        offsets: three or more offsets in ascending order, some negative and some
+            positive.
         changes: changes of offset to measure, as pairs of the old and the new offset.
         periods: number of measured gait periods of each steady simulation.
-        phases: number of simulations per offset and per change of offset, which start
-            at equidistant phases of the gait.
+        phases: number of simulations per offset and per change of offset, at equally
+            spaced gait phases.
     """
 
     setup: GaitSetup
@@ -320,8 +321,7 @@ class FootprintStudy:
         """Simulate the plant and measure the footprint.
 
         By default, the number of threads is the number of processors. The callback
-        `progress` receives the number of finished simulations and the total number of
-        simulations.
+        `progress` receives the finished and the total number of simulations.
 
         Raises:
             DivergedError: a simulation diverged.
@@ -414,7 +414,7 @@ class FootprintStudy:
 
 
 def steady_path(setup: GaitSetup, run: Trajectory, periods: int) -> SteadyPath:
-    """Return the steady path over the last gait periods of a simulation."""
+    """Return the steady path over the last `periods` gait periods of a simulation."""
     window = GaitWindow.ending_at(run, setup.period, float(run.time[-1]), periods)
     if window is None:
         raise InputError(
@@ -433,11 +433,11 @@ def footprint_study(
     changes: Changes | None = None,
     **counts: int,
 ) -> FootprintStudy:
-    """Return the study of a footprint.
+    """Return the study that measures a footprint.
 
     The default offsets are −0.3 to 0.3 for "ilc" and −0.4 to 0.4 for "gait", in steps
     of 0.1. `changes` contains pairs of the old and the new offset, by default
-    `default_changes`. `counts` contains `periods` and `phases` of the `FootprintStudy`.
+    `default_changes`. `counts` sets `periods` and `phases` of the `FootprintStudy`.
     """
     rows = setup.offsets if offsets is None else tuple(map(float, offsets))
     study = FootprintStudy(setup, rows, tuple(changes or ()), **counts)
@@ -449,9 +449,9 @@ def footprint_study(
 def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:
     """Return the changes of offset that are measured by default.
 
-    The changes connect 0 with the outermost offsets. The changes also connect 0 with
-    half of the outermost offsets if the half offsets are measured. A planner
-    interpolates linearly between the measured changes.
+    These are the changes between 0, the lowest and the highest offset, and the changes
+    between 0 and about half of these extremes. A planner interpolates linearly between
+    the measured changes.
     """
     low = min(offsets)
     high = max(offsets)

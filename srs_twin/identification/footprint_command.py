@@ -35,14 +35,13 @@ FOOTPRINTS = "calibration/footprints"
 
 @dataclass(frozen=True)
 class MeasurementOptions:
-    """Options of the runs from which a footprint is measured.
+    """Options for the runs from which a footprint is measured.
 
     Options:
         --controller NAME: Controller of the robot: gait (open loop) or ilc (iterative
             learning control).
         --frequency HZ: Frequency of the gait in Hz. [default: 2, or 1.5 for ilc]
-        --target RAD: Target amplitude of the bends in rad. Only the ilc controller uses
-            it.
+        --target RAD: Target bend amplitude in rad, used only by the ilc controller.
         --plant NAME: Model to simulate: twin or analytical.
         --contact NAME: Contact model of the twin: loaded or preloaded. [default:
             loaded]
@@ -53,7 +52,7 @@ class MeasurementOptions:
             ilc]
         --transients/--no-transients: Also measure the area that the robot sweeps while
             the offset changes.
-        --periods N: Number of gait periods that are measured in each run.
+        --periods N: Number of gait periods measured in each run.
         --phases N: Number of runs per offset, which start at different phases of the
             gait.
     """
@@ -137,7 +136,10 @@ def footprint(
         print_json(file.model_dump(mode="json", exclude_none=True))
     elif not quiet:
         _print_footprint(measured)
-    say(f"footprint in {display_path(Path(out) / f'{file_name}.yaml')}", quiet=quiet)
+    say(
+        f"footprint written to {display_path(Path(out) / f'{file_name}.yaml')}",
+        quiet=quiet,
+    )
 
 
 def margin(
@@ -154,12 +156,12 @@ def margin(
 
     The robot follows random paths under the conditions of a scenario. The deviations
     are written to the footprint file. If a scenario sets planner.margin_probability,
-    the planner derives its margin from them.
+    the planner computes the margin from these deviations.
 
     Options:
         --runs N: Number of runs with each model.
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
-            [default: the models that the scenario names]
+            [default: the models named in the scenario]
         --out DIR: Folder of the footprint file.
     """
     from srs_twin.identification.excursions import NO_MARGIN, calibrate_margin
@@ -196,7 +198,9 @@ def margin(
             ("plant", "half of the runs", "90 %", "95 %", "all, mm"), rows, left=(0,)
         )
     name = load_footprint_file(loaded.file.section("planner").footprint).name
-    say(f"excursions in {display_path(Path(out) / f'{name}.yaml')}", quiet=quiet)
+    say(
+        f"excursions written to {display_path(Path(out) / f'{name}.yaml')}", quiet=quiet
+    )
 
 
 def _print_footprint(measured: FootprintMeasurement) -> None:

@@ -1,4 +1,4 @@
-"""Footprint files: conversion of measurements, and header with the study settings."""
+"""Conversion of footprint measurements to footprint files."""
 
 from __future__ import annotations
 
@@ -45,20 +45,20 @@ _SPREADS = {
     "left_m": "left",
     "right_m": "right",
 }
-"""Attributes of `SteadyPath` that correspond to the keys of the spread in the file."""
+"""Attributes of `SteadyPath` whose spread is written, by key in the file."""
 
 
 def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
     """Convert a measurement to a footprint file."""
     setup = measured.setup
     paths = measured.steady
-    phases = f"{measured.repeats} phases of the gait"
+    phases = f"{measured.repeats} gait phases"
     source = (
         f"measured on {_plant_text(setup)} by `srs-twin calibrate footprint`, over"
-        f" {measured.periods} gait periods at each of {phases} at the start"
+        f" {measured.periods} gait periods from each of {phases}"
     )
-    edge = "as curvature_per_m; the farthest that any repeat reached"
-    # A straight snake has the maximum length, so half of this length is an upper bound.
+    edge = "as curvature_per_m; maximum over all runs"
+    # Upper bound: a snake is longest when it is straight.
     body = setup.spec.geometry
     straight = round((body.body_length + body.width) / 2, _DIGITS)
 
@@ -81,11 +81,13 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         "left_m": record(_column(paths, "left"), "m", edge),
         "right_m": record(_column(paths, "right"), "m", "as left_m"),
         "ahead_m": record(
-            max(*_column(paths, "ahead"), straight), "m", "as left_m, or straight"
+            max(*_column(paths, "ahead"), straight),
+            "m",
+            "as left_m, or half a straight robot",
         ),
         "behind_m": record(max(*_column(paths, "behind"), straight), "m", "as ahead_m"),
         "spread": {
-            "source": f"half the range over {phases} at the start",
+            "source": f"half the range over runs from {phases}",
             **{key: _column(measured.spread, name) for key, name in _SPREADS.items()},
         },
     }
@@ -93,8 +95,8 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         content["transients"] = {
             "status": "calibrated",
             "source": (
-                f"as curvature_per_m, each change at {phases}: the widest and longest"
-                " of them, and the mean jump"
+                f"as curvature_per_m, for changes at {phases}: maximum widths and"
+                " lengths, and mean displacement"
             ),
             "changes": [_change_entry(transient) for transient in measured.transients],
         }
@@ -127,9 +129,9 @@ def calibrate_footprint(
     Args:
         robot: name or path of the robot, or a loaded robot.
         out: folder of the footprint file, or None to write nothing.
-        name: name of the footprint and of its file, by default composed of the names of
-            robot and controller.
-        overwrite: whether the file of another measurement is replaced.
+        name: name of the footprint and of its file, by default the names of the robot
+            and the controller.
+        overwrite: whether an existing file from another measurement is replaced.
         controller: controller, "gait" (open loop) or "ilc" (iterative learning
             control).
         frequency_hz: gait frequency, Hz, by default `FREQUENCY_HZ`.
@@ -217,9 +219,9 @@ def header_lines(
 
 
 def robot_hash(spec: RobotSpec) -> str:
-    """Return the SHA-256 of the values of a robot that differ from their defaults.
+    """Return the SHA-256 of all values of a robot that differ from their defaults.
 
-    Adding a new parameter with a default value therefore does not change the hash.
+    Adding a parameter with a default value to the package does not change the hash.
     """
 
     def non_defaults(section: object) -> object:

@@ -10,11 +10,11 @@ $$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 The kinetic friction coefficient may be smaller. The estimate is the mean over all
 pulls. The standard error includes the errors of k and m, which are common to all pulls.
 
-A table of pulls is a CSV file. A row contains the maximum deformation of the spring in
-a pull along the body (column ``along_mm``), in a pull across the body (``across_mm``),
-or in one pull in each direction. The columns ``spring_n_per_m`` and ``mass_kg`` and the
-optional standard errors ``spring_error_n_per_m`` and ``mass_error_kg`` must be
-constant.
+A table of pulls is a CSV file. The columns ``along_mm`` and ``across_mm`` contain the
+maximum spring deformation in pulls along and across the body. A row contains one pull
+in one or both directions. The columns ``spring_n_per_m`` and ``mass_kg`` must be
+constant, as must the optional columns of standard errors, ``spring_error_n_per_m`` and
+``mass_error_kg``.
 
 **Coasting tests.** The robot with vented chambers is pushed and released on the floor.
 A straight robot decelerates by μ_t g/(1 + s) along the wheels and by μ_n g across the
@@ -32,15 +32,14 @@ $$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert , $$
 where δ_i is the heading of connector i, m_i the mass of connector i, and M the total
 mass. Under the friction law `wheel`, the lateral slip of the wheels increases the drag
 coefficient to μ_t + ε √(μ_n² − μ_t²). The motion is expressed in a frame that turns
-with the body, and the angle between the mean heading and the rolling direction is a
-fitted parameter.
+with the body. The angle between the mean heading and the rolling direction is also
+fitted.
 
 The misalignment ε is computed from the recorded bends. If no bends were recorded, ε is
 computed from the rest bends in the robot file. Because ε(bends) is a seminorm, errors
-of the bends (`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most ε(errors). Two
-further fits use values of ε that are increased or decreased by the 95 % quantile of
-ε(errors). The confidence interval of a coefficient contains the intervals of the two
-fits with changed ε.
+of the bends (`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most ε(errors). The
+fit is repeated with ε increased and decreased by the 95 % quantile of ε(errors). The
+confidence interval of a coefficient also covers the intervals of these two fits.
 """
 
 from __future__ import annotations
@@ -91,12 +90,12 @@ from srs_twin.trajectory import Trajectory
 _NAMES = ("friction.mu_t", "friction.mu_n")
 
 _DIRECTIONS = ("along", "across")
-"""Directions of pulls and coasting, in the order of `_NAMES`."""
+"""Directions relative to the body, in the order of `_NAMES`."""
 
 
 @dataclass(frozen=True)
 class Pulls:
-    """Spring deformations measured while a spring car pulled the robot.
+    """Spring deformations measured in pulls of the robot with a spring car.
 
     Attributes:
         along: maximum deformation of the spring in each pull along the body, m.
@@ -136,13 +135,13 @@ class Pulls:
             pulls = np.asarray(getattr(self, direction), dtype=float)
             if pulls.ndim != 1 or not (np.isfinite(pulls) & (pulls >= 0)).all():
                 raise InputError(
-                    f"{self.name}: the pulls {direction} are not allowed; they must be"
-                    " a list of lengths of at least 0, in m"
+                    f"{self.name}: the pulls {direction} the body are not allowed; they"
+                    " must be a list of spring deformations of at least 0 m"
                 )
             if len(pulls) == 1:
                 raise InputError(
-                    f"{self.name}: a single pull {direction} does not show the"
-                    " scatter; give 2 or more pulls, or none"
+                    f"{self.name}: a single pull {direction} the body does not show"
+                    " the scatter; give 2 or more pulls, or none"
                 )
 
     @property
@@ -216,10 +215,10 @@ def _parameter(
     k: int, values: np.ndarray, mean: float, variance: float, error: float
 ) -> Parameter:
     if not len(values):  # `Pulls` does not accept a single value
-        why = f"there are no pulls {_DIRECTIONS[k]}"
+        why = f"there are no pulls {_DIRECTIONS[k]} the body"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     if error >= UNIDENTIFIABLE_ERROR * mean:
-        why = f"the scatter of the pulls {_DIRECTIONS[k]} is as large as their mean"
+        why = f"the pulls {_DIRECTIONS[k]} the body scatter by as much as their mean"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     # The Welch-Satterthwaite formula gives the degrees of freedom. The standard errors
     # of k and m are treated as exact, so they have infinitely many degrees of freedom.
@@ -249,7 +248,7 @@ PULL_COLUMNS = "along_mm,across_mm,spring_n_per_m,mass_kg"
 
 
 def is_pull_table(path: StrPath) -> bool:
-    """Return whether the header of a file contains a column of a table of pulls."""
+    """Return whether the header of a file has a column of a table of pulls."""
     return any(
         name == direction or name.startswith((f"{direction}_", f"{direction} "))
         for name in first_line_names(path)
@@ -372,7 +371,7 @@ _UNSEEN_BEND_RAD = 0.03
 """Standard deviation of a rest bend in the robot file, rad."""
 
 _BEND_DRAWS = 1000
-"""Number of random draws of the errors of the bends."""
+"""Number of random samples of the bend errors."""
 
 _MAX_HALF_WIDTH = 0.1
 """Maximum relative half width of the interval of an identified coefficient."""
@@ -386,8 +385,7 @@ class CoastingTest:
         time: time since the first sample that is used, s, shape (samples,).
         position: displacement of the centre of mass along and across the heading, m,
             shape (samples, 2).
-        velocity: initial guess of the initial velocity along and across the heading,
-            m/s.
+        velocity: first guess of the initial velocity along and across the heading, m/s.
         span: first and last time of the samples that are used, on the clock of the
             recording, s.
         bends: mean recorded bends, rad, shape (segments,), or None if the bends were
@@ -406,7 +404,7 @@ class CoastingTest:
     def from_trajectory(
         cls, trajectory: Trajectory, name: str, *, start: float | None = None
     ) -> CoastingTest:
-        """Extract the coasting test from a trajectory.
+        """Return the part of a trajectory in which the robot coasts.
 
         `start` is the time from which the robot coasts (s), by default the time of the
         maximum speed.
@@ -474,16 +472,16 @@ def fit_coasting(
 ) -> FitEstimate:
     """Estimate μ_t and μ_n from coasting tests.
 
-    The coefficient of a direction is identifiable only if the robot coasts in this
-    direction. Validation tests do not influence the coefficients, but their initial
-    velocities are fitted. If `wheel_inertia` is false, the wheels have no rotational
-    inertia, as on skids and in the analytical plant. `friction_law` is one of
-    `robot.friction.FRICTION_LAWS` except "viscous".
+    A coefficient is identifiable only if the robot coasts in its direction. Validation
+    tests do not influence the coefficients, but their initial velocities are fitted. If
+    `wheel_inertia` is false, the wheels have no rotational inertia, as on skids and in
+    the analytical plant. `friction_law` is one of `robot.friction.FRICTION_LAWS` except
+    "viscous".
     """
     allowed = [name for name in FRICTION_LAWS if name != "viscous"]
     if friction_law not in allowed:
         raise InputError(
-            f"friction law '{friction_law}' is not allowed here; allowed are"
+            f"friction law '{friction_law}' is not allowed here; use one of"
             f" {', '.join(allowed)}"
         )
     assign_roles("coasting tests", runs, validation)
@@ -543,7 +541,7 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
     value = parameter.value or 0.0
     is_wide = max(value - low, high - value) > _MAX_HALF_WIDTH * value
     if is_wide and parameter.verdict == "identified":
-        why = f"its interval reaches beyond ±{100 * _MAX_HALF_WIDTH:.0f} %"
+        why = f"its 95 % interval exceeds ±{100 * _MAX_HALF_WIDTH:.0f} %"
         return replace(widened, verdict="weakly identified", why=why)
     return widened
 
@@ -552,8 +550,8 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
 class _CoastingModel:
     """Model that predicts coasting tests.
 
-    `fraction` is the fraction s of `floor.slide`. `mu_n` is the coefficient for the
-    lateral slip of a bent body, by default the fitted μ_n.
+    `fraction` is the fraction s of `floor.slide`. `mu_n` is the coefficient of lateral
+    slip for a bent body, by default the fitted μ_n.
     """
 
     spec: RobotSpec
@@ -597,7 +595,7 @@ class _CoastingModel:
     def _residuals(
         self, run: CoastingTest, k: int, values: Mapping[str, float], angle: float
     ) -> list[Residual]:
-        """Return the residuals of run k minus their mean values.
+        """Return the residuals of run k without their means.
 
         Subtracting the mean value is equivalent to fitting the initial position.
         """
@@ -638,7 +636,7 @@ class _CoastingModel:
 
 
 _SHARP_SLIP = 1e-12
-"""Slip speed of the regularised friction law, m/s. Its effect is negligible."""
+"""Slip speed that regularises the friction law, m/s, with negligible effect on fits."""
 
 
 def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:

@@ -1,28 +1,27 @@
-r"""Free swing of a body that hangs on one bent segment.
+r"""Free swing of a body that hangs on one segment.
 
 The upper end of the segment is clamped so that the segment hangs straight down. The
-other end carries a body of mass m and moment of inertia J about the centre of the body.
-The bend is q. The chord has the length L(q) defined in `robot.geometry` and the angle
-q/2. Lagrange's equation is
+lower end carries a body of mass m, whose moment of inertia about its centre is J. At
+the bend q, the chord of the segment has the length L(q) (`robot.geometry`) and the
+angle q/2 to the vertical. Lagrange's equation is
 
 $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
    = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
    d = b(t) + \varphi(x) - q . $$
 
 Here φ(x) is the bend law of `pneumatics.chambers`, which converts the pressures to a
-bend, and b is the rest bend without pressure. Because a real material recovers slowly
-from a bend, b contains decaying exponentials.
+bend, and b is the rest bend without pressure. A real material recovers slowly after it
+was bent, so b contains decaying exponentials.
 
-**Air.** If the chambers are open, φ = 0. The air in a closed chamber has a constant
-temperature and the absolute pressure P. The amount of air n = P V changes at the leak
-rate λ until the chamber is at the ambient pressure p₀:
+**Air.** If the chambers are open, φ = 0. In a closed chamber, the air has a constant
+temperature and the absolute pressure P. Through a leak with the rate λ, the amount of
+air n = P V tends to its value at the ambient pressure p₀:
 
 $$ \dot n = -\lambda\,(n - p_0 V) . $$
 
-**Material.** The material is viscous with the damping time T. The material may also
-have Maxwell branches with moments e_i that satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches
-produce a nearly constant loss factor if their relaxation times τ_i are distributed over
-two decades about the period of the oscillation.
+**Material.** The material is viscous with the damping time T. Maxwell branches may add
+moments e_i, which satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches give a nearly constant
+loss factor if the relaxation times τ_i span two decades around the oscillation period.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _half_angle_terms = kernel_only(half_angle_terms)
 _chord = kernel_only(chord_from_half_angle)
 
 _LARGEST_REST_RAD = 3.0
-"""Maximum magnitude of the bend at rest, rad."""
+"""Maximum magnitude of the equilibrium bend, rad."""
 
 _SMALL_BEND_RAD = 1e-4
 """Step of finite differences with respect to the bend, rad."""
@@ -56,19 +55,19 @@ _MAX_ANGLE_STEP = 0.06
 """Maximum product of the angular frequency and a time step, rad."""
 
 _SHORTEST_S = 1e-3
-"""Time scale of an oscillation that is too fast for the branches to relax, s."""
+"""Oscillation time scale that is too short for the branches to relax, s."""
 
 _SLOWEST_RAD_S = 1e-6
 """Angular frequency assigned to an overdamped swing, rad/s."""
 
 NO_BRANCHES = np.empty((0, 2))
-"""Empty list of branches for a purely viscous material."""
+"""Empty array of branches, for a purely viscous material."""
 
 _BRANCH_RATIOS = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """Relaxation times of the Maxwell branches as multiples of 1/ω."""
 
 _SMALLEST_RELAXED_FRACTION = 0.02
-"""Minimum fraction of the stiffness that remains after all branches have relaxed."""
+"""Minimum fraction of the stiffness left after all branches have relaxed."""
 
 
 class HangingSegment(NamedTuple):
@@ -85,8 +84,7 @@ class HangingSegment(NamedTuple):
         dead_volume: dead volume V₀ of a chamber, m³.
         displacement: derivative A of the chamber volume with respect to the bend,
             m³/rad.
-        encloses_air: whether the chambers are closed, so that the pressures are
-            computed from the enclosed air.
+        encloses_air: whether the chambers are closed and therefore enclose air.
     """
 
     length: float
@@ -156,7 +154,7 @@ def _derivatives(state, creep, creep_derivative, material, segment, branches, re
 
 @allocating
 def swing(time, start, rest, frequency, material, segment, branches):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Integrate the free swing with the Runge-Kutta method of order 4.
+    """Integrate the free swing with the fourth-order Runge-Kutta method.
 
     The state consists of the bend (rad), the bend rate (rad/s), the products P V of the
     air in the + and − chamber (J), and the moments of the branches (N·m).
@@ -165,10 +163,9 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
         time: times in ascending order, s, shape (samples,).
         start: initial state, shape (4 + branches,).
         rest: rest bend b without pressure at each time, rad, shape (samples,).
-        frequency: approximate angular frequency, rad/s, from which the time step is
-            computed.
+        frequency: approximate angular frequency, which sets the time step, rad/s.
         material: `Material` of the segment.
-        segment: `HangingSegment` with the constants of the equation of motion.
+        segment: constants of the equation of motion.
         branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of each branch,
             shape (branches, 2).
 
@@ -208,9 +205,9 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
 
 
 def weight_moment(segment: HangingSegment, bend: float) -> float:
-    """Return the moment due to weight, N·m.
+    """Return the moment due to the weight of the body, N·m.
 
-    The moment is negative if the bend is positive.
+    A positive bend gives a negative moment.
     """
     chord, derivative, _ = chord_derivatives(bend, segment.length, segment.gap)
     change = derivative * math.cos(bend / 2) - chord * math.sin(bend / 2) / 2
@@ -238,21 +235,24 @@ def ringing(
     air: Array,
     branches: Array = NO_BRANCHES,
 ) -> Ringing:
-    r"""Return the small oscillation about the bend at which the segment hangs.
+    r"""Return the small oscillation about the bend at which the segment hangs at rest.
 
-    The linearised equation has the complex stiffness of the material and the air $$
-    K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad r =
-    \varphi'(x)\,G\,P\,\frac{A}{V}. $$ The damped frequency is computed from the complex
-    root of M s² + K(s) + w = 0, where w is the stiffness due to weight. The loss factor
-    at the damped frequency is Im K/Re K. Each Maxwell branch adds g s τ/(1 + s τ) to
-    the stiffness of the material.
+    The linearised equation has the complex stiffness of the material and the air
+
+    $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
+    r = \varphi'(x)\,G\,P\,\frac{A}{V}. $$
+
+    The damped frequency follows from the complex root of M s² + K(s) + w = 0, where w
+    is the stiffness due to the weight. The loss factor at the damped frequency is
+    Im K/Re K. Each Maxwell branch adds g s τ/(1 + s τ) to the stiffness of the
+    material.
 
     Args:
         segment: hanging segment.
         material: stiffness, damping time and leak rate.
         rest: rest bend b, rad.
-        air: products P V of the air in the + and − chamber, J, shape (2,). The products
-            are ignored if the valves are open.
+        air: products P V of the air in the + and − chamber, J, shape (2,). They are
+            ignored if the valves are open.
         branches: stiffness (N·m/rad) and relaxation time (s) of each Maxwell branch,
             shape (branches, 2).
     """
@@ -300,7 +300,7 @@ def ringing(
 
 
 class Branches(NamedTuple):
-    """Material with Maxwell branches, and the initial moments of the branches.
+    """Material with Maxwell branches, and the moments of the branches at one time.
 
     Attributes:
         material: stiffness and viscous damping without the branches.

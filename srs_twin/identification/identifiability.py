@@ -1,4 +1,4 @@
-r"""Identifiability of the parameters of a fit, and the accuracy of their values.
+r"""Identifiability and accuracy of fitted parameters.
 
 Let J be the Jacobian of the weighted residuals with respect to the coordinates z of
 `parameters`. J has singular values s_k and right singular vectors v_k. The error E of J
@@ -10,11 +10,11 @@ $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
 Each identifiable direction has the standard error σ/s_k. A parameter is not
 identifiable if its component in the unidentifiable directions exceeds 0.1. If the
-component is at most 0.1, the variance of a uniform distribution between the bounds is
-added to the variance of the parameter. A parameter is also not identifiable if its
-standard error in z is at least 1, because the data then add little information to the
-bounds. A parameter is identified if its standard error is at most 0.1, and weakly
-identified if its standard error is between 0.1 and 1.
+component is smaller, the parameter is assumed to be uniformly distributed between the
+bounds along these directions, which increases the variance. A parameter is also not
+identifiable if its standard error in z is at least 1. The data then restrict the
+parameter little more than the bounds do. Otherwise a parameter is identified if its
+standard error is at most 0.1, and weakly identified above 0.1.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _RELATIVE_CUTOFF = 1e-6
 """Relative singular value below which a direction is unidentifiable."""
 
 _MIN_COMPONENT = 0.05
-"""Minimum component of a listed parameter in an unidentifiable direction."""
+"""Minimum component for a parameter to be listed in an unidentifiable direction."""
 
 _SPREAD_ONLY = "the spread about the best value under a wrong model"
 
@@ -77,14 +77,16 @@ class Identifiability:
         )
 
     def describe(self, i: int) -> str:
-        """Return the reason why parameter i is not identifiable."""
+        """Return why parameter i is not identifiable."""
         components = np.abs(self.directions) > _MIN_COMPONENT
         rows = components[components[:, i]]
         others = sorted(
             name for k, name in enumerate(self.names) if k != i and rows[:, k].any()
         )
         if not len(rows):
-            return f"its standard error in z is {self.errors[i]:.2g}, 1 or more"
+            return (
+                f"its standard error in z is {self.errors[i]:.2g}, which is not below 1"
+            )
         if not others:
             return "the residuals do not depend on it"
         return f"only a combination of it with {', '.join(others)} has an effect"
@@ -130,8 +132,8 @@ def identifiability(
     determined = directions[~undetermined]
     unidentifiable = directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
-    # Without information from data, a parameter is uniformly distributed between its
-    # bounds. The variance of the uniform distribution is width²/12.
+    # Without data, a parameter is uniformly distributed between its bounds. This
+    # distribution has the variance width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
     fraction = np.linalg.norm(unidentifiable, axis=0)
@@ -140,16 +142,15 @@ def identifiability(
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Accuracy of the result of a search.
+    """Accuracy of the parameters found by a search.
 
     Attributes:
         unknowns: the n free parameters.
         z: estimate, shape (n,).
-        inside: indices of the parameters whose estimates are not at a bound.
+        inside: indices of the parameters whose estimates lie inside the bounds.
         known: identifiability of the parameters in `inside`.
         bias: bias in z due to model errors, shape (n,).
-        spread: maximum distance in z to another minimum that fits equally well, shape
-            (n,).
+        spread: maximum distance in z to an equally good minimum, shape (n,).
         quantile: half width of a confidence interval divided by the standard error.
     """
 
@@ -181,8 +182,8 @@ class Accuracy:
         if 2 * self.bias[i] ** 2 > error**2:
             true = unknown.value(z - self.bias[i])
             model_error = (
-                f"mostly model error: a fit to the reference with {true:.4g} gives this"
-                " value"
+                f"mostly model error: data that the reference simulates with {true:.4g}"
+                " give this value"
             )
             why = "; ".join(filter(None, (why, model_error)))
         if not self.explained:
@@ -209,7 +210,7 @@ class Accuracy:
         return "identified", ""
 
     def covariance(self, kept: Sequence[int]) -> np.ndarray:
-        """Return the covariance in z. The entries of parameters at bounds are NaN."""
+        """Return the covariance in z, with NaN for parameters at bounds."""
         matrix = np.full((len(self.unknowns), len(self.unknowns)), np.nan)
         matrix[np.ix_(self.inside, self.inside)] = self.known.covariance
         return matrix[np.ix_(kept, kept)]

@@ -2,19 +2,18 @@ r"""Weighted nonlinear least squares with confidence intervals and identifiabili
 
 **Search.** SciPy's trust-region method minimises the sum of squared weighted residuals
 within bounds, in the coordinates z of `parameters`. The Jacobian is computed by central
-differences. If the model has kinks, the search is repeated with a coarse step from the
-minimum that was found. Additional starting points are random but use a fixed seed, so
-the search is deterministic.
+differences. If the model has kinks, the search continues with a coarse step from the
+first minimum. Additional starting points are random but use a fixed seed, so the search
+is deterministic.
 
-An optional first stage uses only residuals that are monotonic over a large range of the
-parameters. For a crawling robot, the first stage uses the residuals of the bends. The
-residuals of path and heading are monotonic only if the parameters are within a few per
-cent of the solution. With less accurate parameters, the simulated robot may turn in
-another direction.
+An optional first stage uses only residuals that vary monotonically over a large range
+of the parameters. For a crawling robot, the first stage uses the residuals of the
+bends. The residuals of path and heading are monotonic only within a few per cent of the
+solution. Further away, the simulated robot may turn in a different direction.
 
-**Intervals.** Let S be the sum of squares at the estimate, p the number of parameters,
-and n the number of samples, which are equivalent to n/τ independent samples
-(`correlation_time`). The covariance is
+**Intervals.** Let S be the sum of squares at the estimate, p the number of parameters
+and n the number of samples. Due to correlations, these samples are equivalent to n/τ
+independent samples (`correlation_time`). The covariance is
 
 $$ C = s^2\,\tau\,(J^\top J)^{-1}, \qquad s^2 = \frac{S}{n}\,\frac{n/\tau}{n/\tau - p}.
 $$
@@ -25,7 +24,7 @@ intervals are exact if the effect of a parameter varies slowly compared with the
 correlation time of the residuals, and too wide otherwise.
 
 **Model error.** Model errors bias the estimate even if the residuals are small. The
-bias is estimated with a better model, the *reference*, by indirect inference
+bias is estimated by indirect inference with a better model, the *reference*
 (Gouriéroux, Monfort and Renault 1993, Journal of Applied Econometrics 8). The model is
 fitted to data that the reference simulates with the parameters z₀. The bias b(z₀) is
 the difference between the fitted parameters and z₀.
@@ -36,8 +35,7 @@ b_{k+1} = b(z − b_k) with b₁ = b(z), and the covariance becomes
 $$ C \to C + b_n b_n^\top + (b_n - b_{n-1})(b_n - b_{n-1})^\top , $$
 
 where the last term is the uncertainty of b. The iteration ends when b changes by less
-than the standard errors, or after five searches. The estimate is not corrected for the
-bias.
+than the standard errors, or after five searches. The estimate itself is not corrected.
 """
 
 from __future__ import annotations
@@ -85,13 +83,13 @@ Searches from closer points would find the same minimum.
 """
 
 _CANDIDATES_PER_START = 12
-"""Number of random points per additional starting point. The best point is used."""
+"""Number of random candidates per additional starting point. The best one is used."""
 
 _MAX_COARSE_SEARCHES = 4
 """Maximum number of repetitions with the coarse step."""
 
 _IMPROVEMENT = 0.99
-"""Maximum ratio of the new to the old sum of squares for another repetition."""
+"""Maximum ratio of new to old sum of squares for which the search is repeated again."""
 
 _MAX_ITERATIONS = 100
 """Maximum number of iterations of SciPy's search."""
@@ -99,24 +97,23 @@ _MAX_ITERATIONS = 100
 
 @dataclass(frozen=True)
 class SearchOptions:
-    """Settings of a search, which depend on the model.
+    """Settings of a search.
 
     Attributes:
         step: step of finite differences in z. Models that are not smooth need a larger
             step.
-        coarse_step: coarse step in z. The first stage uses the coarse step. Without a
-            first stage, the search is repeated with the coarse step, because models
-            with kinks have local minima.
+        coarse_step: step in z of the first stage. Without a first stage, the search is
+            repeated with this step to leave the local minima of a model with kinks.
         tolerance: relative change of the sum of squares or of z at which the search
-            ends. The default tolerance is derived from `step`.
+            ends, by default derived from `step`.
         first_stage: filter that selects the residuals of the first stage, which are
             monotonic over a large range of the parameters.
         identifiability_step: step of the Jacobian from which the identifiability is
-            computed, by default `step`. `identifiability_step` is used only if the
-            uncertainty of the estimate exceeds `step`.
+            computed, by default `step`. This step is used only if the uncertainty of
+            the estimate exceeds `step`.
         target_rms: RMS of the weighted residuals at which the search ends early.
         max_runs: maximum number of model runs, or None for no limit. A search that
-            reaches the limit does not converge.
+            reaches this limit counts as not converged.
     """
 
     step: float = 1e-4
@@ -196,7 +193,7 @@ class Search:
     def weighted(self, z: Array, only: ResidualFilter | None = None) -> Array:
         """Return the weighted residuals of the fitted data.
 
-        The filter `only` selects the residuals that are returned.
+        `only` is a filter that selects residuals.
 
         Raises:
             _SearchStoppedError: the maximum number of runs or the target RMS is
@@ -225,7 +222,7 @@ class Search:
             self._watch(self._runs, self._smallest_rms)
 
     def jacobian(self, z: Array, h: float, only: ResidualFilter | None = None) -> Array:
-        """Return the Jacobian by central differences, which are one-sided at bounds."""
+        """Return the Jacobian by central differences (one-sided at bounds)."""
         columns = []
         for i in range(len(z)):
             up = z.copy()
@@ -251,9 +248,8 @@ class Search:
         coarse = self.jacobian(z, 2 * step)
         if wide is None:
             return fine, coarse - fine
-        # If the model is not smooth, the Jacobians with the two step sizes are equally
-        # accurate. The error of the mean Jacobian is half of the difference between the
-        # two Jacobians.
+        # If the model is not smooth, the Jacobians with both step sizes are equally
+        # accurate. The error of their mean is half the difference between them.
         return (fine + coarse) / 2, (coarse - fine) / 2
 
     def bias(self, z: Array, refit: Refit) -> Array:
@@ -281,7 +277,7 @@ class Search:
             self._is_searching = False
 
     def start_cost(self, z: Array) -> float:
-        """Return the sum of squares that is used to rank starting points."""
+        """Return the sum of squares by which starting points are ranked."""
         return float(np.sum(self.weighted(z, self._options.first_stage) ** 2))
 
     def _minimize_with_kinks(self, start: Array) -> SearchResult:
@@ -334,9 +330,9 @@ def _weighted(residuals: Sequence[Residual]) -> Array:
 
 
 def select_starts(search: Search, count: int) -> list[Array]:
-    """Return the first starting point and the best of many random points around it.
+    """Return the given starting point and the best of many random points around it.
 
-    All starting points have a minimum distance from each other.
+    The returned points keep a minimum distance from each other.
     """
     size = (_CANDIDATES_PER_START * (count - 1), len(search.start))
     shifts = np.random.default_rng(0).uniform(-_START_RANGE, _START_RANGE, size)
@@ -353,7 +349,7 @@ def select_starts(search: Search, count: int) -> list[Array]:
 
 
 _BOUND_DISTANCE = 1e-3
-"""Maximum distance in z from a bound of a parameter that counts as at the bound."""
+"""Distance in z from a bound up to which a parameter counts as at the bound."""
 
 
 def least_squares(
@@ -371,14 +367,15 @@ def least_squares(
 
     Args:
         residuals: function that returns the residuals of all data for given parameter
-            values. The number and the lengths of the residuals must be constant.
+            values. The number and the lengths of the residuals must not depend on the
+            values.
         unknowns: free parameters.
         options: settings of the search, by default for a smooth model.
         starts: number of searches, each from a different starting point.
         held: constant values that affect the estimates and are stored in the result.
         watch: progress callback.
-        validation: function that returns the residuals of the validation data. The
-            function is called only after the search, which saves time with slow models.
+        validation: function that returns the residuals of the validation data. To save
+            time, the function is called only after the search.
         refit: function that fits the model to data of a reference model, from which the
             bias due to model errors is estimated.
     """
@@ -444,7 +441,7 @@ def _identify(
     search: Search, z: Array, noise: float
 ) -> tuple[np.ndarray, Identifiability]:
     jacobian, error = search.jacobian_and_error(z, noise)
-    # A parameter without effect on the residuals may end anywhere, even at a bound.
+    # A parameter that does not affect the residuals may end anywhere, even at a bound.
     has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
     at_bound = has_effect & (
         (z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE)

@@ -1,13 +1,13 @@
 """Fits of friction, lengths, masses or stiffness to runs of the crawling robot.
 
-A plant is simulated with the recorded valve states, and its motion is compared with the
-measured motion. The comparison uses the period-averaged speed and yaw rate
-("averages"), or the path, heading and bends over time ("shapes"), or all of these
+A plant is simulated with the recorded valve states, and the simulated motion is
+compared with the measured motion. The comparison uses the period-averaged speed and yaw
+rate ("averages"), or the path, heading and bends over time ("shapes"), or all of these
 signals ("both").
 
 Some parameters cannot be identified from these data. The motion depends only on ratios
-of masses, and on the ratios of stiffness and damping to the masses. The model
-`complete` has prescribed bends, so its motion does not depend on the stiffness.
+of masses, and on the ratios of stiffness and damping to the masses. In the model
+`complete` the bends are prescribed, so the motion does not depend on the stiffness.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ from srs_twin.trajectory import Trajectory
 
 
 def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
-    """Create a gait run from a recording with valve states or measured pressures."""
+    """Create a gait run from a recording with valve states or pressures."""
     trajectory = recording.trajectory
     if recording.only_bends:
         raise InputError(f"{name}: {NO_MARKERS}")
@@ -71,7 +71,7 @@ def _recorded_pressures(
 
 
 MEASURED_LENGTHS = ("geometry.rigid_gap_m", "geometry.segment_length_m")
-"""Lengths whose sum, the pitch of the segments, can be measured with markers."""
+"""Lengths whose sum is the segment pitch, which markers can measure."""
 
 FROM_MARKERS = "measured from the markers, not from the walk"
 
@@ -82,18 +82,18 @@ def measured_length(
     r"""Measure the rigid gap or the segment length from markers, if possible.
 
     The pitch is the sum of the rigid gap and the length of a straight segment. The
-    requested length is the measured pitch minus the second length, whose value is taken
-    from the robot file. The markers determine the arc length ℓ of a segment if the gap
-    is assumed to have the value g in the robot file. The pitch is computed by the fit
+    requested length is the measured pitch minus the other length, which is taken from
+    the robot file. With the gap g of the robot file, the markers determine the arc
+    length ℓ of a segment at each bend q. The pitch then follows from a fit of a and b,
 
     $$ \ell = a + b\,q^2, \qquad \text{pitch} = a + g . $$
 
-    The coefficient b contains the elongation of bent segments and the effect of an
-    error of g. The standard error includes the scatter over the segments due to the
-    placement of the markers, and the noise of the two outermost markers.
+    The coefficient b covers the elongation of bent segments and the effect of an error
+    in g. The standard error includes the scatter between segments due to marker
+    placement, and the noise of the two outermost markers.
 
     Args:
-        recordings: recordings, of which some or all contain markers.
+        recordings: recordings. Recordings without markers are ignored.
         spec: robot with which the recordings were read.
         names: requested parameters. If the gap and the segment length are requested,
             the result is None, because markers determine only the pitch.
@@ -144,7 +144,7 @@ NOISE = {
 }
 """Expected standard deviation and unit of each signal.
 
-For a bend, the error computed from the markers is used if it is larger.
+For a bend, the error computed from the markers is used instead if it is larger.
 """
 
 _STEP = 3e-2
@@ -154,13 +154,13 @@ _COARSE_STEP = 0.1
 """Coarse step of finite differences in z for the analytical plants."""
 
 MAX_TWIN_RUNS = 150
-"""Maximum number of simulations of all recordings with the twin in one search."""
+"""Maximum number of model runs in a search with the twin."""
 
 _CLOSE_STEPS = {"tolerance": 2e-5}  # m/s, multiplied by the time scale of the robot
 """Settings of an analytical plant in a fit.
 
-The friction tolerance is a tenth of the default value. With the default tolerance, the
-step size control would affect finite differences more than the parameters do.
+The friction tolerance is a tenth of the default value. With the default value,
+step-size control would change finite differences more than the parameters do.
 """
 
 _COMPLIANT_STEPS = _CLOSE_STEPS | {
@@ -169,9 +169,9 @@ _COMPLIANT_STEPS = _CLOSE_STEPS | {
 }  # s and m/s, multiplied by the time scale of the robot
 """Settings of the model `compliant` in a fit.
 
-With the default time step of 2 ms and the default slip speed of 0.25 mm/s, the sum of
-squares has many local minima a few standard errors apart. The slip speed used here is
-the slip speed of the twin.
+With the defaults, a time step of 2 ms and a slip speed of 0.25 mm/s, the sum of squares
+has many close local minima, a few standard errors apart. The slip speed set here is
+also used by the twin.
 """
 
 _DIVERGED_RESIDUAL = 1e3
@@ -189,8 +189,8 @@ class GaitRun:
         trajectory: measured motion from rest, with the gait frequency in the metadata.
         controller: controller that replays the recorded valve states.
         supply_pa: supply pressure, Pa.
-        chambers: function that creates a pneumatic model with the recorded pressures,
-            or None if valve states were recorded.
+        chambers: function that creates a pneumatic model which replays the recorded
+            pressures, or None if valve states were recorded.
     """
 
     trajectory: Trajectory
@@ -224,7 +224,7 @@ class PlantModel:
             raise UnknownNameError("plant", self.plant, PLANTS)
 
     def search_options(self, compare_signals: str) -> SearchOptions:
-        """Return the settings of a search with this plant.
+        """Return the search settings for this plant.
 
         The motion of the twin is a smooth function of z down to steps of 1e-3. Path and
         heading are monotonic functions of z within 1e-2 of the solution, whereas bends
@@ -259,7 +259,7 @@ class PlantModel:
     def build(
         self, spec: RobotSpec, supply_pa: float, chambers: Pneumatics | None = None
     ) -> Plant:
-        """Return the plant of a robot.
+        """Create the plant for a robot.
 
         `chambers` is the pneumatic model, or None for the default model.
         """
@@ -370,7 +370,7 @@ def fit_locomotion(
         compare_signals: signals to compare: "averages", "shapes" or "both".
         validation: runs for validation.
         starts: number of searches, each from a different starting point. A single
-            search may end in a local minimum unless the twin is compared by shapes.
+            search is sufficient only if the twin is compared by shapes.
         watch: progress callback.
         reference: better model of the robot, from which the bias due to model errors is
             estimated (see `least_squares`). Without a reference, the intervals assume
@@ -401,8 +401,8 @@ def fit_locomotion(
         search = Search(
             partial(comparison.residuals, simulated), unknowns, options, None
         )
-        # The search starts at the starting point of the fit, so that the search finds
-        # the same local minimum as the fit.
+        # Start at the starting point of the fit, to find the local minimum that the fit
+        # found.
         return search.values(search.run(search.start).z)
 
     estimate = least_squares(
@@ -422,17 +422,16 @@ def signals(
 ) -> dict[str, np.ndarray]:
     """Return the signals that are compared, each of shape (samples,).
 
-    If `measured` is given, `trajectory` is a simulated run. The times and the pose of
-    the simulated run are then aligned with the measured run.
+    If `measured` is given, the times and the pose of the simulated `trajectory` are
+    aligned with the measured run.
     """
     result: dict[str, np.ndarray] = {}
     if compare_signals != "shapes":
         metrics = plant_metrics(trajectory)
         if metrics["com_speed_m_s"] is None:
             raise InputError(
-                f"{name}: the average over gait periods cannot be computed; three"
-                " complete periods, and `gait_frequency_hz` in the metadata, are"
-                " needed"
+                f"{name}: the speed cannot be averaged over gait periods; record three"
+                " or more complete periods, and give `gait_frequency_hz` in the metadata"
             )
         result["speed"] = np.array([metrics["com_speed_m_s"]])
         result["yaw_rate"] = np.array([metrics["yaw_rate_rad_s"]])

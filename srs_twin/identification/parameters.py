@@ -1,12 +1,11 @@
-"""Free parameters: robot parameters that a fit estimates.
+"""Robot parameters that a fit can estimate.
 
 The name of a parameter has the form `section.key` as in robot files. For example,
 ``actuator.bend_rad`` is the bend at the nominal supply pressure. The name of a list
 element ends with the number of the connector or segment, as in ``mass.connectors_kg_5``
-or ``modules.gain_plus_2``. Without a number, ``mass.connectors_kg`` is the mean mass of
-the connectors. A change of the mean mass scales all masses, including the masses of the
-wheels. The parameter ``modules.sensor_bias_rad`` is common to the sensors of all
-modules.
+or ``modules.gain_plus_2``. Without a number, ``mass.connectors_kg`` is the mean
+connector mass. A change of this mean scales all masses, including the wheel masses. The
+parameter ``modules.sensor_bias_rad`` applies to the sensors of all modules.
 
 A search uses the coordinate z = ln(value), or z = value/scale if the value may be 0 or
 negative. A change of z by 1 corresponds to a factor e or to a difference of one
@@ -31,11 +30,11 @@ class FreeParameter:
     """Free parameter of a search.
 
     Attributes:
-        name: name of the robot parameter. A nuisance parameter may have any name.
+        name: name of the robot parameter, or any name for a nuisance parameter.
         start: initial value of the search.
         scale: difference that is considered significant, in `unit`. If `scale` is None,
             the value is positive and z is the logarithm of the value.
-        nuisance: whether the parameter is not a result of interest, such as the initial
+        nuisance: whether the parameter is only needed for the fit, such as the initial
             velocity of a coasting test.
     """
 
@@ -78,7 +77,7 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class _Accessor:
-    """Functions that get and set a parameter of connector or segment k."""
+    """Functions that get and set a parameter, for example of connector or segment k."""
 
     unit: str
     low: float
@@ -93,10 +92,9 @@ class _Accessor:
 def free_parameters(
     spec: RobotSpec, names: Iterable[str], *, starts: Mapping[str, float] | None = None
 ) -> tuple[FreeParameter, ...]:
-    """Return free parameters whose initial values are the values of a robot.
+    """Return free parameters that start from the values of a robot.
 
-    `starts` contains initial values, by parameter name, that replace values of the
-    robot.
+    `starts` maps parameter names to initial values that replace those of the robot.
     """
     parameters: list[FreeParameter] = []
     for name in names:
@@ -121,7 +119,7 @@ def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
     """Return a copy of a robot with the given parameter values.
 
     Names that are not robot parameters are ignored. The result keeps the scale of
-    `spec`, so that the numerical settings are equal for all parameter values in a fit.
+    `spec`, so that the numerical settings do not change during a fit.
     """
     scale = spec.scale
     for name, value in values.items():
@@ -145,7 +143,7 @@ def parameter_unit(name: str) -> str:
 
 
 def parameter_names() -> list[str]:
-    """Return the names of all parameters that can be fitted, with "N" for a number."""
+    """Return the names of all parameters that can be fitted, with "N" as the number."""
     return list(_ACCESSORS)
 
 
@@ -257,7 +255,7 @@ def _set_bend(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     )
 
 
-# The bounds lie within the bounds of robot files, so that every result can be saved.
+# These bounds lie within those of robot files, so that every result can be saved.
 _ACCESSORS: dict[str, _Accessor] = {
     "geometry.segment_length_m": _scalar("geometry", "segment_length", "m", 0.005, 0.5),
     "geometry.rigid_gap_m": _scalar("geometry", "rigid_gap", "m", 0.0, 0.2, scale=0.02),

@@ -1,7 +1,7 @@
 r"""Period-averaged path of a crawling snake: speed, curvature, edges and transients.
 
-A pose consists of a point of the path and the direction of the path at this point. The
-motion along an arc of curvature κ and length L is
+A pose is a point of the path with the direction of the path there. The motion along an
+arc of curvature κ and length L is
 
 $$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr), $$
 
@@ -9,16 +9,16 @@ where P ∘ A is the pose at the end of an arc that starts at the pose P.
 
 `SteadyPath` describes crawling at a constant offset (Fig. 58, Table 8).
 `measure_transient` measures a change of offset at the time t_s. The pose P at t_s is
-extrapolated from the steady arc before the change. The dissertation assumes that the
-curvature changes instantly, so that the snake then moves along the steady arc P ∘ A(v
-(t − t_s)) of the new offset. After the transient of a real snake, its path is
+extrapolated from the steady arc before the change. If the curvature changed instantly,
+as in the dissertation, the snake would then follow the steady arc P ∘ A(v (t − t_s)) of
+the new offset. In fact, the path after the transient is
 
 $$ P ∘ D ∘ A(v (t − t_s)), $$
 
-where D is a constant displacement due to the transient. The path has settled when the
-turning angle per gait period differs from the turning angle at the new offset by at
-most 10 % of the change. If the turning angle still varies due to iterative learning, a
-deviation of twice the variation is allowed.
+where D is a constant displacement due to the transient. The error of the turning angle
+per gait period is the difference from the value at the new offset. The path has settled
+when this error is at most 10 % of the change. If iterative learning still varies the
+turning angle, an error of twice the variation is allowed.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ _SMALL_TURN_RAD = 1e-4
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses, or motions from one pose to another.
+    """Array of poses, or of motions from one pose to another.
 
     Attributes:
-        place: position as a complex number x + i y, m, shape (n,) or ().
+        place: positions as complex numbers x + i y, m, shape (n,) or ().
         heading: heading, rad, with the shape of `place`.
     """
 
@@ -78,7 +78,7 @@ class Poses:
         return Poses(-np.exp(-1j * self.heading) * self.place, -self.heading)
 
     def mean(self) -> Poses:
-        """Return the mean of poses that are close to each other."""
+        """Return the mean pose. The poses must be close to each other."""
         return Poses(np.asarray(self.place.mean()), np.asarray(self.heading.mean()))
 
     def coordinates(
@@ -115,11 +115,11 @@ def period_averaged_path(
     """Return the period-averaged path of the centre of mass in a window.
 
     The result contains the times (s) and the poses over K − 1 of the K periods of the
-    window. A pose is at the middle of a gait period. The direction of a pose is the
-    direction of the chord of the path over the period. If the path turns by φ per
-    period, the mean position over a period lies inside the arc by (1 − sinc(φ/2))/κ.
-    The returned path is corrected for the distance between mean position and arc. The
-    lateral oscillation of the body vanishes in averages over whole periods.
+    window. Each pose belongs to the middle of a gait period and points along the chord
+    of the path over this period. If the path turns by φ per period, the mean position
+    over a period lies inside the arc by (1 − sinc(φ/2))/κ. The returned path is
+    corrected for this distance. The lateral oscillation of the body vanishes in
+    averages over whole periods.
     """
     mean, velocity = window.running_mean(trajectory, trajectory.com)
     turn = (
@@ -164,8 +164,8 @@ class SteadyPath:
     ) -> SteadyPath:
         """Measure the steady path over at least three whole gait periods of a run.
 
-        The body is modelled as a band about the centre line with round ends and the
-        width of the robot. The centre line includes the arcs between connectors.
+        The body is modelled as a band with round ends and the width of the robot. The
+        centre line of the band includes the arcs between connectors.
         """
         chords, turns = displacement_per_period(trajectory, window)
         chord = float(chords.mean())
@@ -197,7 +197,7 @@ class SteadyPath:
         )
         extent = (
             geometry.width / 2 / (1 - curvature * offset)
-        )  # half the width of a disc as an angle about the centre of the arc
+        )  # half the disc width, as an angle about the centre of the arc
         if abs(curvature) > _STRAIGHT_PER_M:
             extent = np.arcsin(curvature * extent) / curvature
         ahead = max(along.max(), (ends + extent).max())
@@ -208,7 +208,7 @@ class SteadyPath:
 
 
 def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
-    """Combine repeated measurements, and return half the range of each value.
+    """Combine repeated measurements, and also return half the range of each value.
 
     Speed and curvature are averaged. The extents of the body are the maxima over all
     measurements.
@@ -224,10 +224,10 @@ def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPa
 
 BothPaths = tuple[SteadyPath, SteadyPath]
 STEADY_PERIODS = 4
-"""Number of gait periods that are averaged before a change and after the transient."""
+"""Number of gait periods averaged before a change and after the transient."""
 
 SETTLED = 0.1
-"""Maximum relative error of the turning angle per period of a settled path."""
+"""Maximum relative error of the turning angle per period on a settled path."""
 
 MAX_UNREST = 0.1
 """Maximum relative error of the turning angle at the end of a run."""
@@ -235,7 +235,7 @@ MAX_UNREST = 0.1
 
 @dataclass(frozen=True)
 class OffsetChange:
-    """Change of offset in a run at a time (s)."""
+    """Change of offset at a given time (s) of a run."""
 
     time: float
     before: float
@@ -252,8 +252,8 @@ def measure_transient(
     """Measure the transient after one change of offset.
 
     The part of the body that is still on the old arc is excluded, because a planner
-    includes this part in the area swept along the old arc. `paths` contains the steady
-    paths of the old and the new offset.
+    assigns it to the area swept along that arc. `paths` contains the steady paths of
+    the old and the new offset.
     """
     old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:
@@ -292,8 +292,7 @@ def _excess(
 ) -> tuple[float, float]:
     """Return the maximum distance of the body beyond the new arc to each side, m.
 
-    The area swept along the old arc is excluded if it lies within one body length of
-    the change.
+    Within one body length of the change, the area swept along the old arc is excluded.
     """
     before, after = paths
     during = (trajectory.time >= time - 1e-9) & (trajectory.time <= settled + 1e-9)

@@ -1,13 +1,13 @@
-r"""Prior distributions of the uncertain parameters of a robot, with correlations.
+r"""Prior distributions of uncertain robot parameters, with correlations.
 
-The entry `uncertain` of a value in a robot file defines the distribution F of the
-value. Correlations R between values are represented by standard normal variables ζ
-(Gaussian copula):
+In a robot file, the entry `uncertain` defines the distribution F of a value.
+Correlations between values are modelled by a Gaussian copula with standard normal
+variables ζ and the correlation matrix R:
 
 $$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
 
 where the variables u are independent and uniformly distributed. Normal and lognormal
-distributions are truncated at the bounds that robot files allow.
+distributions are truncated at the bounds of robot files.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Prior:
 
     Attributes:
         path: path of the parameter in a robot file.
-        bounds: minimum and maximum value that a robot file allows.
+        bounds: minimum and maximum value in a robot file.
     """
 
     path: str
@@ -45,12 +45,12 @@ class Prior:
         return self.uncertain.quantile(self.value, self.bounds, probabilities)
 
     def cdf(self, values: Array) -> Array:
-        """Return the cumulative probabilities of values by interpolation."""
+        """Return the cumulative probabilities of values, computed by interpolation."""
         table = np.linspace(0.0, 1.0, 4001)
         return np.interp(values, self.quantile(table), table)
 
     def with_measurement(self, value: float, sd: float) -> Prior:
-        """Return the normal distribution of a measured value."""
+        """Return a prior with the normal distribution of a measured value."""
         return replace(
             self,
             value=value,
@@ -73,7 +73,7 @@ class Priors:
     def from_robot(cls, robot: RobotFile, *, exclude: Collection[str] = ()) -> Priors:
         """Return the prior distribution in a robot file.
 
-        `exclude` contains paths of parameters that are treated as exactly known.
+        Parameters with paths in `exclude` are treated as exactly known.
         """
         records = {
             path: record
@@ -95,8 +95,8 @@ class Priors:
                 )
         if not parameters:
             raise InputError(
-                f"robot {robot.name}: the robot file has no uncertain numbers; add"
-                " `uncertain` to some of them (docs/uncertainty.md)"
+                f"robot {robot.name}: the robot file has no uncertain values; add"
+                " `uncertain` to one or more values (docs/uncertainty.md)"
             )
         index = {prior.path: i for i, prior in enumerate(parameters)}
         correlation = np.eye(len(parameters))
@@ -107,7 +107,7 @@ class Priors:
         if np.linalg.eigvalsh(correlation)[0] <= 1e-9:
             raise InputError(
                 f"robot {robot.name}: the correlations contradict each other, because"
-                " their matrix is not positive definite; reduce some of them"
+                " their matrix is not positive definite; reduce some correlations"
             )
         return cls(tuple(parameters), correlation)
 
@@ -118,7 +118,7 @@ class Priors:
 
     @property
     def independent(self) -> bool:
-        """Whether no two parameters are correlated."""
+        """Whether all parameters are uncorrelated."""
         return bool((self.correlation == np.eye(len(self.parameters))).all())
 
     def quantile(self, probabilities: Array) -> Array:
@@ -132,7 +132,7 @@ class Priors:
         return np.stack(columns, axis=-1)
 
     def document(self) -> list[dict[str, object]]:
-        """Return the prior distribution as plain data."""
+        """Return the prior distribution as JSON values."""
         rows = [
             {
                 "parameter": p.path,

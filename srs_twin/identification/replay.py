@@ -1,4 +1,4 @@
-"""Scenario that simulates a recorded run and compares simulation and recording."""
+"""Scenario that simulates a recorded run and compares the result with the recording."""
 
 from __future__ import annotations
 
@@ -51,16 +51,16 @@ def replay_scenario(
 ) -> Scenario:
     """Build a scenario that simulates the robot with recorded valve states.
 
-    `srs-twin replay` runs the scenario with `run_scenario`, whose metrics compare each
-    plant with the recording.
+    When `run_scenario` runs the scenario, metrics compare each plant with the
+    recording.
 
     Args:
         motion: path of a file with motion capture, or with bends measured on a bench.
         robot: name or path of the robot to simulate.
-        recording: additional keys of the section `recording` of a scenario, such as
+        recording: additional keys for the scenario section `recording`, such as
             `valves`.
         set: values that override fields of the scenario, as in `load_scenario`.
-        fits: paths of fit files for this robot.
+        fits: paths of fit files whose results replace values of the robot.
         expect: path of a file with expectations, as in a scenario.
         bench: whether the head of the robot is clamped on a bench.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.

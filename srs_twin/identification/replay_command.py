@@ -51,8 +51,8 @@ def replay(
     """Simulate a recorded run with its recorded valve states.
 
     The output compares the simulated motion with the measured motion. The command also
-    writes the replay as a scenario to scenario.resolved.yaml in the output folder;
-    `srs-twin run` runs this file.
+    writes the scenario file scenario.resolved.yaml to the output folder. `srs-twin run`
+    repeats the replay from this file.
 
     Options:
         motion: File with the recorded motion, from motion capture or from a bend
@@ -60,8 +60,8 @@ def replay(
         --robot -r ROBOT: Name of a shipped robot, or path of a robot file.
         --valves LOG: Log with the recorded valve states or pressures. [default:
             NAME.valves.csv in the folder of the recording]
-        --fit FIT: Fit file whose parameters replace the values of the robot file. Can
-            be repeated.
+        --fit FIT: Fit file whose parameters replace those of the robot file. Can be
+            repeated.
         --expect FILE.yaml: YAML file with expected ranges of results, under the key
             `expect` as in a scenario.
         --bench: Simulate the robot, or a single module, clamped at its head on a bench

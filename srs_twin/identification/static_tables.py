@@ -1,27 +1,27 @@
 r"""Gains, rest bends and dead zones of free segments, fitted to static measurements.
 
-**Tables.** A CSV file contains constant pressures and the bends at which free segments
-come to rest. The columns are ``pressure_plus_1,pressure_minus_1,bend_1,…``, with
-optional standard errors ``bend_error_1``. A column name may include the unit
-(``pressure_plus_1_kpa``, ``bend_1_deg``). A pressure without a column is 0, and an
-empty cell means that the bend was not measured. Static data do not determine time
-constants or masses.
+**Tables.** A table is a CSV file with constant pressures and the bends at which free
+segments come to rest. The columns are ``pressure_plus_1,pressure_minus_1,bend_1,…``,
+with optional standard errors ``bend_error_1``. A column name may include the unit
+(``pressure_plus_1_kpa``, ``bend_1_deg``). A pressure without a column is 0. An empty
+cell marks a bend that was not measured. Static data do not determine time constants or
+masses.
 
 **Plateaus.** A table can also be computed from the plateaus of a recording. A plateau
 is an interval in which all pressures stay within ±1 kPa, or within ±5 standard
 deviations of the noise. The first 5 τ of a plateau are discarded, where τ is the
-maximum time constant of the robot. The last 50 ms and frames with outliers of the
-pressures are also discarded. If the bend of a segment has not yet settled, the first
-quarter of the remaining frames is discarded repeatedly. A bend has settled if the drift
-of a fitted line is less than twice the standard error of the drift, or less than 0.1
-mrad. The mean bend has the standard error
+maximum time constant of the robot. The last 50 ms and frames with pressure outliers are
+also discarded. Until the bend of a segment has settled, the first quarter of the
+remaining frames is discarded again. A bend has settled if the drift along a fitted line
+is less than twice its standard error, or less than 0.1 mrad. The mean bend has the
+standard error
 
 $$ \sigma = \max\bigl(s / \sqrt{n/\tau_c},\; e/10\bigr), $$
 
 where s is the standard deviation of n frames about the line, τ_c the
 `correlation_time`, and e the recorded standard error of one frame (``bend_error_1``). A
-tenth of e is assumed to be a systematic error, for example due to marker offsets, which
-averaging does not reduce.
+tenth of e is assumed to be systematic, for example due to marker offsets, and is not
+reduced by averaging.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 _PLATEAU_BAND_PA = 1e3
-"""Maximum deviation of a constant pressure from its mean, Pa."""
+"""Maximum deviation from the mean of a pressure that counts as constant, Pa."""
 
 _OUTLIER_MEDIANS = 7.5
 """Minimum deviation of an outlier, as a multiple of the median absolute deviation."""
@@ -85,7 +85,7 @@ _ONSET_WIDTH = "actuator.dead_zone_transition_rad"
 _DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_FRACTION)
 
 _SHARP_WIDTH_RAD = 0.02
-"""Width of a dead zone whose width cannot be identified, rad."""
+"""Width assumed for a dead zone if the data do not determine the width, rad."""
 
 
 @dataclass(frozen=True)
@@ -110,12 +110,12 @@ class StaticTable:
     def from_recording(
         cls, recording: Recording, name: str, spec: RobotSpec, supply_pa: float
     ) -> StaticTable:
-        """Return the plateaus of a recording with a log.
+        """Return the plateaus of a recording that has a log.
 
-        If the log contains valve states, a filling chamber is assumed to have the
-        supply pressure after 5 τ, and a venting chamber is assumed to have zero gauge
-        pressure. A plateau excludes times at which the valves of a chamber are closed,
-        because the pressure of the chamber is then unknown.
+        If the log contains valve states, pressures are assumed to be constant after 5
+        τ: the supply pressure in filling chambers, and zero gauge pressure in venting
+        chambers. Times at which a chamber holds its air are excluded, because the
+        chamber pressure is then unknown.
         """
         trajectory = recording.trajectory
         log = log_of(recording, name)
@@ -195,8 +195,8 @@ def _settled_frames(
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
     is_near = (deviation <= limit).all(axis=(1, 2))
     since = time[begin:end] - time[begin]
-    # The end of a plateau is discarded because the next pressure step may already have
-    # begun within the band, and because the clocks may differ.
+    # The end of a plateau is discarded because the next step may already have begun
+    # within the band, and because the clocks may differ.
     frames = begin + np.flatnonzero(
         is_near & (since >= wait) & (since <= span - CLOCK_ERROR_S)
     )
@@ -231,7 +231,7 @@ def _constant_intervals(
 def _noise_scale(values: np.ndarray) -> np.ndarray:
     """Return the noise scale of a log, which is 1.65 σ for white noise.
 
-    The scale is the smaller one of the median magnitudes of the first and the second
+    The scale is the smaller of the median magnitudes of the first and second
     differences. The median of the first differences is insensitive to steps, and the
     second differences are insensitive to ramps. For white noise, first differences are
     smaller than second differences by the factor √3.
@@ -270,7 +270,7 @@ def _settled_mean(
 
 
 NamedRecordings = Sequence[tuple[str, Recording]]
-"""Names and recordings. Each recording has a log."""
+"""Names and recordings that have logs."""
 
 
 def plateau_tables(
@@ -307,7 +307,7 @@ def merge_tables(tables: Sequence[StaticTable]) -> StaticTable:
 
 
 def write_static_table(table: StaticTable, path: StrPath) -> None:
-    """Write a table with full precision, so that `read_static_table` can read it."""
+    """Write a table with full precision, in the format of `read_static_table`."""
     points, segments = table.bend.shape
     header = [f"pressure_{side}_{j + 1}_pa" for j in range(segments) for side in SIDES]
     header += [
@@ -322,7 +322,7 @@ def write_static_table(table: StaticTable, path: StrPath) -> None:
 
 
 def is_static_table(path: StrPath) -> bool:
-    """Return whether the header of a file contains bends but no time."""
+    """Return whether the header of a file has bend columns but no time column."""
     names = first_line_names(path)
     has_time = any(is_clock(name) for name in names)
     return not has_time and any(name.startswith("bend_") for name in names)
@@ -361,8 +361,8 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
         )
     if not np.isfinite(bend).any() or (np.abs(bend) > _MAX_BEND_RAD).any():
         raise table.file.error(
-            f"bends must be given and at most {_MAX_BEND_RAD:.3g} rad; if they are in"
-            " degrees, name the columns bend_1_deg, …"
+            f"the file must contain bends, each of at most {_MAX_BEND_RAD:.3g} rad; if"
+            " the bends are in degrees, name the columns bend_1_deg, …"
         )
     return StaticTable(table.file.name, table.file.sha256, pressure, bend, error)
 
@@ -378,8 +378,8 @@ def fit_static(
     """Estimate gains, rest bends and the bend limit from static tables.
 
     A dead zone is included if it improves the fit significantly (F-test, 1 %). A dead
-    zone without a response inside the zone is fitted first, and then a dead zone with a
-    response. `actuator.bend_rad` is constant, as in `fit_actuator`.
+    zone without any response is tried first, and then one with a reduced response.
+    `actuator.bend_rad` is constant, as in `fit_actuator`.
     """
     data = assign_roles("static tables", tables, validation)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)
@@ -407,9 +407,8 @@ def fit_static(
         is_reached = _BEND_LIMIT not in searched or _BEND_LIMIT in estimate.values
         if names is not None or not unlimited or is_reached:
             return estimate
-        # The data do not reach the bend limit. Even a bend limit at the upper bound of
-        # the search would reduce the bends, so the fit is repeated without a bend
-        # limit.
+        # The data do not reach the bend limit. Even a limit at the upper bound of the
+        # search would reduce the bends, so the fit is repeated without a limit.
         without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
         return without.with_fixed([estimate[_BEND_LIMIT]])
 
@@ -450,8 +449,8 @@ def _fit_dead_zone(
         estimate = search(names, fixed, {**starts, **zone_starts})
         if estimate[_ONSET_WIDTH].value is not None:
             return estimate
-        # The data do not determine the width of the dead zone, so the minimum width is
-        # used.
+        # The data do not determine the width of the dead zone, so use the minimum
+        # width.
         names.remove(_ONSET_WIDTH)
         sharp = {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}
         return search(names, sharp, {**starts, _ONSET: zone_starts[_ONSET]})
@@ -464,8 +463,8 @@ def _fit_dead_zone(
     partial = with_dead_zone({_ONSET_FRACTION: 0.8} | complete.values, {})
     best = partial if _is_significant(partial, complete) else complete
     why = (
-        f"a straight line leaves {linear.rms('fit'):.3g} times the noise, a dead zone"
-        f" {best.rms('fit'):.3g}"
+        f"the residuals are {linear.rms('fit'):.3g} times the noise without a dead zone"
+        f" and {best.rms('fit'):.3g} times with a dead zone"
     )
     parameters = list(best.parameters)
     for k, parameter in enumerate(parameters):

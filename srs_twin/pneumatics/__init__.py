@@ -29,11 +29,11 @@ def make_pneumatics(
     layout: str,
     **options: float | None,
 ) -> Pneumatics:
-    """Return the pneumatic model of a robot.
+    """Create the pneumatic model of a robot.
 
     Args:
-        kind: name in `KINDS`, name of a plug-in class (`extensions.part`), or an
-            existing model, which is returned unchanged.
+        kind: name in `KINDS` or of a plug-in class (`extensions.part`). An existing
+            model is returned unchanged.
         spec: robot.
         supply_pa: gauge supply pressure, Pa.
         layout: valve layout, a key of `LAYOUTS`.

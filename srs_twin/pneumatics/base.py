@@ -1,4 +1,4 @@
-"""Base class of pneumatic models, which map valve commands to pressures and bends."""
+"""Base class for pneumatic models, which map valve commands to pressures and bends."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ OptionalArray = np.ndarray | None
 
 
 class Trace(NamedTuple):
-    """State of the chambers at several times, which kernels receive as a tuple.
+    """State of the chambers at several times. Compiled kernels receive it as a tuple.
 
     Attributes:
         pressure: gauge pressure, shape (times, segments, 2), Pa.
@@ -41,7 +41,7 @@ class Trace(NamedTuple):
     def empty(
         cls, times: int, segments: int, chambers: int = 2, axes: tuple[int, ...] = ()
     ) -> Trace:
-        """Return an uninitialised trace. The bends may have additional axes."""
+        """Return an uninitialised trace. The bend arrays may have additional axes."""
         sides = times, segments, chambers
         q, dq, ddq = (np.empty((times, segments, *axes)) for _ in range(3))
         return cls(
@@ -49,12 +49,12 @@ class Trace(NamedTuple):
         )
 
     def at(self, rows: np.ndarray) -> Trace:
-        """Return the trace at the rows with the given indices."""
+        """Return the rows of the trace with the given indices."""
         return Trace(*(column.take(rows, axis=0) for column in self))
 
 
 class Pneumatics(Stateful, ABC):
-    """Valves and chambers of a robot, and the free bends of its segments.
+    """Base class for models of the valves, the chambers and the free segment bends.
 
     A subclass implements the physics in `_simulate`, which receives the valve states
     with the valve delay applied.
@@ -63,21 +63,20 @@ class Pneumatics(Stateful, ABC):
         kind: short name of the pneumatic model.
         depends_on_bend: whether the pressures depend on the actual bends. A plant with
             compliant bends must then pass the actual bends to `advance`.
-        coupling_step_s: maximum interval after which the plant and the chambers
-            exchange bends and pressures, s.
+        coupling_step_s: maximum interval between two exchanges of bends and pressures
+            with the plant, s.
         stiffness: maximum stiffness that closed chambers add to a segment, N·m/rad.
         max_pressure_ratio: ratio of the maximum chamber pressure to the supply
             pressure.
         pressure: current gauge pressures, shape (segments, 2), Pa.
         bend: current free bends, shape (segments,), rad.
-        pneumatic_energy: pneumatic energy consumed since `reset`, J. The pneumatic
-            energy is the gauge supply pressure times the volume of consumed air at the
-            supply pressure. Venting returns no energy.
-        measures_air: whether `air` and `openings` are computed. Otherwise they remain
-            0.
+        pneumatic_energy: pneumatic energy consumed since `reset`, J. The energy is the
+            gauge supply pressure times the volume of the consumed air at the supply
+            pressure. Venting recovers no energy.
+        measures_air: whether `air` and `openings` are computed instead of remaining 0.
         openings: number of openings of each inlet since `reset`, shape (segments, 2).
         valves: latest valve states, shape (segments, 2).
-        stuck: stuck valves, by default none.
+        stuck: valves that are stuck.
         rest_bend: rest bends, shape (segments,), rad.
     """
 
@@ -123,15 +122,15 @@ class Pneumatics(Stateful, ABC):
         self._pending = Schedule(self._delay, np.zeros(1), self.valves[None])
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures and free bends without changing valves, energy and counters.
+        """Set pressures and free bends, but keep the valve states, energy and counters.
 
         Args:
             pressure: gauge pressure, shape (segments, 2), Pa.
             bend: free bends, shape (segments,), rad.
 
         Raises:
-            InputError: the pressures are prescribed, or the chambers cannot reach the
-                values.
+            InputError: the model prescribes the pressures, or the chambers cannot reach
+                the given values.
         """
         raise InputError(
             f"pneumatics '{self.kind}' cannot start with given pressures; use"
@@ -189,12 +188,12 @@ class Pneumatics(Stateful, ABC):
             possible |= states == state
         if not possible.all():
             raise InputError(
-                f"valve state {states[~possible][0]} is not possible with layout"
-                f" {self.layout}; allowed are {allowed}"
+                f"valve state {states[~possible][0]} is not supported by layout"
+                f" {self.layout}; use one of {allowed}"
             )
 
     def effective_schedule(self, schedule: Schedule) -> Schedule:
-        """Return the actual valve states after valve delay and faults are applied."""
+        """Return the valve states after the valve delay and faults are applied."""
         effective = schedule
         if self._delay:
             effective = self._pending.followed_by(schedule).slice(0.0, schedule.span)
@@ -224,7 +223,7 @@ class Pneumatics(Stateful, ABC):
 
         Raises:
             DivergedError: a pressure, a free bend or the consumed energy is not finite
-                or not plausible.
+                or is implausible.
         """
         self._check_state()
         if schedule.states.dtype != np.int8:
@@ -263,17 +262,18 @@ class Pneumatics(Stateful, ABC):
         bend: OptionalArray,
         bend_rate: OptionalArray,
     ) -> Trace:
-        """Simulate with actual valve states and update pressures, bends and energy."""
+        """Simulate the actual valve states, and update pressures, bends and energy."""
 
     def set_supply_pressure(self, supply_pa: float) -> None:
         """Set the supply pressure, which `reset` does not change.
 
         Args:
-            supply_pa: gauge supply pressure, Pa. The maximum is the supply pressure
-                that was given to the constructor.
+            supply_pa: gauge supply pressure, Pa, at most the value given to the
+                constructor.
 
         Raises:
-            InputError: the pressure is out of range, or the chambers have no regulator.
+            InputError: the pressure is out of range, or the model has no pressure
+                regulator.
         """
         raise InputError(
             f"pneumatics '{self.kind}' has no pressure regulator; use 'lag' or"
@@ -281,7 +281,7 @@ class Pneumatics(Stateful, ABC):
         )
 
     def describe(self) -> dict[str, object]:
-        """Return the settings as JSON values for the provenance of a run."""
+        """Return the settings as JSON values, to be recorded with a run."""
         if self.stuck:
             stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]}
         else:

@@ -1,7 +1,7 @@
 r"""Chamber volume, and the bend law φ that maps pressures to free bends.
 
 **Volume.** A chamber expands when the segment bends towards the side of the chamber.
-The volume is never smaller than the dead volume V₀:
+The minimum volume is the dead volume V₀:
 
 $$ V^\pm(q) = V_0 + A\,\max(0, \pm q). $$
 
@@ -16,18 +16,18 @@ $$ x = G\,(g^+ p^+ - g^- p^-), \qquad q = b + \varphi(x), \qquad
 y = x - \frac{s w}{2} \ln \frac{\cosh((x + d)/w)}{\cosh((x - d)/w)}. $$
 
 The variable x is called the linear bend. The function φ is odd, smooth, and monotone
-for all s ≤ 1, d, w and q_m. The function φ is linear, as in the dissertation (Eq. 14),
-if s = 0 and q_m is infinite. The free bend changes with x immediately, whereas x lags
-the pressures with the mode time constant τ₂.
+for all s ≤ 1, d, w and q_m. With s = 0 and infinite q_m, the function is linear, as in
+the dissertation (Eq. 14). The free bend changes with x immediately, whereas x lags the
+pressures with the mode time constant τ₂.
 
 - *Saturation.* Inextensible strips and chambers that touch each other limit the bend to
-  q_m. The deviation of φ from the linear law is at most 1.5 % up to q_m/2, and the
-  derivative of φ is one third at 0.87 q_m.
-- *Dead zone.* The walls of some modules must swell before the module bends. For |x| < d
-  such a module loses the fraction s of the derivative, and for larger |x| it loses the
-  bend s d. The width of the transition is w, and the derivative at x = 0 is
-  1 − s tanh(d/w). For w ≪ d the transition is sharp. For w ≈ d the curve is convex from
-  the origin, like a power of the pressure.
+  q_m. Up to q_m/2, φ deviates from the linear law by at most 1.5 %. At 0.87 q_m, the
+  derivative of φ is one third.
+- *Dead zone.* The walls of some modules must swell before the module bends. For |x| <
+  d, the dead zone reduces the derivative by the fraction s. For larger |x|, it reduces
+  the bend by s d. The width of the transition is w, and the derivative at x = 0 is 1 −
+  s tanh(d/w). For w ≪ d the transition is sharp. For w ≈ d the curve is convex from the
+  origin, like a power of the pressure.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _MIN_LINEAR_RAD = 1e-9
 _SEARCH_LIMIT_RAD = 1e3
 
 NO_LIMIT_RAD = 1e3
-"""Bend limit q_m above which φ has no saturation, rad."""
+"""Bend limit q_m from which φ is treated as not saturating, rad."""
 
 
 class BendLaw(NamedTuple):
@@ -92,7 +92,7 @@ class BendLaw(NamedTuple):
 
 
 def bend_law_of(spec: RobotSpec) -> BendLaw:
-    """Return the bend-law parameters of a robot."""
+    """Return the bend law of a robot."""
     return BendLaw(*(getattr(spec.actuator, name) for name in BendLaw._fields))
 
 
@@ -169,7 +169,7 @@ def _bend_error(x: float, bend: float, bend_law: BendLaw) -> float:
 
 
 def check_pressure(pressure: Array, largest: float) -> Array:
-    """Return gauge pressures (Pa) after checking that each is within [0, `largest`].
+    """Check that gauge pressures (Pa) are within [0, `largest`], and return them.
 
     Raises:
         InputError: a pressure is negative or above the maximum.
@@ -200,8 +200,8 @@ def air_bend(spec: RobotSpec, pressure: Array) -> Array:
 def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
     """Return the free bends φ(|x|) x/|x| (rad) of a spatial robot without rest bends.
 
-    The last axis of the result contains the components to the left and upwards. The
-    gauge pressures have the shape (…, segments, chambers), in Pa.
+    The last axis of the result contains the left and the upward component. The gauge
+    pressures have the shape (…, segments, chambers), in Pa.
     """
     linear = (chamber_gains(spec) * pressure) @ spec.chamber.axes
     size = np.linalg.norm(linear, axis=-1, keepdims=True)
@@ -221,9 +221,9 @@ def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the pressures for which a linear bend law gives equal bends.
+    """Return the pressures at which a linear bend law would give the actual bends.
 
-    MuJoCo's linear actuators use the equivalent pressures. The gauge pressures have the
+    MuJoCo's linear actuators use these pressures. The gauge pressures have the
     shape (…, segments, 2), in Pa.
     """
     linear = _linear_bend(spec, pressure)

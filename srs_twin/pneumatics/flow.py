@@ -1,15 +1,15 @@
 r"""Flow through a valve according to ISO 6358.
 
 A valve has the sonic conductance C and the critical pressure ratio b. At constant
-temperature, the flow of an amount of air n = P V from the absolute pressure P₁ to P₂ is
-the following function of r = P₂/P₁:
+temperature, the amount of air n = P V that flows per second from the absolute pressure
+P₁ to P₂ depends on r = P₂/P₁:
 
 $$ \dot n = P_0\,C\,P_1\,\psi(r),\qquad
 \psi = \begin{cases} 1 & r \le b \\ \sqrt{1 - \bigl(\tfrac{r-b}{1-b}\bigr)^2} & b < r \le r_l \end{cases} $$
 
-The reference pressure P₀ of the standard is 100 kPa. At equal pressures, ψ has an
-infinite derivative. Above r_l = 0.999 the flow is therefore linear in P₁ − P₂ (laminar
-flow), as is usual in simulation.
+The reference pressure P₀ of the standard is 100 kPa. The derivative of ψ is infinite at
+equal pressures. Above r_l = 0.999, the flow is therefore replaced by a laminar flow,
+which is linear in P₁ − P₂.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ LAMINAR = 0.999
 """Pressure ratio r_l above which the flow is linear, dimensionless."""
 
 REMAINING = math.exp(-2)
-"""Fraction of a pressure change that remains at the working point, e⁻²."""
+"""Remaining fraction of a pressure change at the working point, e⁻²."""
 
 
 @compiled
 def flow(first, second, critical):  # type: ignore[no-untyped-def]
     """Return P₁ ψ (Pa) and its derivatives with respect to both pressures.
 
-    The flow is negative if air flows from the second side to the first side.
+    The flow is negative if air flows from the second to the first pressure.
 
     Args:
         first: absolute pressure, Pa.
@@ -80,15 +80,15 @@ class Conductances(NamedTuple):
 
 
 def conductances(spec: RobotSpec, critical: float) -> Conductances:
-    """Return the conductances for which small pressure changes have time constant τ₁.
+    """Return the valve conductances that correspond to the time constant τ₁.
 
-    One chamber fills or vents while the opposite chamber is vented, and the bend is q ≈
-    G (p − τ₂ ṗ). A change dp of the gauge pressure requires the amount of air K dp, so
-    that ṗ = ṅ/K with the capacity K(p) = V + (p + P_a) A G. The effect of τ₂ is
-    included to first order. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all
-    pressures. For a valve, C is chosen so that dṗ/dp = −1/τ₁ at one working point. At
-    the working point, a pressure change between ambient and nominal supply has reached
-    the fraction 1 − e⁻².
+    One chamber is assumed to fill or vent while the opposite chamber is empty. To first
+    order in τ₂, the bend is q ≈ G (p − τ₂ ṗ). A change dp of the gauge pressure
+    requires the amount of air K dp with the capacity K(p) = V + (p + P_a) A G. Hence ṗ
+    = ṅ/K. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures. For a
+    valve, C is chosen so that dṗ/dp = −1/τ₁ at one working point. At the working point,
+    a pressure change between ambient and nominal supply has reached the fraction 1 −
+    e⁻².
 
     Args:
         spec: robot.
@@ -118,8 +118,7 @@ def _conductance(
 ) -> float:
     """Return the conductance C for which dṗ/dp = −1/τ at the gauge pressure p.
 
-    The function `passed` returns P₁ ψ (Pa) of the valve for a gauge pressure of the
-    chamber.
+    `passed` returns P₁ ψ (Pa) of the valve at a given gauge pressure of the chamber.
     """
     dead = spec.chamber.dead_volume
     growth = spec.chamber.displacement * spec.actuator.gain

@@ -1,30 +1,30 @@
 r"""Chambers that fill and vent with a first-order lag, solved in closed form.
 
 A valve state of +1 fills the chamber from the supply, −1 vents the chamber, and 0 holds
-the air in the chamber. Between valve events the gauge pressure of each chamber decays
-exponentially
+the air in the chamber. Between valve events, the gauge pressure of each chamber
+approaches an asymptote P exponentially:
 
-$$ p(t) = P + (p_0 - P)\,e^{-a t}, $$
+$$ p(t) = P + (p_0 - P)\,e^{-a t}. $$
 
-to the asymptote P with the rate a, which is 1/τ₁ plus the leak rate λ. The linear bend
-x of a segment without load lags the pressures with the mode time constant τ₂,
+The rate a is 1/τ₁ plus the leak rate λ. The linear bend x of a segment without load
+lags the pressures with the mode time constant τ₂:
 
-$$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x), $$
+$$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x). $$
 
-where `chambers` defines φ, b and the gains. Nominal modules with τ_fill = τ_vent = τ₁
-satisfy Eq. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀
-u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of τ₂. An additional valve delay
-is 0 by default.
+The module `chambers` defines φ, b and the gains. Nominal modules with τ_fill = τ_vent =
+τ₁ satisfy Eqs. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀
+u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of τ₂. By default, there is no
+additional valve delay.
 
 A valve may fill the chamber for a fraction o of the time and vent it for the remaining
-time. The chamber pressure then decays at the rate a = o/τ_fill + (1 − o)/τ_vent + λ to
-P = (o S/τ_fill + r)/a, where S is the supply pressure and r an additional rate of
+time. The chamber pressure then approaches P = (o S/τ_fill + r)/a at the rate a =
+o/τ_fill + (1 − o)/τ_vent + λ. Here S is the supply pressure and r an additional rate of
 change (`relaxation_of`).
 
 **Pneumatic energy.** The amount of air n = P V(q) in a filling chamber increases by the
 inflow minus the leak. A filling chamber therefore consumes the amount Δn + λ ∫ p V dt.
-The term Δn is exact, with V at the free bend. The integral is computed by Simpson's
-rule between the requested times.
+The increase Δn is computed exactly from the volume at the free bend. The integral is
+computed by Simpson's rule between the requested times.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def relaxation_of(
     leak: np.ndarray | float = 0.0,
     other: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the relaxation rate a (1/s) and the asymptote P (Pa) of pressures.
+    """Return the relaxation rate a (1/s) and the asymptote P (Pa) of a pressure.
 
     Args:
         fill: filling rate o/τ_fill, 1/s.
@@ -79,7 +79,7 @@ def relaxation_of(
 def relax(
     pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float
 ) -> np.ndarray:
-    """Return the pressures (Pa) after a time (s)."""
+    """Return the pressures (Pa) after the given time (s)."""
     return np.asarray(end + (pressure - end) * np.exp(-rate * time))
 
 
@@ -108,17 +108,17 @@ def lag_response(
     response = (
         (pressure - end) * (np.exp(-rate * time) - mode) / np.where(same, 1.0, gap)
     )
-    # This expression is the limit for equal time constants.
+    # Limit for equal time constants.
     limit = (pressure - end) * time / tau * mode
     return np.asarray(end + np.where(same, limit, response) + (lagged - end) * mode)
 
 
 class Relaxation(NamedTuple):
-    """Parameters of the chambers, and decay factors for a time without valve events.
+    """Chamber parameters, and decay factors for a time without valve events.
 
     Chambers with equal time constants belong to one kind. Arrays of shape (kinds, 3)
-    have one column for each of the valve states −1, 0, +1. The device engine copies
-    this record.
+    have one column for each of the valve states −1, 0, +1. The device engine has a copy
+    of this record.
 
     Attributes:
         kinds: kind of each chamber, shape (segments, 2).
@@ -189,12 +189,12 @@ class LagChambers(Pneumatics):
             spec: robot.
             supply_pa: gauge supply pressure, Pa.
             layout: valve layout, a key of `LAYOUTS`.
-            leak_per_s: leak rate λ, the relative rate at which a held pressure falls,
-                1/s.
+            leak_per_s: leak rate λ at which a held pressure decays, 1/s.
             valve_delay_s: time between a command and the switching of the valve, s.
 
         Raises:
-            InputError: the layout is unknown, or leak or delay are negative.
+            InputError: the layout is unknown, or the leak rate or the delay is
+                negative.
         """
         check_not_negative(leak_per_s=leak_per_s)
         self._leak = leak_per_s
@@ -220,7 +220,7 @@ class LagChambers(Pneumatics):
 
 
 class LagPneumatics(LagChambers):
-    """Planar chambers with a first-order lag, as described in the module `lag`."""
+    """Planar chambers with a first-order lag."""
 
     state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 
@@ -269,7 +269,7 @@ class LagPneumatics(LagChambers):
         self._linear = np.zeros(self._segments)
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures (Pa) and free bends (rad) without changing the valves."""
+        """Set pressures (Pa) and free bends (rad), but keep the valve states."""
         self._linear = invert_bend_law(bend - self.rest_bend, self._bend_law)
         self.pressure = check_pressure(pressure, self._max_supply)
         self.bend = np.array(bend, dtype=float)
@@ -283,7 +283,7 @@ class LagPneumatics(LagChambers):
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def relaxation(self, time: float) -> Relaxation:
-        """Return the propagation over a time (s) with one kind for each chamber."""
+        """Return the relaxation over a time (s), with one kind for each chamber."""
         kinds = self._relaxation.kinds
         rates = self._relaxation.rates[kinds.ravel()]
         relaxation = self._relaxation._replace(
@@ -324,7 +324,7 @@ class LagPneumatics(LagChambers):
 def _fill_trace(now, schedule, times, relaxation, trace):  # type: ignore[no-untyped-def]
     """Simulate a schedule, fill in the trace, and return the consumed air, J.
 
-    The trace contains the amount consumed since the start of the schedule.
+    The trace contains the air consumed since the start of the schedule.
     """
     starts = schedule.starts
     row = 0
@@ -423,8 +423,7 @@ def _drive_rate(state, j, plus, minus, relaxation):  # type: ignore[no-untyped-d
 def _leaked(last, t, state, now, relaxation):  # type: ignore[no-untyped-def]
     """Return λ ∫ p V dt of the filling chambers by Simpson's rule, J.
 
-    The integral extends from the time `last` to the time `t` (s), both measured from
-    the latest valve event.
+    The integral extends from `last` to `t` (s), measured from the latest valve event.
     """
     leaked = 0.0
     for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
@@ -476,7 +475,7 @@ def advance_segment(state, j, pressure, linear, relaxation):  # type: ignore[no-
     target_minus = relaxation.asymptotes[second, down]
     deviation_plus = pressure[0] - target_plus
     deviation_minus = pressure[1] - target_minus
-    # This term is the response of x to both pressures if x is initially 0.
+    # Response of x to both pressures, starting from x = 0.
     lagged = relaxation.gain[j, 0] * (
         target_plus * (1.0 - mode) + deviation_plus * relaxation.lag[first, up]
     )

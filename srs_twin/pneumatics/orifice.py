@@ -1,25 +1,25 @@
 r"""Isothermal chambers behind orifices (ISO 6358) whose volumes grow with the bend.
 
-One supply feeds all chambers. The unknowns are the amount of air n = P V of each
-chamber, the linear bends x, and the amount of air in the line between the supply and
-the inlets:
+One supply feeds all chambers. The unknowns are the amounts of air n = P V in the
+chambers, the linear bends x, and the amount of air in the line from the supply to the
+inlets:
 
 $$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),\qquad
 \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q_f = b + \varphi(x). $$
 
 The module `chambers` defines φ, b, V(q) and the gains g, and `flow` defines the flows.
-The conductances are computed from the robot's τ₁ (`flow.conductances`). The leak
-conductance Λ is chosen so that a held chamber of a nominal module loses pressure at the
-rate `leak_per_s` at the working point.
+The conductances are computed from the robot's τ₁ (`flow.conductances`). At the working
+point, the leak conductance Λ makes the pressure of a held nominal chamber fall at the
+relative rate `leak_per_s`.
 
-Without a flow limit, the line has the supply pressure. With a flow limit, a compressor
-with a regulator feeds the line. The flow of the compressor is at most the limit,
-measured at ambient pressure, and decreases to 0 over the last hundredth of the supply
-pressure. All inlets share the line, so a limited flow slows down all segments.
+Without a flow limit, the line is always at the supply pressure. With a flow limit, a
+compressor with a regulator feeds the line. The flow of the compressor is at most the
+limit, measured at ambient pressure, and decreases to 0 over the last hundredth of the
+supply pressure. All inlets share the line, so a limited flow slows down all segments.
 
 **Integration.** SDIRK2 (two stages, second order, L-stable) integrates all chambers
-together. The stage equations are solved by Newton's method. Every valve event is the
-end of a step. Within a step, states are interpolated by cubic Hermite polynomials.
+together. The stage equations are solved by Newton's method. A step ends at every valve
+event. Within a step, states are interpolated by cubic Hermite polynomials.
 """
 
 from __future__ import annotations
@@ -62,24 +62,24 @@ from srs_twin.robot.spec import RobotSpec
 CRITICAL_RATIO = 0.3
 """Critical pressure ratio b of a small solenoid valve, dimensionless.
 
-The value is an estimate. Small solenoid valves have ratios from 0.2 to 0.5.
+This estimate lies in the range of small solenoid valves, 0.2 to 0.5.
 """
 
 MAX_CRITICAL_RATIO = 0.8
 """Maximum critical pressure ratio, dimensionless.
 
-With a larger ratio, the flow at a working point would be choked and the conductance C
-could not be computed from the time constant.
+With a larger ratio, the flow at a working point would be choked, and C could not be
+computed from the time constant.
 """
 
 LINE_VOLUME = 50e-6
 """Estimated volume of compressor outlet, tubes and manifold, m³."""
 
 _SUBSTEP_S = 5e-4
-"""Maximum step of the integrator for a robot with time unit 1 (`robot.scale`), s."""
+"""Maximum integration step for a robot with time unit 1 (`robot.scale`), s."""
 
 REGULATOR_BAND = 0.01
-"""Pressure range over which the regulator closes, as a fraction of the gauge supply
+"""Pressure range in which the regulator closes, as a fraction of the gauge supply
 pressure."""
 
 
@@ -102,13 +102,13 @@ class OrificeOptions:
         critical_ratio: critical pressure ratio b of all valves, dimensionless.
         flow_limit: maximum flow of the supply, measured at ambient pressure, m³/s, or
             None for an unlimited flow.
-        line_volume: volume of the line between supply and inlets, m³. The volume
-            matters only with a flow limit.
+        line_volume: volume of the line between supply and inlets, m³. The volume has an
+            effect only with a flow limit.
         initial_line_pressure: initial gauge pressure in the line, by default the supply
             pressure, Pa.
         leak_per_s: relative rate at which the pressure of a held chamber falls, 1/s.
-        substep: maximum step of the integrator, s. The default step is 0.5 ms times the
-            time unit of the robot (`robot.scale`).
+        substep: maximum integration step, s, by default 0.5 ms times the time unit of
+            the robot (`robot.scale`).
     """
 
     critical_ratio: float = CRITICAL_RATIO
@@ -149,7 +149,7 @@ class OrificeOptions:
         return begins
 
     def describe(self, initial_line_pressure: float) -> dict[str, object]:
-        """Return the settings for the provenance of a run."""
+        """Return the settings to be recorded with a run."""
         settings: dict[str, object] = {
             "critical_ratio": self.critical_ratio,
             "flow_limit_l_per_min": None,
@@ -165,13 +165,13 @@ class OrificeOptions:
 
 
 class OrificePneumatics(Pneumatics):
-    """Chambers behind orifices, as described in the module `orifice`.
+    """Planar chambers behind orifices.
 
     Attributes:
         conductances: inlet and outlet conductances, shape (segments, 2) each, m³/(s
             Pa).
         line_pressure: current gauge pressure between supply and inlets, Pa.
-        drawn: amount of air P V that the supply has delivered since `reset`, J.
+        drawn: amount of air P V delivered by the supply since `reset`, J.
         lost: amount of air P V that was vented or leaked since `reset`, J.
         parameters: valves and supply line.
     """
@@ -250,8 +250,7 @@ class OrificePneumatics(Pneumatics):
         super().reset()
         self._state = np.zeros((self._segments, 3))
         self._fill(self.pressure, self.parameters.bias)
-        # The three amounts of air are contained in the line, delivered by the supply,
-        # and lost.
+        # Amounts of air in the line, delivered by the supply, and lost.
         self._amounts = np.array(
             [self._initial_line_pressure * self.parameters.line_volume, 0.0, 0.0]
         )
@@ -263,7 +262,7 @@ class OrificePneumatics(Pneumatics):
             self._state[j, side] = (AMBIENT_PA + pressure[j, side]) * size
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures (Pa), and equal free and actual bends (rad)."""
+        """Set pressures (Pa), and set free and actual bends to equal values (rad)."""
         parameters = self.parameters
         linear = invert_bend_law(bend - self.rest_bend, parameters.bend_law)
         self.pressure = check_pressure(
@@ -301,7 +300,7 @@ class OrificePneumatics(Pneumatics):
 
     @property
     def drawn(self) -> float:
-        """Amount of air P V that the supply has delivered since `reset`, J."""
+        """Amount of air P V delivered by the supply since `reset`, J."""
         return float(self._amounts[DRAWN])
 
     @property
@@ -357,7 +356,7 @@ def _chamber_conductances(
 ) -> tuple[np.ndarray, np.ndarray]:
     modules = spec.modules
     actuator = spec.actuator
-    # Conductances are computed only once for chambers with equal parameters.
+    # Chambers with equal parameters share their conductances.
     rows = np.stack(
         [modules.array(name).ravel() for name in ("gain", "tau_fill", "tau_vent")],
         axis=1,

@@ -17,11 +17,11 @@ from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, vo
 from srs_twin.pneumatics.flow import flow
 
 GAMMA = 1 - math.sqrt(0.5)
-"""Diagonal γ of SDIRK2, dimensionless. The stages are evaluated at γ h and h."""
+"""Diagonal γ of SDIRK2, dimensionless. The stages lie at γ h and h."""
 
 _MAX_NEWTON = 40  # Maximum number of Newton iterations per stage.
 _NEWTON_TOLERANCE = 1e-12
-"""Maximum absolute update at which Newton's method stops, J and rad."""
+"""Maximum absolute update for which Newton's method stops, J and rad."""
 
 _X = 2  # Column of y that contains the linear bend.
 
@@ -61,7 +61,7 @@ class OrificeParameters(NamedTuple):
         supply, max_flow: absolute pressure (Pa) and maximum flow (J/s) of the supply.
         band: pressure range over which the regulator closes, Pa.
         line_volume: volume of the line, m³.
-        limited: whether the flow is limited. Without a limit, the line has the supply
+        limited: whether the flow is limited. Without a limit, the line is at the supply
             pressure.
     """
 
@@ -117,8 +117,7 @@ class _Workspace(NamedTuple):
     """Work arrays of a step.
 
     Attributes:
-        base, rates: terms of the stage equation that do not depend on the unknowns, and
-            ẏ, shape (segments, 3).
+        base, rates: constant terms of the stage equation, and ẏ, shape (segments, 3).
         bend: actual bends at the time of a stage, rad.
         linear: corrections of y as linear functions of the change of the line pressure,
             shape (segments, 3, 2). The last axis has the indices `_ALONE` and
@@ -166,7 +165,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
         j: segment index.
         side: 0 for the + chamber, 1 for the − chamber.
         state: valve state.
-        line: absolute pressure before the inlets, Pa.
+        line: absolute pressure in the line upstream of the inlets, Pa.
         air: `OrificeParameters`.
     """
     size, growth = volume(air.dead, air.displacement, bend, side)
@@ -177,7 +176,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     outflow = air.leak[j, side] * (pressure - AMBIENT_PA)
     outflow_by_p = air.leak[j, side]
     if state != 0:
-        # A flow into the chamber is positive, and a flow out of the chamber negative.
+        # Flow into the chamber is positive.
         source = line if state == 1 else AMBIENT_PA
         value, by_source, by_here = flow(source, pressure, air.critical)
         if state == 1:
@@ -232,7 +231,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # t
     line_residual = amounts[LINE] - line_base - weight * supply
     line_derivative = air.line_volume - weight * closing
     for j in range(y.shape[0]):
-        # The derivative of the bend with respect to x is 0 for a prescribed bend.
+        # A prescribed bend does not depend on x.
         q, bend_rate, _ = apply_bend_law(y[j, _X], air.bend_law)
         q, bend_rate = (
             (workspace.bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
@@ -304,7 +303,7 @@ def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyp
     for j in range(y.shape[0]):
         for k in range(3):
             step = linear[j, k, _ALONE] + linear[j, k, _BY_LINE] * change
-            # The decrease of an amount of air is limited so that it remains positive.
+            # The decrease is limited so that the amount of air remains positive.
             if k == _X:
                 y[j, k] = y[j, k] + step
             else:
@@ -336,8 +335,8 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             dy[j, side] = c.inflow - c.outflow
-            # Gauge pressures are needed because the two chambers have different gains, so
-            # that the ambient pressure would not cancel.
+            # The ambient pressure does not cancel if the two gains differ, so gauge
+            # pressures are needed.
             gauge = c.pressure - AMBIENT_PA
             deviation += (1.0 - 2.0 * side) * air.gain[j, side] * gauge
             total_inflow = total_inflow + c.inflow
@@ -377,7 +376,7 @@ def _step(now, h, begun, state, actual, air, workspace):  # type: ignore[no-unty
             for j in range(y.shape[0]):
                 for k in range(3):
                     base[j, k] += (1 - GAMMA) * h * dy[j, k]
-            # The line receives the flow of the supply and loses the inflow of the chambers.
+            # The line gains the supply flow and loses the inflow of the chambers.
             line_base += (1 - GAMMA) * h * (drawn - inflow) if air.limited else 0.0
         at = GAMMA if stage == 0 else 1.0
         _extrapolate_bends(workspace.bend, actual, begun + at * h)

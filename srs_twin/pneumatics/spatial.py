@@ -1,9 +1,9 @@
 r"""Chambers of a spatial robot, which bend a segment in several directions.
 
-Each chamber fills and vents with the first-order lag of `lag`. A second first-order lag
-has the time constant τ₂ and the lagged pressures p̂_c as output. The chamber directions
-are d_c (`Chamber.directions`), and φ is the bend law of `chambers`. The free bend of a
-segment is a vector with components to the left and upwards,
+Each chamber fills and vents with a first-order lag, as in `lag`. A second lag with the
+time constant τ₂ yields the lagged pressures p̂_c. The chamber directions are d_c
+(`Chamber.directions`), and φ is the bend law of `chambers`. The free bend of a segment
+is a vector with components to the left and upwards,
 
 $$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| , $$
 
@@ -25,9 +25,8 @@ from srs_twin.robot.spec import RobotSpec
 class SpatialLagPneumatics(LagChambers):
     """Chambers with a first-order lag that bend a segment in several directions.
 
-    The docstring of the module contains the equations. The arrays `bend` and
-    `rest_bend` and the bends of a `Trace` have the shape (…, segments, 2), with
-    components to the left and upwards.
+    The arrays `bend` and `rest_bend` and the bends of a `Trace` have the shape (…,
+    segments, 2), with components to the left and upwards.
     """
 
     state_attributes = ("_lagged", "_supply")
@@ -41,7 +40,7 @@ class SpatialLagPneumatics(LagChambers):
 
     def reset(self) -> None:
         """Vent all chambers to ambient pressure and close all inlets."""
-        if self.rest_bend.ndim == 1:  # Modules have a rest bend to the left only.
+        if self.rest_bend.ndim == 1:  # Rest bends are lateral.
             self.rest_bend = np.stack(
                 [self.rest_bend, np.zeros_like(self.rest_bend)], axis=-1
             )

@@ -1,7 +1,7 @@
 """Schedules of piecewise constant valve states, and valve faults.
 
-A valve state is +1 (filling), 0 (holding) or −1 (venting). The last axis of arrays of
-valve states is (+ chamber, − chamber).
+A valve state is +1 (filling), 0 (holding) or −1 (venting). The last axis of valve-state
+arrays is (+ chamber, − chamber).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from srs_twin.robot.scale import Scale, divide
 
 @dataclass(frozen=True)
 class StuckValve:
-    """Fault of a valve that remains in one state.
+    """Fault that holds a valve in one state.
 
     Attributes:
         segment: segment number, counted from 1 at the head.
@@ -38,8 +38,8 @@ LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
 SLOT_S = 1e-4
 """Time grid of valve events for a robot with time unit 1 (`robot.scale`), s."""
 
-# Minimum time (s) between two valve events. Events with a smaller distance differ only
-# by rounding errors and are merged.
+# Minimum time (s) between two valve events. Closer events differ only by rounding
+# errors and are merged.
 _EVENT_TOLERANCE = 1e-9
 
 
@@ -51,7 +51,7 @@ def valve_slot(tick: float, scale: Scale) -> float:
 
     Args:
         tick: control tick, s.
-        scale: units of the robot.
+        scale: scale of the robot, which sets the slot duration.
     """
     return divide(tick, SLOT_S * scale.time)
 
@@ -81,7 +81,7 @@ class Schedule(NamedTuple):
 
     @classmethod
     def from_slots(cls, commands: np.ndarray, span: float) -> Schedule:
-        """Return the schedule of commands that divide a time span (s) equally.
+        """Return the schedule of equally long commands that fill a time span (s).
 
         The commands are valve states of shape (slots, segments, 2).
         """
@@ -99,7 +99,7 @@ class Schedule(NamedTuple):
         return self.starts[1:]
 
     def slice(self, begin: float, end: float) -> Schedule:
-        """Return the schedule between two times (s) as a schedule that starts at 0."""
+        """Return the part of the schedule between two times (s), starting at time 0."""
         if (
             begin == 0.0
             and end == self.span
@@ -120,8 +120,8 @@ class Schedule(NamedTuple):
         """Return the schedule with one valve stuck in one state after a given time.
 
         Args:
-            begin: time of the fault, s. The time may be negative. After the end of the
-                schedule, the fault has no effect.
+            begin: time of the fault, s. It may be negative. A fault after the end of
+                the schedule has no effect.
             segment: segment index, counted from 0.
             side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
             state: valve state.
@@ -140,8 +140,7 @@ class Schedule(NamedTuple):
 
     def followed_by(self, other: Schedule) -> Schedule:
         """Return this schedule followed by another schedule."""
-        # The last interval of the first schedule and the first interval of the second
-        # schedule are merged if their states are equal.
+        # Adjacent intervals of the two schedules are merged if their states are equal.
         merged = int((self.states[-1] == other.states[0]).all())
         starts = np.concatenate([self.starts, self.span + other.starts[merged:]])
         return Schedule(

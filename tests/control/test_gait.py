@@ -223,7 +223,7 @@ def test_rest_fraction_vents_that_fraction_of_the_period():
 @pytest.mark.parametrize(
     ("more", "why"),
     [
-        ({"rest_fraction": 1.0}, "gait rest 1.0"),
+        ({"rest_fraction": 1.0}, "gait `rest_fraction` 1.0"),
         ({"phases": [0.1, 0.2]}, "2 phases are given, but gen2 has 4"),
     ],
 )

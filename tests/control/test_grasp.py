@@ -76,7 +76,9 @@ def test_holding_segments_fill_the_side_of_the_object(side, chamber):
 def test_robot_with_too_few_segments_is_refused():
     with pytest.raises(InputError, match="at least two must crawl"):
         Grasp(2.0).reset(GEN2, 0.02)
-    with pytest.raises(InputError, match="`drag_m` is used only in mode sensed"):
+    with pytest.raises(
+        InputError, match="`drag_m` is allowed only in the mode 'sensed'"
+    ):
         Grasp(2.0, mode="open_loop", drag_m=0.3)
 
 

@@ -66,7 +66,7 @@ def test_the_runs_are_equal_until_the_change():
     "times", [(0.0,), (-1.0,), (0.5, 0.5), (0.5, 0.2), (float("nan"),)]
 )
 def test_times_that_do_not_increase_are_refused(times):
-    with pytest.raises(InputError, match="they must be above 0 and increase"):
+    with pytest.raises(InputError, match="they must be positive and strictly"):
         ScheduledOffset(Gait(2.0), [(time, 0.1) for time in times])
 
 

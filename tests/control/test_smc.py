@@ -262,8 +262,8 @@ def test_a_lost_reading_is_replaced_by_the_last_valid_one(kind, lost):
     ]
     assert (
         events[0].text
-        == f"segment 2: reading lost; the last good one, {measured_bend[39, 1]:.4g} rad, is"
-        " held"
+        == f"segment 2: reading lost; the last valid reading, {measured_bend[39, 1]:.4g}"
+        " rad, is used instead"
     )
     assert controller.events() == []
 
@@ -275,7 +275,7 @@ def test_clipping_of_the_reference_is_reported_once(kind):
     (event,) = controller.events()
     first = math.asin(0.5 / 0.6) / (2 * math.pi * 2.0)
     assert event.kind == "saturation" and first < event.time <= first + TICK
-    assert "cut at 0.5 rad" in event.text
+    assert "clipped at 0.5 rad" in event.text
 
 
 @pytest.mark.parametrize("kind", BOTH)

@@ -122,7 +122,7 @@ FIT_MALFORMED = edited(
             "role: test",
             "data[1].role: must be one of fit, validation, not text 'test'",
         ),
-        ("role: fit", "role: validation", "data: no data have the role `fit`"),
+        ("role: fit", "role: validation", "data: no data set has the role `fit`"),
         ("a" * 64, "a" * 63, "data[0].sha256: "),
         ("a" * 64, "A" * 64, "data[0].sha256: "),
         (", to_s: 5.0", "", "data[1]: `from_s` and `to_s` belong together"),

@@ -374,7 +374,7 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "degrees as radians",
         STATIC.replace(b"_deg", b""),
-        ": bends must be given and at most 6.28 rad",
+        ": the file must contain bends, each of at most 6.28 rad",
     ),
     Malformed("a header only", STATIC.split(b"\n")[0] + b"\n", ""),
 )

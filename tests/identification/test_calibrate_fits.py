@@ -76,7 +76,7 @@ def test_a_table_of_pulls_is_read(tmp_path):
         ),
         (
             "along_mm,spring_n_per_m,mass_kg\n3,30,0.15\n",
-            r"pulls.csv: a single pull along does not show",
+            r"pulls.csv: a single pull along the body does not show",
         ),
         (
             "along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n",
@@ -278,7 +278,7 @@ def test_fits_are_combined_into_a_robot(tmp_path, monkeypatch, capsys):
     main_ok("calibrate", "friction", "pulls.csv", "-r", "gen2", "--out", "f.yaml", "-q")
     main_ok("calibrate", "actuator", "held.csv", "-r", "gen2", "--out", "a.yaml", "-q")
     main_ok("calibrate", "robot", "f.yaml", "a.yaml", "--name", "mine")
-    assert "robot in robots/mine.yaml" in capsys.readouterr().err
+    assert "robot file written to robots/mine.yaml" in capsys.readouterr().err
     mine = load_robot("robots/mine.yaml")
     gen2 = load_robot("gen2")
     assert mine.friction.mu_t == pytest.approx(load_fit("f.yaml").parameters[0].value)

@@ -57,7 +57,9 @@ FILE = Path("calibration/footprints/gen2_gait.yaml")
 def test_a_short_footprint_measurement_by_the_command(srs_twin, tmp_path, monkeypatch):
     done = srs_twin(*SHORT, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "curvature 1/m" in done.stdout and f"footprint in {FILE}" in done.stderr
+    assert (
+        "curvature 1/m" in done.stdout and f"footprint written to {FILE}" in done.stderr
+    )
     body = load_footprint(tmp_path / FILE)
     assert body.offsets == (-0.2, 0.0, 0.2) and not body.transients
     for curvature, speed, left in zip(

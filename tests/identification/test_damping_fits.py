@@ -169,7 +169,7 @@ def test_closed_valves_raise_frequency_and_keep_the_stiffness(tmp_path):
     assert (
         notes[-1]
         == "the valves are closed, so the estimated frequency and `loss_factor`"
-        " include the spring and the loss of the air"
+        " include the stiffness and the damping of the enclosed air"
     )
     assert fits["closed"].held["air_stiffness_nm_per_rad"] > 1.0
 
@@ -270,7 +270,7 @@ def test_short_and_incomplete_files_are_refused(tmp_path):
     path.write_text("time_s,bend_rad,pressure_plus_kpa\n0,0.1,3\n")
     with pytest.raises(
         InputError,
-        match="the column 'pressure_plus' is given alone; give the pressures of both"
+        match="only the column 'pressure_plus' is given; give the pressures of both"
         " chambers",
     ):
         read_decay(path)

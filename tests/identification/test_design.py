@@ -54,7 +54,7 @@ def test_walks_do_not_separate_mass_from_stiffness():
     walks = [
         experiment
         for experiment in candidates(SPEC)
-        if experiment.description.startswith("walk")
+        if experiment.description.startswith("gait run")
     ]
     for walk in walks[2:4]:
         fit = _information(walk, SPEC, names, values, scale)

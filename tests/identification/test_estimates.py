@@ -293,7 +293,7 @@ def test_unsuitable_residuals_are_refused():
         )
     with pytest.raises(InputError, match="at least one free parameter"):
         least_squares(lambda v: [Residual("x", "1", TIME, 1.0)], [])
-    with pytest.raises(InputError, match="must have none of these numbers"):
+    with pytest.raises(InputError, match="must have no value"):
         Parameter("a", "1", "not identifiable", 1.0, 1.0, 1.0, 1.0)
     with pytest.raises(InputError, match="verdict 'identified' must have value"):
         Parameter("a", "1", "identified", 1.0)

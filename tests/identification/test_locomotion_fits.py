@@ -313,6 +313,6 @@ def test_unsuitable_walks_are_refused():
         "short",
     )
     with pytest.raises(
-        InputError, match="short: the average over gait periods cannot be computed"
+        InputError, match="short: the speed cannot be averaged over gait periods"
     ):
         fit_locomotion([short], SPEC, ["friction.mu_t"], model=COMPLETE)

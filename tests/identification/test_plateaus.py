@@ -230,7 +230,7 @@ def test_the_table_gives_the_same_fit_from_the_command_line(tmp_path, srs_twin):
     logs = [word for seed in range(3) for word in ("--valves", f"held_{seed}.csv")]
     done = srs_twin(*options, *logs, "--static", "--name", "mine", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "24 plateaus in calibration/fits/mine.table.csv" in done.stderr
+    assert "24 plateaus written to calibration/fits/mine.table.csv" in done.stderr
     fit = load_fit(tmp_path / "calibration/fits/mine.yaml")
     assert [data.role for data in fit.data] == [
         "fit",

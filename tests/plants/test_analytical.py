@@ -231,7 +231,7 @@ def test_in_out_valves_can_hold_pressure():
     assert held.valves.tolist() == [[0, 0]] * 4
     assert plant.openings().tolist() == [[1, 0]] * 4
     with pytest.raises(
-        InputError, match="valve state 0 is not possible with layout 3/2"
+        InputError, match="valve state 0 is not supported by layout 3/2"
     ):
         AnalyticalSnake(SPEC).step(np.zeros((4, 2), dtype=np.int8))
 

@@ -609,7 +609,7 @@ def test_batch_rejects_wrong_numbers_of_arguments():
         batch.play([], 1)
     impossible = np.stack([vented(SPEC), 0 * vented(SPEC)])
     with pytest.raises(
-        InputError, match="valve state 0 is not possible with layout 3/2"
+        InputError, match="valve state 0 is not supported by layout 3/2"
     ):
         batch.step(impossible)
     assert batch.twins[0].physics.data.time == 0.0

@@ -283,9 +283,9 @@ def test_script_may_have_float_states(build):
     ("valves", "words"),
     [
         (np.full((3, 2), np.int8(1)), r"the valves have the shape \(3, 2\)"),
-        (np.zeros((4, 2)), "valve state 0.0 is not possible with layout 3/2"),
-        (np.full((4, 2), 2), "valve state 2 is not possible"),
-        (np.full((4, 2), "open"), "valve state open is not possible"),
+        (np.zeros((4, 2)), "valve state 0.0 is not supported by layout 3/2"),
+        (np.full((4, 2), 2), "valve state 2 is not supported"),
+        (np.full((4, 2), "open"), "valve state open is not supported"),
     ],
 )
 def test_invalid_finite_commands_are_input_errors(valves, words):
@@ -298,7 +298,7 @@ def test_invalid_finite_commands_are_input_errors(valves, words):
 @pytest.mark.parametrize("value", WILD)
 def test_invalid_command_error_lists_the_allowed_states(value):
     for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
-        with pytest.raises(InputError, match="is not possible with layout 3/2"):
+        with pytest.raises(InputError, match="is not supported by layout 3/2"):
             plant.step(with_one(value))
 
 
@@ -349,7 +349,7 @@ def test_policy_diverging_for_one_run_ends_that_run_only(value):
 
 def test_invalid_batch_input_changes_no_run():
     batch = TwinBatch([SPEC, SPEC], threads=1)
-    with pytest.raises(InputError, match="valve state 0.0 is not possible"):
+    with pytest.raises(InputError, match="valve state 0.0 is not supported"):
         batch.step(np.stack([with_one(np.nan), with_one(0.0)]))
     assert batch.errors == [None, None]
     assert batch.twins[0].physics.data.time == 0.0

@@ -271,6 +271,6 @@ def test_invalid_settings_raise():
     with pytest.raises(InputError, match="valve layout '5/2' is unknown"):
         TwinSnake(SPEC, layout="5/2")
     with pytest.raises(
-        InputError, match="valve state 0 is not possible with layout 3/2"
+        InputError, match="valve state 0 is not supported by layout 3/2"
     ):
         TwinSnake(SPEC).step(np.zeros((4, 2), dtype=np.int8))

@@ -389,14 +389,14 @@ def test_layouts_reject_impossible_states():
     pneumatics = LagPneumatics(actuated(), supply_pa=1.0)
     with pytest.raises(
         InputError,
-        match=r"valve state 0 is not possible with layout 3/2; allowed are \(-1, 1\)",
+        match=r"valve state 0 is not supported by layout 3/2; use one of \(-1, 1\)",
     ):
         pneumatics.schedule(np.zeros((2, 2), dtype=np.int8), 0.1)
     with pytest.raises(
-        InputError, match=r"valve state 2 is not possible with layout 3/2"
+        InputError, match=r"valve state 2 is not supported by layout 3/2"
     ):
         pneumatics.schedule(np.array([[1, -1], [2, 1]]), 0.1)
-    with pytest.raises(InputError, match="valve state nan is not possible"):
+    with pytest.raises(InputError, match="valve state nan is not supported"):
         pneumatics.schedule(np.array([[1, -1], [np.nan, 1]]), 0.1)
     wrong = (
         r"valves have the shape \(3, 2\), which is not allowed; it must be \(2,"

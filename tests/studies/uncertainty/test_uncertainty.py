@@ -160,7 +160,7 @@ def test_no_shipped_robot_has_uncertain_drag(name):
 
 
 def test_a_robot_without_uncertain_parameters_is_refused():
-    with pytest.raises(InputError, match="the robot file has no uncertain numbers"):
+    with pytest.raises(InputError, match="the robot file has no uncertain values"):
         Priors.from_robot(robot())
 
 
