@@ -253,6 +253,8 @@ def test_code_digests_cover_the_modules_of_source_digests():
         ("Words.", "Other words.", True),
         ("return x + 1", "return (x + 1)  # remark", True),
         ("no such file", "not found here", True),
+        ("{x:g} means {y:g}", "`x` {x:g}, that is {y:g}", True),
+        ("{x:g} means {y:g}", "{x:g} means {y:.3f}", False),
         ("x + 1", "x + 2", False),
         ("0 0 1", "0 0 2", False),
     ],
@@ -260,6 +262,7 @@ def test_code_digests_cover_the_modules_of_source_digests():
 def test_code_digest_ignores_the_wording(old, new, is_equal):
     text = (
         'MESSAGE = "no such file"\nSIZE = "0 0 1"\n'
+        'HINT = f"{x:g} means {y:g} kPa, but"\n'
         'def f(x):\n    """Words."""\n    return x + 1\n'
     )
     assert text.count(old) == 1

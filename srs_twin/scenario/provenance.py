@@ -48,7 +48,7 @@ WORDS = ("title", "source", "status", "expected_failure", "reason")
 _VIEWING = "srs_twin.viewing"
 """Package that only displays results and is therefore not part of the provenance."""
 
-_TWO_WORDS = re.compile(r"[A-Za-z]{2,} [a-z]{2,}")
+_TWO_WORDS = re.compile(r"[A-Za-z]{2,},? [A-Za-z]{2,}")
 
 _TYPE_CHECKING_BLOCK = re.compile(r"^if TYPE_CHECKING:\n(?:[ \t]+.*\n|\n)+", re.M)
 _IMPORT = re.compile(
@@ -270,30 +270,31 @@ def code_digest(text: str) -> str:
     """
     tree = ast.parse(text)
     for node in ast.walk(tree):
-        if _is_wording(node):
-            node.value = ""  # type: ignore[attr-defined]
+        if isinstance(node, ast.JoinedStr):
+            _clear_wording([part for part in node.values if _is_string(part)])
+        elif _is_string(node):
+            _clear_wording([node])
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [item for item in body if not _is_text(item)] or [ast.Pass()]  # type: ignore[attr-defined]
     return hashlib.sha256(ast.unparse(tree).encode()).hexdigest()
 
 
-def _is_wording(node: ast.AST) -> bool:
-    """Return whether a node is a string with two successive words."""
-    return (
-        isinstance(node, ast.Constant)
-        and isinstance(node.value, str)
-        and _TWO_WORDS.search(node.value) is not None
-    )
+def _clear_wording(parts: list[Any]) -> None:
+    """Clear the strings of a text if the text has two successive words."""
+    words = " ".join(" ".join(part.value for part in parts).split())
+    if _TWO_WORDS.search(words):
+        for part in parts:
+            part.value = ""
+
+
+def _is_string(node: ast.AST) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, str)
 
 
 def _is_text(node: ast.stmt) -> bool:
     """Return whether a statement is only a string, as docstrings are."""
-    return (
-        isinstance(node, ast.Expr)
-        and isinstance(node.value, ast.Constant)
-        and isinstance(node.value.value, str)
-    )
+    return isinstance(node, ast.Expr) and _is_string(node.value)
 
 
 def _closure(modules: Iterable[str]) -> Iterator[tuple[str, str]]:
