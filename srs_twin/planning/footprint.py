@@ -1,7 +1,7 @@
 """Footprint: area that the body covers along the path of its centre of mass.
 
 At a constant offset the centre of mass follows an arc of curvature κ, and two
-concentric arcs bound the body (Section 5.2.1, Fig. 52 and 58). At every point of the
+concentric arcs bound the body (Section 5.2.1, Figs. 52 and 58). At every point of the
 path the body stays within
 
 $$ -r(κ) ≤ n ≤ l(κ), $$
@@ -159,8 +159,8 @@ class Footprint:
     def reduced(self, turn_fraction: float = 1.0, margin: float = 0.0) -> Footprint:
         """Return the footprint with a smaller range of curvatures and with wider edges.
 
-        A follower corrects errors with the turns that a plan does not use. The margin
-        allows for the remaining errors.
+        A follower corrects errors with the tighter turns that a plan leaves unused. The
+        margin allows for the remaining errors.
 
         Args:
             turn_fraction: ratio of the new to the old maximum curvature, at most 1.
@@ -248,9 +248,8 @@ class Footprint:
     def lag(self, before: float, after: float) -> tuple[float, float]:
         """Return the delay δ and the length T of a transition arc (see `planner`), m.
 
-        The delay and the length are interpolated between measured changes of different
-        size. If no change in this direction was measured, the delay and the length are
-        0.
+        Both are interpolated between measured changes of different size, and are 0 if
+        no change in this direction was measured.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):
