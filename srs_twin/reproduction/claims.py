@@ -30,16 +30,16 @@ def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
 
 
 COMPUTATIONS = _functions(computations)
-"""Functions that compute the numbers of a claim without a run (key `computation`).
+"""Functions that compute a claim's values without a run (key `computation`).
 
-The argument of a function is the dictionary `set`. The function returns numbers, keyed
-by ``<column>.<metric>``.
+Each function receives the entries of `set` as arguments, and returns numbers keyed by
+``<column>.<metric>``.
 """
 
 TRACES = _functions(traces)
 """Functions that compute the metrics `trace.…` from a trajectory.
 
-A function returns a number or None.
+Each function returns a number or None.
 """
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
@@ -77,7 +77,7 @@ _BOUND = 1e9
 """Maximum magnitude of a published value."""
 
 CLAIMS_BYTES = 128 * 1024
-"""Maximum size of a claims file. A file with 166 claims has 72 kB."""
+"""Maximum size of a claims file, bytes. A file with 166 claims takes 72 kB."""
 
 
 class RunRequest(Section):
@@ -130,10 +130,12 @@ class RunRequest(Section):
 
 
 class Measure(RunRequest):
-    """Number computed from a run, the runs of a sweep, or a computation."""
+    """Number taken from a run, from the runs of a sweep, or from a computation."""
 
     metric: Name
-    """Metric, `comparison.…`, `trace.…` (of the trajectory), or computed result."""
+    """Metric, `comparison.…`, `trace.…` (computed from the trajectory), or name of a
+    computed result.
+    """
     take: Take | None = None
     """Aggregation over the points of a sweep."""
     plant: Literal["analytical", "twin"] | None = None
@@ -152,10 +154,10 @@ class Measure(RunRequest):
 
 
 class Cause(Section):
-    """Reason why the results of a plant contradict a claim.
+    """Reason why a plant's results contradict a claim.
 
-    The reason is demonstrated by a run with a changed assumption or by the
-    documentation, or the reason is only presumed.
+    A run with a changed assumption or a section of the documentation demonstrates the
+    reason. Otherwise the reason is only presumed.
     """
 
     says: Name
@@ -187,25 +189,23 @@ class TableRows(Section):
     """Rule that derives claims from the numbers of a table."""
 
     at: Name
-    """Key of the setting in each row of the table."""
+    """Key under which each row of the table contains the setting."""
     field: Name
-    """Field of the sweep that contains the setting."""
+    """Field that the sweep varies, with the setting as its value."""
     sweep: Name
     """Sweep with one point per setting."""
     columns: dict[Name, Name]
     """Metric for each column of the table."""
     signed: list[Name] = []
-    """Columns that are printed without a sign.
-
-    The numbers of these columns have the sign of `at`. If `at` is 0, absolute values
-    are compared.
+    """Columns whose numbers are printed without a sign. These numbers take the sign of
+    `at`. If `at` is 0, absolute values are compared.
     """
     fit: list[Name] = []
     """Columns whose numbers may be used for calibration."""
     fit_at: list[float] = []
     """Settings at which the numbers of these columns may be used for calibration."""
     could_fail: dict[Name, Falsifiability]
-    """For each column, a sentence that states whether its claims could have failed."""
+    """Sentence for each column that states whether its claims could have failed."""
     could_fail_fit: Falsifiability
     """Sentence that states whether claims used for calibration could have failed."""
     cause: dict[Name, list[Cause]] = {}
@@ -227,8 +227,7 @@ class TableRows(Section):
     ) -> bool:
         """Return whether a number may be used for calibration.
 
-        If a number in the same column is used for calibration, an equal number counts
-        as used as well.
+        A number also counts as used if an equal number in the same column is used.
         """
         if column not in self.fit:
             return False
@@ -260,8 +259,8 @@ class Claim(Section):
     tolerance: Tolerance | None = None
     """Origin of the tolerance of a prediction.
 
-    The tolerance comes from the dissertation's statement, from its measurement error,
-    or from our choice.
+    The tolerance is stated in the dissertation, follows from its measurement error, or
+    was chosen by us.
     """
     limitation: Limitation | None = None
     """Reason why a prediction is not a headline, regardless of its tolerance."""
@@ -274,7 +273,9 @@ class Claim(Section):
     abs: float | None = quantity(0.0, _BOUND, None, unit="the unit")
     """Absolute tolerance."""
     rule: Rule | None = None
-    """Rule: near, below, above, or ordering (each measure exceeds the next measure)."""
+    """Rule: `near`, `below`, `above`, or `ordering` (each measure exceeds the next
+    measure).
+    """
     measure: Measure | None = None
     """Measure that is compared with the value."""
     measures: list[Measure] = []
@@ -353,7 +354,7 @@ class Claim(Section):
         return self
 
     def is_named(self, name: str) -> bool:
-        """Return whether `name` is the claim's name, or its part before a dot."""
+        """Return whether `name` is the claim's name or its beginning up to a dot."""
         return f"{self.id}.".startswith(f"{name}.")
 
     @property
@@ -386,11 +387,11 @@ class Claim(Section):
 
     @property
     def all_measures(self) -> list[Measure]:
-        """List with the single measure, or with the combined measures."""
+        """All measures of the claim, in a list."""
         return [self.measure] if self.measure else self.measures
 
     def with_switch(self, cause: Cause) -> Claim:
-        """Return the claim with the scenario fields that a reason changes."""
+        """Return the claim with the scenario fields of a reason changed."""
         measures = [
             measure.model_copy(update={"set": {**measure.set, **cause.set}})
             for measure in self.all_measures
@@ -399,7 +400,7 @@ class Claim(Section):
 
     @property
     def allowed(self) -> AllowedRange:
-        """Range of allowed values. The tolerance extends the range beyond a bound."""
+        """Range of allowed values. A tolerance extends a one-sided bound."""
         if self.value is None:
             return AllowedRange()
         near = AllowedRange.near(self.value, self.tol, self.abs)
@@ -418,7 +419,7 @@ class Claim(Section):
 
 
 COLUMNS = get_args(Column)
-"""Columns of results: the plants, and "alone" for computations without a plant."""
+"""Result columns: the plants, and "alone" for computations without a plant."""
 
 
 def claims_file() -> Path:
@@ -473,7 +474,7 @@ def load_list(
 def select_claims(
     claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool
 ) -> tuple[Claim, ...]:
-    """Select claims by their names or by the beginning of their names, laws first.
+    """Select claims by name or by the beginning of the name. Laws come first.
 
     Args:
         claims: all claims.

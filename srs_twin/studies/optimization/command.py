@@ -41,10 +41,10 @@ def optimize(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the best robot or gait of a study file.
+    """Find the best robot or gait for the objectives in a study file.
 
-    The search uses many runs of the analytical model `compliant` and corrects them with
-    a few runs of the twin. All reported results are from the twin. An interrupted
+    The search runs the analytical model `compliant` many times and corrects its results
+    with a few runs of the twin. All reported results come from the twin. An interrupted
     search resumes if you start the command again with the same output folder.
 
     Options:

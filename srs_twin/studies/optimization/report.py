@@ -48,7 +48,7 @@ def draw_convergence(
     *,
     maximize: bool,
 ) -> CaptionedFigure:
-    """Plot the objective of the runs of the twin and the best feasible value so far."""
+    """Plot the objective of each twin run and the best feasible value so far."""
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
     number = np.arange(1, len(values) + 1)
@@ -104,7 +104,7 @@ def draw_front(
 def draw_parallel(
     space: DesignSpace, runs: Sequence[Run], ranks: np.ndarray, best: Sequence[Run]
 ) -> CaptionedFigure:
-    """Plot designs as parallel coordinates, with thicker lines for better designs."""
+    """Plot designs as parallel coordinates, and emphasise better designs."""
     places = np.arange(space.size)
     figure = Figure(figsize=(max(6.5, 1.1 * space.size), 3.6), layout="constrained")
     axes = figure.subplots()
@@ -289,7 +289,7 @@ def _interval_text(
 
 
 def bound_lines(document: StudyDocument) -> list[str]:
-    """Return a sentence for each bound on which one of the best designs lies."""
+    """Return a sentence for each bound on which a best design lies."""
     designs: dict[str, list[str]] = {}
     for design in document["best"]:
         for name, bound in design["on_bound"].items():
