@@ -20,7 +20,6 @@ file.
 """
 
 StrPath = str | os.PathLike[str]
-"""Path as a string or a path object."""
 
 _FOLDERS = {
     "robot": "calibration/robots",

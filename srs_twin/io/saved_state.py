@@ -172,7 +172,7 @@ def _copy_state(value: object) -> object:
 class SavedState:
     """State of a plant or a controller that determines all later states.
 
-    A state can be pickled, and can be written to a file.
+    States can be pickled or written to files.
 
     Attributes:
         owner: settings of the saved object as JSON values. Only an object with equal

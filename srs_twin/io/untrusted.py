@@ -35,7 +35,8 @@ if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
 
 MAX_DEPTH = 64
-"""Maximum depth of nested lists and objects. Results have fewer than ten levels."""
+"""Maximum depth of nested lists and objects. Result files have fewer than ten levels.
+"""
 
 MAX_JSON_BYTES = 64 << 20
 """Maximum size of a JSON file, bytes. The file for all reproduced claims takes 1 MB."""
@@ -307,7 +308,6 @@ _PACKING = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def _parse_array(raw: bytes) -> np.ndarray:
-    """Return the array of a .npy file."""
     stream = io.BytesIO(raw)
     try:
         version = np.lib.format.read_magic(stream)

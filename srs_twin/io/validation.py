@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 Schema = Mapping[str, Any]
-"""JSON schema."""
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -30,7 +30,6 @@ from srs_twin.planning.arcs import ArcSequence
 from srs_twin.robot.world import Pose
 
 _FULL_TURN = 2 * math.pi
-"""Angle of a full turn, rad."""
 
 _ROUNDING = 1e-9
 """Tolerance for rounding errors of distances (in radii) and angles (rad)."""

@@ -349,4 +349,3 @@ METRICS = MetricGroup(
         ),
     ),
 )
-"""Metrics of runs that follow a plan."""

@@ -22,9 +22,7 @@ _ROUNDING = 1e-9
 """Distance below which a length is considered 0, m."""
 
 PLAN = "plan.json"
-"""File name of the plan."""
 PICTURE = "plan.png"
-"""File name of the picture of the plan."""
 _FILES = (PLAN, PICTURE)
 
 

@@ -27,7 +27,6 @@ Wide turns have small transients.
 """
 
 _SHORTENING_ROUNDS = 4
-"""Maximum number of shortening rounds."""
 _MIN_SAVING = 1e-4
 """Relative reduction of the path length below which the shortening stops."""
 _RETREAT = 0.97

@@ -27,7 +27,7 @@ from srs_twin.planning.search_kernels import (
 from srs_twin.robot.world import Goal, Pose
 
 _INITIAL_CAPACITY = 4096
-"""Initial number of nodes. This number suffices for easy problems and is increased when
+"""Initial capacity for nodes, which suffices for easy problems and is increased when
 needed.
 """
 

@@ -203,7 +203,7 @@ class TableRows(Section):
     fit: list[Name] = []
     """Columns whose numbers may be used for calibration."""
     fit_at: list[float] = []
-    """Settings at which the numbers of these columns may be used for calibration."""
+    """Settings at which numbers in the columns of `fit` may be used for calibration."""
     could_fail: dict[Name, Falsifiability]
     """Sentence for each column that states whether its claims could have failed."""
     could_fail_fit: Falsifiability
@@ -251,10 +251,9 @@ class Claim(Section):
     use: Use
     """Use of the claim: fit, holdout, law or shape."""
     could_fail: Falsifiability | None = None
-    """Whether the check of the claim could have failed.
-
-    "Yes: …" describes the results that would contradict the claim and the origin of the
-    tolerance. "No: …" states why the results cannot contradict the claim.
+    """Whether the check of the claim could have failed. "Yes: …" describes which
+    results would contradict the claim, and where the tolerance comes from. "No: …"
+    states why no result could contradict the claim.
     """
     tolerance: Tolerance | None = None
     """Origin of the tolerance of a prediction.
@@ -412,7 +411,7 @@ class Claim(Section):
 
     @property
     def allowed_text(self) -> str:
-        """Allowed values as text."""
+        """Text that describes the allowed values."""
         if self.rule == "ordering":
             return "each above the next"
         return self.allowed.text

@@ -17,7 +17,6 @@ _MARKER_M = 0.01
 """Distance from the centre of a connector to each of its two markers, m."""
 
 _ARC_POINTS = 101
-"""Number of points on an arc."""
 
 
 def tail_drift(run: Trajectory) -> float | None:

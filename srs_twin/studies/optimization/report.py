@@ -36,7 +36,6 @@ _RUN_COLOR = "#9aa5b1"
 _BEST_COLOR = "#1f6f8b"
 _INITIAL_COLOR = "#b5651d"
 CaptionedFigure = tuple[Figure, str]
-"""Figure and its caption."""
 
 
 @drawing

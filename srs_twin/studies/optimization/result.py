@@ -21,16 +21,12 @@ from srs_twin.studies.sweep.points import Changes, sobol_points
 from srs_twin.studies.sweep.task import Row
 
 RESULT = "study.json"
-"""File name of the result."""
 
 EVALUATIONS = "evaluations.parquet"
-"""File name of the table of all runs."""
 
 REPORT = "report.html"
-"""File name of the report."""
 
 PICTURES = ("convergence.png", "front.png", "parallel.png")
-"""File names of the plots."""
 
 PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 

@@ -87,7 +87,6 @@ spent on candidates.
 """
 
 _POPULATION = 12
-"""Population size of CMA-ES."""
 
 _SCREENED = 256
 """Number of new designs near the best designs that are evaluated by interpolation per
@@ -182,7 +181,6 @@ def front(costs: np.ndarray) -> np.ndarray:
 
 
 def _cma() -> Any:
-    """Import the optional package cma."""
     try:
         import cma
     except ImportError as error:

@@ -88,8 +88,8 @@ def sweep(
         --out DIR: Output folder. [default: runs/sweeps/SWEEP]
         --retry-failed: Repeat the points that failed in an earlier run.
         --exclude FIELD=VALUE: Skip all points in which FIELD has this VALUE. Can be
-        repeated. --plants LIST: Models to simulate: analytical, twin, or both as
-        analytical,twin.
+            repeated.
+        --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
             [default: the models that the sweep names]
     """
     runner = study.make_engine()

@@ -263,10 +263,8 @@ def sweep(
 
 
 RESULTS = "results.parquet"
-"""File name of the results table."""
 
 SUMMARY = "sweep.json"
-"""File name of the summary."""
 
 SWEEP = "sweep.yaml"
 """File name of the sweep including its changes."""
@@ -275,7 +273,6 @@ SCENARIO = "scenario.resolved.yaml"
 """File name of the scenario that includes all default values and the robot."""
 
 PLOTS = "plots"
-"""Name of the folder for plots."""
 
 # In `replace_files`, the first file marks a complete set. This file is the summary.
 _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")

@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 
 
 MAX_POINTS = 1_000_000
-"""Maximum number of points of a sweep."""
 
 MAX_FIELDS = 16
-"""Maximum number of varied fields."""
 
 Value = bool | int | float | str
 

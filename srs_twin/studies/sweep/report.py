@@ -152,7 +152,6 @@ def _split_tables(
     lines: list[tuple[list[str], Any]],
     text: Callable[[_Column, Any], str],
 ) -> list[Table]:
-    """Return tables with as many metric columns as fit on a page."""
     columns, note = _metric_columns(results, metrics)
     tables = []
     for first in range(0, max(len(columns), 1), _COLUMNS_PER_TABLE):

@@ -78,7 +78,6 @@ _MESSAGES = {
         _NOT_A_STORE,
     ),
 }
-"""Error message for each SQLite error code."""
 _PROVENANCE = TypeAdapter(Provenance)
 _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 

@@ -33,7 +33,6 @@ _EXACT = 1e15
 """Integers below this magnitude, such as seeds, are printed with all digits."""
 
 _ROW_COLUMNS = {"key", "status", "reason", "exit_code", "wall_s"}
-"""Columns that are neither varied fields nor metrics."""
 
 _ELEMENT = re.compile(r"(_\d+)?(_period_\d+)?$")
 """Suffix that marks a column as one element of a list metric."""

@@ -22,10 +22,8 @@ from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.trajectory import Trajectory
 
 DONE = "done"
-"""Status of a successful run."""
 
 FAILED = "failed"
-"""Status of a failed run."""
 
 PLAN = "plan"
 """Prefix of the metrics of a scenario that is planned but not simulated."""

@@ -61,10 +61,10 @@ def uncertainty(
         --twin N: Number of twin runs, if the compliant model simulates all samples.
         --exclude NAME: Parameter to keep at its value in the robot file, for example
             friction.drag_n. Can be repeated.
-        --model-form FIELD=A,B: Scenario field to vary between equally likely values,
-        for example pneumatics.kind=lag,orifice. Can be repeated. --write: Also write
-        the intervals to calibration/intervals, so that scenario expectations can use
-        them.
+        --model-form FIELD=A,B: Scenario field to vary between equally likely values, for
+            example pneumatics.kind=lag,orifice. Can be repeated.
+        --write: Also write the intervals to calibration/intervals, so that scenario
+            expectations can use them.
     """
     runner = options.make_engine()
     from srs_twin.scenario.loading import load_scenario

@@ -48,7 +48,6 @@ _MAX_INDEX_ERROR = 0.1
 """Half width of a total index's 95 % interval above which a warning is given."""
 
 _GROUPS = 8
-"""Number of jackknife groups."""
 
 _RESAMPLINGS = 400
 """Number of bootstrap samples. The relative error of the standard error is
@@ -104,7 +103,7 @@ class MetricUncertainty:
     """Distribution of a metric on one plant.
 
     Attributes:
-        value: value with the parameters of the robot file.
+        value: value with the parameters from the robot file.
         half_timestep: value with half the time step.
         at_medians: value with all uncertain parameters at their medians.
         samples: values at samples from the priors, with NaN for unknown values, shape

@@ -13,7 +13,6 @@ from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import PUBLISHED_COLOR, drawing, finish, style_of
 
 _MAX_SWINGS = 10
-"""Maximum number of causes in the tornado chart."""
 
 _WIDTH = 4.6
 """Width of the figure, inches. The text of a narrow figure is readable on a smartphone.

@@ -67,13 +67,11 @@ if TYPE_CHECKING:
     from srs_twin.studies.sweep.task import Row
 
 RESULT = "intervals.json"
-"""File name of the result."""
 
 SAMPLES = "samples.parquet"
 """File name of the table with parameters and metrics of all samples."""
 
 PICTURE = "intervals.png"
-"""File name of the plot."""
 
 FILES = (RESULT, SAMPLES, PICTURE)
 

@@ -33,7 +33,6 @@ from scipy.special import eval_legendre
 from srs_twin.compute.arrays import Array
 
 _MAX_DEGREE = 10
-"""Maximum degree of a chaos expansion."""
 
 _SAMPLES_PER_TERM = 5
 """Minimum number of samples per coefficient."""
