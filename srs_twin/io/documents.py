@@ -313,7 +313,7 @@ def parse_yaml(text: str, name: str) -> Document:
         begin = error.context_mark
         context = error.context or ""
         if begin and begin.line < mark.line:
-            context += f" that begins in line {begin.line + 1}"
+            context += f" that begins on line {begin.line + 1}"
         problem = ": ".join(filter(None, (context, error.problem)))
         if "'\\t'" in problem:
             problem += "; YAML is indented with spaces, not tabs"
@@ -482,7 +482,7 @@ class _Reader:
                 line = self.document.keys[key_loc][0]
                 self._refuse(
                     f"{format_path(key_loc)}: the key is given twice; the first one is"
-                    f" in line {line}"
+                    f" on line {line}"
                 )
             self.document.keys[key_loc] = self.last
             mapping[key] = self._value(self._next(), key_loc)

@@ -222,7 +222,7 @@ def missing_folders(folder: Path) -> list[Path]:
     if len(missing) > MAX_NEW_FOLDERS:
         raise OSError(
             errno.ENAMETOOLONG,
-            f"the path has {len(missing)} new folders inside each other, but at most"
+            f"the path has {len(missing)} nested new folders, but at most"
             f" {MAX_NEW_FOLDERS} are allowed",
         )
     return missing
@@ -329,8 +329,8 @@ def create_numbered_file(folder: Path, name: str) -> Path:
         except FileExistsError:
             if not folder.is_dir():
                 raise InputError(
-                    f"{display_path(folder)}: nothing can be written there, because"
-                    " this is not a folder"
+                    f"{display_path(folder)}: this is not a folder, so no file can"
+                    " be written there"
                 ) from None
         except OSError as error:
             raise InputError(
@@ -364,7 +364,7 @@ def require_file(
             return path
         if path.is_dir():
             inside = sorted(p.name for p in path.glob(f"*{suffix}"))
-            hint = f" ({suffix}; there is none in it)"
+            hint = f" ({suffix}; this folder contains none)"
             if inside:
                 hint = f", such as {display_path(path / inside[0])}"
             raise InputError(

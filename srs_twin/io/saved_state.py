@@ -86,7 +86,7 @@ def _why_not_copyable(value: object) -> str | None:
     if isinstance(value, GeneratorType):
         return "a generator"
     if isinstance(value, Future | Executor):
-        return "a task of another thread"
+        return "a task that runs in another thread"
     return None
 
 

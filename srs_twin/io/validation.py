@@ -50,8 +50,8 @@ _WITH_UNIT = re.compile(
 _ANY = object()
 RETIRED_KINDS = {
     "compliant_gait": (
-        "it was retired, because none of its reactions helps"
-        " (docs/friction.md#yielding-gaits)"
+        "it was retired, because none of its reactions to contact clearly increased the"
+        " speed (docs/friction.md#yielding-gaits)"
     ),
     "greedy": (
         "it was retired; use best_first (`benchmarks/common/greedy.py` still"
@@ -289,7 +289,7 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
     if isinstance(value, str):
         bounded = any("minimum" in option for option in flat)
         if bounded and _WITH_UNIT.fullmatch(value):
-            close = "; write the number without a unit, which the key names"
+            close = "; write the number without its unit, which the key states"
         elif len(choices) > 1:
             close = _hint(value, choices)
     return f"must be {words}, not {_describe_value(value)}{close}"

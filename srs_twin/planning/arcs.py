@@ -373,8 +373,8 @@ class Primitives:
         if self.count < 3 or self.count % 2 == 0:
             raise InputError(
                 f"the number of primitives {self.count} is not allowed; it must be odd"
-                " and at least 3, because the middle primitive is straight and each"
-                " side has equally many"
+                " and at least 3, because the middle primitive is straight and both"
+                " sides have the same number"
             )
         if not (0 < self.turn < math.pi and 0 < self.length < math.inf):
             raise InputError(

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 ENDINGS = {
     "goal_reached": "the goal is reached",
-    "goal_missed": "the end of the path is passed outside the goal",
+    "goal_missed": "the snake passed the end of the path outside the goal",
     "no_plan": "there is no plan",
     "strayed": "too far from the path, and no new plan is left",
     "stuck": "no progress for several periods",
@@ -448,7 +448,7 @@ class Follower(Controller):
                 self._tries += 1
                 text = (
                     f"{reason}: the old plan is kept, because all"
-                    f" {self.conditions.max_replans} new plans are used"
+                    f" {self.conditions.max_replans} new plans have been used"
                 )
                 self._events.append(Event(time, "no_new_plan", text))
             return

@@ -342,7 +342,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             if tightest:
                 which = "tightest turn"
             else:
-                which = f"turn of offset {offset:g}"
+                which = f"turn at offset {offset:g}"
             where = f"the centre of the {which}, radius {1 / turn[row]:g} m"
             problems.append((name, f"{edges[row]:g} m reaches {where}"))
     return problems
@@ -354,8 +354,8 @@ def validate_footprint(footprint: Footprint) -> Footprint:
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
     if not np.isfinite(numbers).all():
         raise InputError(
-            f"footprint {footprint.name}: at least one number is not finite; all"
-            " numbers must be finite"
+            f"footprint {footprint.name}: at least one value is not finite; all"
+            " values must be finite"
         )
     if (
         min(footprint.speeds) <= 0
@@ -363,7 +363,7 @@ def validate_footprint(footprint: Footprint) -> Footprint:
         or min(footprint.ahead, footprint.behind) < 0
     ):
         raise InputError(
-            f"footprint {footprint.name}: a number is too small; speeds and the edges"
+            f"footprint {footprint.name}: a value is too small; speeds and the edges"
             " `left` and `right` must be above 0, and the edges `ahead` and `behind`"
             " at least 0"
         )

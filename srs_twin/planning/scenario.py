@@ -211,7 +211,7 @@ class BestFirstFile(PlannerSection):
         for name in ("clearance_weight", "shape_changes"):
             if self.contact and getattr(self, name):
                 raise ValueError(
-                    f"`contact: allowed` and `{name}` exclude each other; remove one"
+                    f"`contact: allowed` and `{name}` cannot be combined; remove one"
                     " of them"
                 )
         return self

@@ -180,7 +180,7 @@ class Cause(Section):
         if (self.docs and self.switch) or bool(self.set) != (self.switch is not None):
             raise ValueError(
                 "the evidence is incomplete; give `docs`, or `switch` together with"
-                " `set`, or none of them for a presumed cause"
+                " `set`, or neither for a presumed cause"
             )
         return self
 

@@ -176,7 +176,7 @@ def _pedigree(robots: Sequence[str]) -> Grade:
     measured = sum(record.status == "measured" for record in records)
     fraction = measured / len(records)
     grade = 1 + (fraction >= _MANY) + (fraction >= _MOST)
-    return Grade(grade, f"{measured} of {len(records)} numbers measured")
+    return Grade(grade, f"{measured} of {len(records)} parameters measured")
 
 
 def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
@@ -266,7 +266,7 @@ MEANINGS: dict[Category, str] = {
         " evidence."
     ),
     "law": "Laws are true by construction or theory; they test the program.",
-    "fit": "Robots were calibrated with these values, or may be.",
+    "fit": "Robots were, or may be, calibrated with these values.",
 }
 """Descriptions of the claims in each category."""
 

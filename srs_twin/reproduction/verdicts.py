@@ -127,7 +127,7 @@ def _missing_reason(store: RunStore, claim: Claim) -> str:
         for measure in claim.all_measures
         for job in store.jobs(measure)
     )
-    reason = next(filter(None, failures), "the run has no such number")
+    reason = next(filter(None, failures), "the run does not provide this value")
     return f"no value: {reason}"
 
 

@@ -129,7 +129,7 @@ def draw_parallel(
         if bound in [own.get(name) for own in bounds]
     ]
     if marked:
-        caption += " Red: bounds on which a best design is."
+        caption += " Red: bounds on which a best design lies."
         style: dict[str, Any] = {"color": "#b03030", "markersize": 7, "zorder": 3}
         axes.plot(*zip(*marked, strict=True), "D", clip_on=False, **style)
     labels = [
@@ -302,7 +302,7 @@ def bound_lines(document: StudyDocument) -> list[str]:
         f"{BOUND_MARK} {', '.join(names)}: {text}." for text, names in designs.items()
     ]
     if lines:
-        lines.append("With a wider range the optimum may be beyond such a bound.")
+        lines.append("With a wider range, the optimum may lie beyond such a bound.")
     return lines
 
 

@@ -137,8 +137,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
                 raise InputError(
                     f"{display_path(self._path.parent)}: the rows in this folder belong"
                     " to another study or to another version of it"
-                    f" ({now.difference(before)}). Keep the rows that still apply and"
-                    " run the others with --changed, or give another folder with --out"
+                    f" ({now.difference(before)}). Use --changed to keep the rows"
+                    " that still apply and run the others, or give another folder with"
+                    " --out"
                 )
         self._write("INSERT OR REPLACE INTO about VALUES ('sweep', ?)", now.text)
 
