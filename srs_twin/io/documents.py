@@ -90,7 +90,7 @@ class Override:
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
-        """Convert overrides given as a mapping or a sequence to a sequence."""
+        """Return overrides as a sequence, also if they are given as a mapping."""
         if not isinstance(changes, Mapping):
             return changes
         return [

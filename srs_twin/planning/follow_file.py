@@ -62,7 +62,7 @@ class FollowFile(ControllerSection):
     camera: CameraFile = CameraFile()
     """Motion capture of the snake."""
     gain_per_rad: float | None = quantity(0.001, 100.0, None)
-    """Offset per bearing error (bearing; default {default:g})."""
+    """Offset commanded per bearing error (bearing; default {default:g})."""
     node_m: float | None = quantity(0.001, 100.0, None)
     """Distance between nodes (bearing; default {default:g})."""
     near_m: float | None = quantity(0.001, 100.0, None)

@@ -194,8 +194,9 @@ class BestFirstFile(PlannerSection):
     levels: int = quantity(1, 5)
     """Number of resolutions to try."""
     clearance_weight: float = quantity(0.0, 100.0)
-    """Extra cost of a metre of path that touches an obstacle, in metres. With a cost
-    above 0, paths avoid obstacles."""
+    """Extra cost per metre of path that touches an obstacle, in metres. If it is above
+    0, paths keep away from obstacles.
+    """
     smooth: bool = constructor_default()
     """Whether to shorten the path after the search."""
     shape_changes: bool = False

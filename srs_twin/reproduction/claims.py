@@ -94,7 +94,7 @@ class RunRequest(Section):
     periods: float | None = quantity(3.0, 1000.0, None)
     """Simulated time in periods."""
     where: Fields = {}
-    """Selected points of the sweep, as values of the varied fields."""
+    """Values of the varied fields that select points of the sweep."""
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
@@ -209,7 +209,7 @@ class TableRows(Section):
     could_fail_fit: Falsifiability
     """Sentence that states whether claims used for calibration could have failed."""
     cause: dict[Name, list[Cause]] = {}
-    """Known reasons for failed claims, for each column."""
+    """Known reasons for missed claims, for each column."""
 
     @model_validator(mode="after")
     def _check_columns(self) -> Self:
@@ -249,7 +249,7 @@ class Claim(Section):
     says: Annotated[str, Field(min_length=1, max_length=600)]
     """Text of the claim."""
     use: Use
-    """Use of the claim: fit, holdout, law or shape."""
+    """Use of the claim: `fit`, `holdout`, `law` or `shape`."""
     could_fail: Falsifiability | None = None
     """Whether the check of the claim could have failed. "Yes: …" describes which
     results would contradict the claim, and where the tolerance comes from. "No: …"
@@ -262,7 +262,8 @@ class Claim(Section):
     was chosen by us.
     """
     limitation: Limitation | None = None
-    """Reason why a prediction is not a headline, regardless of its tolerance."""
+    """Reason why the claim is not a headline prediction, regardless of its tolerance.
+    """
     value: float | None = quantity(-_BOUND, _BOUND, None, unit="the unit")
     """Published value."""
     unit: Name = "1"
@@ -284,7 +285,7 @@ class Claim(Section):
     columns: list[Column] = ["analytical", "twin"]
     """Columns of results that are compared with the claim."""
     quick: bool = False
-    """Whether the option --quick includes the claim."""
+    """Whether the option `--quick` includes the claim."""
     cause: list[Cause] = []
     """Known reasons why the results contradict the claim."""
     table: TableRows | None = None
@@ -358,7 +359,7 @@ class Claim(Section):
 
     @property
     def fitted(self) -> bool:
-        """Whether the claim may be used for calibration and is not a prediction."""
+        """Whether the claim may be used for calibration, and so is not a prediction."""
         return self.use == "fit"
 
     @property
@@ -377,7 +378,7 @@ class Claim(Section):
 
     @property
     def category(self) -> Category:
-        """Group of a prediction, or use of any other claim."""
+        """Group if the claim is a prediction, otherwise the use of the claim."""
         if self.group is not None:
             return self.group
         if self.use == "shape" and not self.falsifiable:

@@ -100,8 +100,8 @@ class PredictedQuantity:
         predicted: predicted quantiles.
         recomputed: quantiles computed after the published value was known, or None.
         published: published value, or None.
-        prediction_commit: last commit that changed a number of the prediction, or None
-            outside a git checkout.
+        prediction_commit: last commit that changed a predicted value, or None outside a
+            git checkout.
         comparison_commit: first commit that contains published values of the robot, or
             None.
     """

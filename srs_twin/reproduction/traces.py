@@ -197,7 +197,7 @@ def smallest_amplitude(run: Trajectory) -> float:
 
 
 def saturated_after(run: Trajectory) -> float:
-    """Return the number of periods in which a chamber exceeds its target by 5 %.
+    """Return the number of periods in which a chamber exceeds its target by over 5 %.
 
     Periods are counted from the first update of the duty cycles.
     """

@@ -68,7 +68,7 @@ def draw_convergence(
     axes.legend()
     return (
         figure,
-        "Convergence of the search: runs of the twin in order, and the best so far.",
+        "Convergence of the search: twin runs in order, and the best result so far.",
     )
 
 
@@ -95,7 +95,7 @@ def draw_front(
     axes.legend()
     return (
         figure,
-        "Both objectives. No design is better in both than a design of the front.",
+        "Both objectives. No design beats a design on the front in both objectives.",
     )
 
 
@@ -119,7 +119,8 @@ def draw_parallel(
             markersize=3,
         )
     caption = (
-        "Designs run by the twin; better ones are more opaque, the best tenth is blue."
+        "Designs that the twin simulated. Better designs are more opaque, and the best"
+        " tenth is blue."
     )
     bounds = [space.bounds(run.fractions) for run in best]
     marked = [
