@@ -1,7 +1,7 @@
 """Type checks of the arguments of public functions against their annotations.
 
-The types are checked once per call, not once per time step. The error messages use the
-terms of the command line.
+The types are checked once per call, not in every time step. Error messages use the same
+terms as the command line.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from srs_twin.errors import InputError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _CONVERSIONS = {float: "__float__", int: "__index__"}
-"""Method of all objects that can be converted to a number type, such as NumPy
-numbers.
+"""Special method by which other objects, such as NumPy scalars, convert to each number
+type.
 """
 
 _DESCRIPTIONS = {

@@ -2,8 +2,8 @@
 
 Documents follow YAML 1.2 with the core schema. A file is parsed event by event, so that
 limits apply before the data are stored in memory. Anchors, aliases, tags, directives,
-merge keys and several documents in one file are rejected. The loaders of PyYAML are not
-suitable, because they do not provide positions and read YAML 1.1.
+merge keys and several documents in one file are rejected. PyYAML's own loaders are
+unsuitable, because they provide no positions and read YAML 1.1.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from srs_twin.io.files import (
 )
 
 Loc = tuple[str | int, ...]
-"""Path of a value in nested data, which consists of keys and list indices."""
+"""Path to a value in nested data, as a tuple of keys and list indices."""
 
 Position = tuple[int, int]
 """Line and column, counted from 1."""
@@ -69,7 +69,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], object]], ...] = (
 
 @dataclass(frozen=True)
 class Override:
-    """Value from the command line or a program that replaces a value of a file.
+    """Value that the command line or a program sets in place of a value from a file.
 
     Attributes:
         label: origin of the value, such as "--set controller.frequency_hz=1.5".
@@ -81,7 +81,7 @@ class Override:
 
     @classmethod
     def parse(cls, label: str, field: str, value: str) -> Override:
-        """Return the override for a dotted field name and a value in YAML."""
+        """Return the override that sets a dotted field name to a YAML value."""
         if not (loc := parse_path(field)):
             raise InputError(
                 f"{label}: must be FIELD=VALUE, as in controller.frequency_hz=1.5"
@@ -90,7 +90,7 @@ class Override:
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
-        """Return overrides that are given as a mapping or a sequence as a list."""
+        """Return overrides as a sequence, also if they are given as a mapping."""
         if not isinstance(changes, Mapping):
             return changes
         return [
@@ -111,8 +111,8 @@ class Document:
         values: line and column of each value in the file, by the path of the value.
         keys: line and column of each key in the file, by the path of the key.
         refused: positions at which no further problems are reported.
-        override_labels: labels of the applied overrides. Values of the k-th override
-            have the position (−k, 0).
+        override_labels: labels of the applied overrides. A value set by the k-th
+            override has the position (−k, 0).
     """
 
     name: str
@@ -126,10 +126,10 @@ class Document:
     warnings: list[str] = field(default_factory=list)
 
     def apply(self, override: Override) -> None:
-        """Set a value of the document to the value of an override.
+        """Replace a value of the document.
 
-        If the path of the override leads through the name of a file, the name becomes
-        the key `base` of a mapping.
+        If the path of the override continues below a file name, that name is first
+        moved to the key `base` of a new mapping.
         """
         self.override_labels.append(override.label)
         position = (-len(self.override_labels), 0)
@@ -152,7 +152,7 @@ class Document:
             inner = child(data, key)
             if isinstance(inner, str):
                 inner = {"base": inner}
-            # A file may contain a number instead of a mapping with the key `value`.
+            # In a file, a bare number is short for a mapping with the key `value`.
             elif isinstance(inner, bool | int | float) and override.loc[k + 1 :] != (
                 "value",
             ):
@@ -239,7 +239,7 @@ class Document:
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
         """Add a problem at a value or key.
 
-        If a value is missing, the problem has the position of the parent of the value.
+        A missing value is reported at the position of its parent.
         """
         existing = self.existing_prefix(loc)
         positions = self.values
@@ -252,7 +252,7 @@ class Document:
             self.problems.append((position, message))
 
     def describe(self, loc: Loc, message: str) -> str:
-        """Return a message with the position and the path of a value."""
+        """Prefix a message with the position and the path of a value."""
         position = self.values.get(self.existing_prefix(loc), (0, 0))
         return self._placed(position, f"{format_path(loc)}: {message}")
 
@@ -267,7 +267,7 @@ class Document:
 
     @contextmanager
     def report_errors(self, *loc: str | int) -> Iterator[None]:
-        """Report an `InputError` of a `with` block as a problem of a value."""
+        """Report an `InputError` raised in a `with` block as a problem with a value."""
         try:
             yield
         except AbsentPartError:
@@ -276,9 +276,10 @@ class Document:
             self.report(loc, str(error))
 
     def raise_problems(self, other_files: Iterable[str] = ()) -> None:
-        """Raise one error with all problems, after messages about other files."""
+        """Raise one error with the messages about other files and all problems."""
         lines = list(other_files)
-        # The alternatives of a union report equal messages, which are shown only once.
+        # Several alternatives of a union may report the same message, so duplicates are
+        # dropped.
         for position, message in sorted(
             dict.fromkeys(self.problems), key=itemgetter(0)
         ):
@@ -297,8 +298,8 @@ def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
 def parse_yaml(text: str, name: str) -> Document:
     """Parse YAML text.
 
-    Rejected features that do not stop the parser are added to `problems` of the
-    document. `name` is the file name in messages.
+    Rejected features that do not stop the parser are recorded in `Document.problems`.
+    `name` is the file name in messages.
     """
     with suppress(yaml.YAMLError, ValueError):
         return _Reader(yaml.parse(text, yaml.CSafeLoader), Document(name)).read()
@@ -312,7 +313,7 @@ def parse_yaml(text: str, name: str) -> Document:
         begin = error.context_mark
         context = error.context or ""
         if begin and begin.line < mark.line:
-            context += f" that begins in line {begin.line + 1}"
+            context += f" that begins on line {begin.line + 1}"
         problem = ": ".join(filter(None, (context, error.problem)))
         if "'\\t'" in problem:
             problem += "; YAML is indented with spaces, not tabs"
@@ -353,7 +354,7 @@ def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
 
 
 def dump_yaml(data: object, *, compact: bool = False) -> str:
-    """Return plain data as YAML text, from which `parse_yaml` returns equal data.
+    """Return plain data as YAML text that `parse_yaml` reads back unchanged.
 
     If `compact` is true, lists and dicts of numbers are written on one line.
     """
@@ -441,13 +442,13 @@ class _Reader:
         self._check(event)
         scalar = isinstance(event, yaml.ScalarEvent)
         if scalar and event.implicit[0] and not event.value:
-            # If no value follows the colon, the parser returns a position behind the
-            # colon or on the next line. The position of the key is used instead.
+            # If no value follows the colon, the parser reports a position after the
+            # colon or on the next line, so the position of the key is used.
             self.last = self.document.keys.get(loc, self.last)
         self.document.values[loc] = self.last
         if scalar:
-            # A value may have several lines, and control characters could disturb a
-            # terminal.
+            # A value may have several lines, and control characters could corrupt the
+            # terminal output.
             text = self._text(event, keep="\n\t")
             if event.implicit[0]:
                 return _resolve_scalar(text)
@@ -481,7 +482,7 @@ class _Reader:
                 line = self.document.keys[key_loc][0]
                 self._refuse(
                     f"{format_path(key_loc)}: the key is given twice; the first one is"
-                    f" in line {line}"
+                    f" on line {line}"
                 )
             self.document.keys[key_loc] = self.last
             mapping[key] = self._value(self._next(), key_loc)
@@ -519,7 +520,7 @@ class _Reader:
 
 
 class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
-    """Writer that quotes and escapes unusual characters.
+    """YAML dumper that quotes and escapes unusual characters.
 
     A YAML reader would treat an unquoted U+0085 as a space.
     """

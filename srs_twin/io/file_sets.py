@@ -3,8 +3,8 @@
 A run writes into a hidden staging folder ``.part-…`` inside the results folder. When
 all files are written, the results folder is locked. The earlier files are moved into
 ``.part-…/.aside``, and the new files are moved into the results folder. The first file
-of the set is its completion mark, because the first file is moved away before all other
-files and moved in after all other files.
+of the set serves as its completion mark: it is moved away before all other files and
+moved in after them.
 
 A process that was killed leaves its staging folder, but no lock. The next run in the
 folder restores the earlier set from the staging folder, unless all new files were moved
@@ -31,13 +31,13 @@ _PRODUCT_LIST = ".products"
 """File with the names of the new files in a staging folder, one per line."""
 
 _ASIDE = ".aside"
-"""Subfolder of the earlier files until all earlier files are moved away."""
+"""Subfolder that holds the earlier files while they are being moved away."""
 
 _SAVED = ".earlier"
-"""Name of the subfolder of the earlier files while the new files are moved in."""
+"""New name of this subfolder while the new files are being moved in."""
 
 _OBSOLETE = ".gone"
-"""Name of the subfolder of the earlier files after a complete replacement."""
+"""New name of this subfolder once all new files are in place."""
 
 _LOCK_TIMEOUT_S = 60.0
 """Maximum time to wait for a lock, s.
@@ -59,7 +59,7 @@ _LOCKS_UNSUPPORTED = (
 
 @contextmanager
 def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
-    """Yield an empty folder for files that replace the earlier set when the block ends.
+    """Yield an empty folder whose files replace the earlier set when the block ends.
 
     After an error or an interrupt, the earlier set is restored. Other files in the
     folder are kept.

@@ -20,7 +20,6 @@ file.
 """
 
 StrPath = str | os.PathLike[str]
-"""Path as a string or a path object."""
 
 _FOLDERS = {
     "robot": "calibration/robots",
@@ -31,8 +30,8 @@ _FOLDERS = {
     "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
-# Control characters (C0, DEL and C1) and surrogates, which Python uses for bytes in
-# file names that are not UTF-8.
+# Control characters (C0, DEL and C1) and surrogates. Python represents file name bytes
+# that are not UTF-8 by surrogates.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
@@ -70,11 +69,11 @@ def is_path(text: str) -> bool:
 
 
 def place_of(text: str, folder: Path, kind: str = "") -> str:
-    """Return the path of an existing file for a path that is written in another file.
+    """Resolve a path that is written in another file, and check that it exists.
 
     The written path may be relative to `folder`, the folder of the other file, or to
-    the current folder. `kind` is the kind of shipped files that an error message
-    suggests.
+    the current folder. If the file does not exist, the error message suggests shipped
+    files of `kind`.
     """
     beside: Path | None = folder / text
     with suppress(OSError):  # a folder may have been removed
@@ -90,7 +89,7 @@ def place_of(text: str, folder: Path, kind: str = "") -> str:
 
 
 def path_from(folder: Path, name_or_path: str) -> str:
-    """Return a path relative to the folder of the file in which the path is written.
+    """Make a path relative to the folder of the file that will contain it.
 
     Absolute paths and names of shipped files are returned unchanged.
     """
@@ -100,9 +99,9 @@ def path_from(folder: Path, name_or_path: str) -> str:
 
 
 def find_file(kind: str, name_or_path: StrPath) -> Path:
-    """Return the path of a file, given by its path or by the name of a shipped file.
+    """Find a file by its path, or a shipped file by its name.
 
-    A text with a slash or with the suffix .yaml or .yml is a path relative to the
+    Text that contains a slash or ends in .yaml or .yml is a path relative to the
     current folder. Any other text is the name of a shipped file.
 
     Args:
@@ -127,7 +126,7 @@ def find_file(kind: str, name_or_path: StrPath) -> Path:
 
 
 def results_name(path: Path) -> str:
-    """Return the stem of a path in a form that is valid as folder name and YAML key."""
+    """Convert the stem of a path to a valid folder name and YAML key."""
     return re.sub(r"[^\w .+=-]", "_", path.stem).lstrip(". ") or "scenario"
 
 
@@ -223,7 +222,7 @@ def missing_folders(folder: Path) -> list[Path]:
     if len(missing) > MAX_NEW_FOLDERS:
         raise OSError(
             errno.ENAMETOOLONG,
-            f"the path has {len(missing)} new folders inside each other, but at most"
+            f"the path has {len(missing)} nested new folders, but at most"
             f" {MAX_NEW_FOLDERS} are allowed",
         )
     return missing
@@ -286,8 +285,8 @@ def _temporary_file(target: Path) -> Iterator[Path]:
     """Yield a hidden file in the folder of a target, and remove it after an error.
 
     All processes that write a target use the same temporary name. The next process
-    therefore overwrites the file that a killed process has left. While a process
-    writes, its file is locked, and other processes use random names.
+    therefore overwrites a file left behind by a killed process. While a process writes,
+    its file is locked, and other processes use random names.
     """
     # The suffix remains at the end of the name, because some libraries select the file
     # format by the suffix.
@@ -330,8 +329,8 @@ def create_numbered_file(folder: Path, name: str) -> Path:
         except FileExistsError:
             if not folder.is_dir():
                 raise InputError(
-                    f"{display_path(folder)}: nothing can be written there, because"
-                    " this is not a folder"
+                    f"{display_path(folder)}: this is not a folder, so no file can"
+                    " be written there"
                 ) from None
         except OSError as error:
             raise InputError(
@@ -357,7 +356,7 @@ def require_file(
 ) -> Path:
     """Return a path after checking that it is a regular file.
 
-    Devices and pipes are refused, because reading them may never end.
+    Devices and pipes are refused, because reading them might never finish.
     """
     check_printable(path)
     try:
@@ -365,7 +364,7 @@ def require_file(
             return path
         if path.is_dir():
             inside = sorted(p.name for p in path.glob(f"*{suffix}"))
-            hint = f" ({suffix}; there is none in it)"
+            hint = f" ({suffix}; this folder contains none)"
             if inside:
                 hint = f", such as {display_path(path / inside[0])}"
             raise InputError(

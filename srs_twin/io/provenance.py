@@ -11,10 +11,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 
 _MAX_NAMED = 3
-"""Maximum number of differences that a text names."""
+"""Maximum number of differences listed in a message."""
 
 _MAX_VALUE_LENGTH = 60
-"""Maximum number of characters of a value that a text shows."""
+"""Maximum length of a value in a message, characters."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Provenance:
     def key(self) -> str:
         """Hexadecimal SHA-256 under which the result is stored.
 
-        The names of files have no effect on the key.
+        File names do not affect the key.
         """
         code = {"sources": self.sources, "versions": self.versions}
         data = self.content | {"files": list(self.files.values())}
@@ -71,7 +71,7 @@ class Provenance:
 
 
 def short_digest(*values: object) -> str:
-    """Return 16 hexadecimal digits of the SHA-256 digest of the `repr` of values."""
+    """Return a digest of the `repr` of values: 16 hexadecimal digits of the SHA-256."""
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
 

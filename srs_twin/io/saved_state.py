@@ -1,12 +1,12 @@
-"""Saved states of plants and controllers, stored in files without pickles.
+"""Saved states of plants and controllers, stored in files without pickle.
 
-A class lists the attributes that change during a run in `state_attributes`. Attributes
-that are `Stateful` are saved recursively. Arguments of the constructor and of `reset`
+The class attribute `state_attributes` names the attributes that change during a run.
+`Stateful` attributes are saved recursively. Arguments of the constructor and of `reset`
 are not part of a state. An object can restore a state only if its settings are equal to
 the settings of the saved object.
 
 A file is a NumPy archive that contains the arrays and a JSON document with all other
-values. A named tuple or dataclass of this package is stored with the name of its class.
+values. Named tuples and dataclasses of this package are stored with their class names.
 
 >>> from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 >>> snake = AnalyticalSnake(load_robot("gen2"))
@@ -42,7 +42,7 @@ from srs_twin.io.untrusted import read_arrays
 VERSION = 3
 """Version of the state format.
 
-The version increases when the format or the module of a saved class changes.
+It is increased whenever the format changes or a saved class moves to another module.
 """
 
 _DOCUMENT = "state"
@@ -55,7 +55,7 @@ _PACKAGE = __name__.partition(".")[0] + "."
 
 
 class DeepCopied:
-    """Base class of objects that share no state with their copies.
+    """Base class of objects whose copies share no state with the original.
 
     `copy.copy` makes a deep copy, because simulating a shallow copy would also change
     the original.
@@ -86,7 +86,7 @@ def _why_not_copyable(value: object) -> str | None:
     if isinstance(value, GeneratorType):
         return "a generator"
     if isinstance(value, Future | Executor):
-        return "a task of another thread"
+        return "a task that runs in another thread"
     return None
 
 
@@ -172,7 +172,7 @@ def _copy_state(value: object) -> object:
 class SavedState:
     """State of a plant or a controller that determines all later states.
 
-    A state can be pickled, and can be written to a file.
+    States can be pickled or written to files.
 
     Attributes:
         owner: settings of the saved object as JSON values. Only an object with equal
@@ -189,7 +189,7 @@ class SavedState:
         """Check that an object can restore this state.
 
         Args:
-            label: name for messages.
+            label: name of the object in error messages.
             owner: settings of the object.
 
         Raises:
@@ -241,9 +241,7 @@ class SavedState:
             return SavedState(document["of"], content, document["version"])
         except (InputError, MemoryError):
             raise
-        except (
-            Exception
-        ) as error:  # constructors raise many kinds of errors for wrong values
+        except Exception as error:  # constructors raise many kinds of errors
             reason = f"{type(error).__name__}: {error}"
             raise InputError(
                 f"{display_path(path)}: the file is not a saved state ({reason})"
@@ -259,7 +257,7 @@ def _check_version(label: str, version: object) -> None:
 
 
 def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
-    """Convert a value to JSON data, in which names replace arrays.
+    """Convert a value to JSON data in which each array is replaced by a name.
 
     The arrays are added to `arrays` under these names.
     """

@@ -6,10 +6,10 @@ two equal keys, and overflows its stack on deeply nested data.
 
 Parquet: a file of 200 kB can contain a hundred million rows, so the sizes in the footer
 are checked before data are read. Pages are verified if the file contains checksums, as
-all files of this package do.
+files written by this package do.
 
-NumPy: the size of an unpacked archive can be a thousand times the size of the file. The
-header of an array can also declare any size, for which `numpy.load` allocates memory.
+NumPy: the size of an unpacked archive can be a thousand times the size of the file. In
+addition, `numpy.load` allocates memory for whatever size an array header declares.
 """
 
 from __future__ import annotations
@@ -35,10 +35,11 @@ if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
 
 MAX_DEPTH = 64
-"""Maximum depth of nested lists and objects. Results have fewer than ten levels."""
+"""Maximum depth of nested lists and objects. Result files have fewer than ten levels.
+"""
 
 MAX_JSON_BYTES = 64 << 20
-"""Maximum size of a JSON file, bytes. A reproduction of all claims has 1 MB."""
+"""Maximum size of a JSON file, bytes. The file for all reproduced claims takes 1 MB."""
 
 MAX_ARCHIVE_BYTES = 256 << 20
 """Maximum unpacked size of a NumPy archive, bytes."""
@@ -134,19 +135,19 @@ MAX_FILE_BYTES = 2 << 30
 """Maximum size of a Parquet file on disk, bytes."""
 
 MAX_VALUES = 1 << 27
-"""Maximum number of values in a table, which is a gigabyte of float64."""
+"""Maximum number of values in a table (1 GiB as float64)."""
 
 MAX_COLUMNS = 4096
 """Maximum number of columns. Trajectories have about twenty columns per segment."""
 
 MAX_CHUNKS = 100_000
-"""Maximum number of column chunks, which is the number of columns times row groups."""
+"""Maximum number of column chunks (columns times row groups)."""
 
 MAX_BYTES = 2 << 30
 """Maximum uncompressed size that the footer may declare, bytes."""
 
 MAX_METADATA_BYTES = 32 << 20
-"""Maximum size of one text in the footer, bytes."""
+"""Maximum size of one string in the footer, bytes."""
 
 MAX_FOOTER_BYTES = 96 << 20
 """Maximum size of the footer, bytes. The footer contains the metadata twice, once in
@@ -242,8 +243,8 @@ def _read(file: ParquetFile) -> pyarrow.Table:
     import pyarrow as pa
 
     try:
-        # Declared page sizes may be false, so one column at a time is unpacked in one
-        # thread to limit the memory.
+        # Declared page sizes may be false. To limit the memory, the columns are
+        # unpacked one at a time in a single thread.
         table = file.read(use_threads=False)
         table.validate()
     except (pa.ArrowException, OSError) as error:
@@ -258,11 +259,11 @@ def _read(file: ParquetFile) -> pyarrow.Table:
 
 
 def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
-    """Return the arrays of numbers and texts in a NumPy archive (npz), by name."""
+    """Return the numeric and text arrays in a NumPy archive (npz) by name."""
     try:
         with require_file(path, suffix=".npz").open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            # The directory of an archive is read at once, and it can be as large as the
+            # Opening an archive reads its whole directory, which can be as large as the
             # file.
             if size > MAX_ARCHIVE_BYTES:
                 raise ValueError(
@@ -307,7 +308,6 @@ _PACKING = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def _parse_array(raw: bytes) -> np.ndarray:
-    """Return the array of a .npy file."""
     stream = io.BytesIO(raw)
     try:
         version = np.lib.format.read_magic(stream)

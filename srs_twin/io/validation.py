@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 Schema = Mapping[str, Any]
-"""JSON schema."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -51,8 +50,8 @@ _WITH_UNIT = re.compile(
 _ANY = object()
 RETIRED_KINDS = {
     "compliant_gait": (
-        "it was retired, because none of its reactions helps"
-        " (docs/friction.md#yielding-gaits)"
+        "it was retired, because none of its reactions to contact clearly increased the"
+        " speed (docs/friction.md#yielding-gaits)"
     ),
     "greedy": (
         "it was retired; use best_first (`benchmarks/common/greedy.py` still"
@@ -109,12 +108,12 @@ def _add_descriptions(schema: dict[str, Any], cls: type[StrictModel]) -> None:
 
 
 class StrictModel(BaseModel):
-    """Base class of all models of files.
+    """Base class of all file models.
 
     A model does not convert types, and rejects unknown keys and numbers that are not
-    finite. The docstring of a key is the description of the key in JSON schemas. The
-    optional method `contradictions()` yields the path and the message of each violated
-    constraint between keys.
+    finite. Attribute docstrings become the descriptions of the keys in JSON schemas.
+    The optional method `contradictions()` yields the path and the message for each
+    violated constraint between keys.
 
     Attributes:
         elsewhere: correct path for each key that users may expect in this block but
@@ -155,8 +154,8 @@ def validate(
             return validate(model, document, data, prefix=prefix)
         elsewhere = getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
-            # The path may not exist in the data, because a key is missing, or because a
-            # default value contradicts the given keys.
+            # The path does not exist in the data if a key is missing or if a default
+            # value contradicts the given keys.
             loc = _existing_path(item["loc"], data)
             if item["type"] in _UNION_TAG_ERRORS:
                 _report_block_kind(document, item, prefix + loc)
@@ -290,7 +289,7 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
     if isinstance(value, str):
         bounded = any("minimum" in option for option in flat)
         if bounded and _WITH_UNIT.fullmatch(value):
-            close = "; write the number without a unit, which the key names"
+            close = "; write the number without its unit, which the key states"
         elif len(choices) > 1:
             close = _hint(value, choices)
     return f"must be {words}, not {_describe_value(value)}{close}"

@@ -9,18 +9,17 @@ $$ n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
 where n is the signed distance from the arc, positive to the left, and s is the position
 along the arc. The formulas for n and s are accurate even if κ is close to 0. While the
 centre of mass moves along the arc from s = -h to s = h, the body sweeps the annular
-sector |s| ≤ h, -r ≤ n ≤ l (Fig. 52 and 58). A point with |s| ≤ h has the distance max(n
-- l, -r - n, 0) from this sector. The distance of any other point is the distance from
-the nearer end of the sector, which is a straight line of length l + r across the path.
-A circular obstacle does not overlap the sector if the distance of its centre is at
-least its radius.
+sector |s| ≤ h, -r ≤ n ≤ l (Figs. 52 and 58). A point with |s| ≤ h has the distance
+max(n - l, -r - n, 0) from this sector. The distance of any other point is the distance
+from the nearer end of the sector, which is a straight line of length l + r across the
+path. A circular obstacle does not overlap the sector if the distance of its centre is
+at least its radius.
 
 A side of a polygon is divided into pieces at its intersections with the edges n = l and
 n = -r (quadratic equations) and with the ends s = ±h (linear equations). The side does
 not overlap the sector if no piece has its midpoint in the sector. A polygon that
-contains the whole sector needs no check, because the sectors of a plan are connected
-and start outside all polygons. An earlier sector would therefore cross a side of this
-polygon.
+contains the whole sector needs no check. The sectors of a plan are connected and start
+outside all polygons, so an earlier sector would cross a side of this polygon.
 
 Motion primitives are the arcs from a search node to its children (Section 5.2.1). The N
 arcs have turns α from -α_max to α_max and the length v Δt. With θ' = θ + α and r =
@@ -88,7 +87,7 @@ class Extent(NamedTuple):
 
 
 class PathFrame(NamedTuple):
-    """Position and direction of a point of an arc.
+    """Position and heading at a point of an arc.
 
     Attributes:
         x, y: position, m.
@@ -110,7 +109,7 @@ class Region(NamedTuple):
         half: half the length h of the area along the arc, m.
         left, right: distances of the left and right edges from the arc, m.
         reach: radius of a circle about the middle of the arc that contains the area, m.
-        end: pose at the front end of the area, whose x and y are the coordinates u and
+        end: pose at the front end of the area, where x and y are the coordinates u and
             w.
     """
 
@@ -204,7 +203,7 @@ def _touches_circle(middle, region, circle):  # type: ignore[no-untyped-def]
     radius = circle[2] + ROUNDING_MARGIN
     dx = circle[0] - middle.x
     dy = circle[1] - middle.y
-    # The test with the bounding circle excludes most obstacles at low cost.
+    # A cheap test with the bounding circle rules out most obstacles.
     if dx * dx + dy * dy >= (region.reach + radius) * (region.reach + radius):
         return False
     u, w = _local(middle, circle[0], circle[1])
@@ -374,8 +373,8 @@ class Primitives:
         if self.count < 3 or self.count % 2 == 0:
             raise InputError(
                 f"the number of primitives {self.count} is not allowed; it must be odd"
-                " and at least 3, because the middle primitive is straight and each"
-                " side has equally many"
+                " and at least 3, because the middle primitive is straight and both"
+                " sides have the same number"
             )
         if not (0 < self.turn < math.pi and 0 < self.length < math.inf):
             raise InputError(

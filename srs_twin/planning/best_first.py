@@ -2,7 +2,7 @@
 
 The search grows a tree from the start. If the footprint has no transients, the search
 also grows a tree from the goal. If no tree succeeds in the first round, the planner
-tries to prove that no path exists, and grows another tree with the heuristic of
+tries to prove that no path exists. It then grows another tree with the heuristic from
 `guidance`. Finally, the path is shortened by Dubins paths between poses of the path.
 """
 
@@ -64,13 +64,11 @@ A large weight makes the search find a path quickly, but the path may be longer 
 necessary.
 """
 _FIRST_TURN_NODES = 1000
-"""Number of nodes that a tree expands before another tree continues. The number doubles
-in each round.
+"""Number of nodes that each tree expands in the first rounds before the next tree
+continues. The number doubles in later rounds.
 """
 _MAX_TURN_NODES = 16_000
-"""Maximum number of nodes that a tree expands at a time. The time limit is checked
-after this number.
-"""
+"""Maximum number of nodes that a tree expands without a check of the time limit."""
 
 
 class _LevelResult(NamedTuple):
@@ -140,11 +138,10 @@ class _Search:
         )
 
     def start_trees(self, level: int) -> list[SearchTree]:
-        """Return the tree from the start, and the tree from the goal if it is possible.
+        """Return the tree from the start and, without transients, one from the goal.
 
-        The tree from the goal is possible only without transients. Each level halves
-        the lengths of the arcs and cells of the previous level. From the third level
-        on, the arcs have more curvatures.
+        Each level halves the lengths of the arcs and cells of the previous level. From
+        the third level on, the arcs have more curvatures.
         """
         problem = self.problem
         body = self.problem.footprint
@@ -169,8 +166,8 @@ class _Search:
             NO_PASSAGES,
         )
         trees = [SearchTree([problem.start], spec)]
-        # A path with transients is valid only in its direction of travel, so it cannot
-        # be searched from the goal.
+        # A path with transients is valid only in its direction of travel, so the search
+        # cannot start at the goal.
         if not body.transients:
             end = turned_around(problem.start)
             home = make_target(
@@ -206,9 +203,10 @@ class _Search:
     ) -> _LevelResult:
         """Search at one resolution, and optionally try to prove that no path exists.
 
-        The trees take turns, and each tree expands more nodes in each round. The tree
-        from the goal detects immediately if no arc leads to the goal. A guided tree is
-        added after the first round, because its path may be longer than necessary.
+        The trees take turns, and each tree expands more nodes in each round. If no arc
+        leads to the goal, the tree from the goal detects this immediately. A guided
+        tree is added after the first round, because its path may be longer than
+        necessary.
         """
         for turn in count():
             if self.is_spent:

@@ -1,8 +1,8 @@
 """Motion capture of the snake pose, and the mean pose over one gait period.
 
-The undulation of the body makes the mean heading of the connectors oscillate by some
-tenths of a radian about the direction of travel. The mean over exactly one gait period
-removes this oscillation, but it lags by half a period.
+As the body undulates, the mean heading of the connectors oscillates by several tenths
+of a radian about the direction of travel. The mean over exactly one gait period removes
+this oscillation, but lags by half a period.
 """
 
 from __future__ import annotations

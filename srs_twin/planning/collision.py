@@ -28,7 +28,7 @@ _MAX_GRID_CELLS = 256
 """Maximum number of grid cells along a side. The grid then needs at most 1 MB."""
 
 _MIN_CELL_M = 1e-9
-"""Minimum side of a grid cell, which is used if all obstacles have zero size, m."""
+"""Minimum size of a grid cell, for worlds in which all obstacles have zero size, m."""
 
 
 class Box(NamedTuple):
@@ -48,7 +48,7 @@ class ObstacleGrid(NamedTuple):
         sides: x and y of the two ends of each polygon side, m, shape (m, 4).
         west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
-        cell_ranges: begin and end of the part of `cell_items` for each grid cell, shape
+        cell_ranges: begin and end index in `cell_items` for each grid cell, shape
             (columns, rows, 2).
         cell_items: indices of the obstacles that overlap each cell, with circles before
             polygon sides, shape (k,).
@@ -159,8 +159,8 @@ class Checker:
         lasting = 0.0
         none = (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
-            # A change of offset starts a transient. The maximum widths and lengths of
-            # overlapping transients are used.
+            # A change of offset starts a transient. Where transients overlap, the
+            # larger widths and the longer remaining length apply.
             if before is not None:
                 left, right, length = self.footprint.transient(
                     before.offset, segment.offset
@@ -182,7 +182,7 @@ class Checker:
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return the width (m) by which each edge can be widened without collision.
+        """Return the width (m) that can be added to each edge without a collision.
 
         The result is at most `MAX_CLEARANCE_M`.
         """
@@ -207,8 +207,8 @@ class Checker:
         to each edge of the footprint.
         """
         both = (wider, wider)
-        # The whole world is tested first, because the name of an obstacle is needed
-        # only after a collision.
+        # The whole world is tested first. Single obstacles are tested only to name the
+        # one that was hit.
         if self.is_arc_free(pose, 0.0, length, both):
             return ""
         parts = (
@@ -244,7 +244,7 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
 
 
 def obstacle_at(world: World, x: float, y: float) -> str:
-    """Describe the obstacle at a point, or the bounds that exclude the point."""
+    """Describe the obstacle that contains a point, or the bounds that exclude it."""
     import shapely
 
     point = shapely.Point(x, y)

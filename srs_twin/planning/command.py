@@ -38,8 +38,8 @@ def plan(
     """Plan the path of a scenario without simulating it.
 
     Options:
-        --check: Exit with code 1 if no plan is found or if the plan misses one of its
-            expectations.
+        --check: Exit with code 1 if no plan is found or if an expectation of the
+            scenario is not met.
     """
     from srs_twin.cli.table import STATE_LABELS
     from srs_twin.planning.planned import PLAN, plan_scenario

@@ -30,7 +30,6 @@ from srs_twin.planning.arcs import ArcSequence
 from srs_twin.robot.world import Pose
 
 _FULL_TURN = 2 * math.pi
-"""Angle of a full turn, rad."""
 
 _ROUNDING = 1e-9
 """Tolerance for rounding errors of distances (in radii) and angles (rad)."""
@@ -54,14 +53,14 @@ class DubinsPath(NamedTuple):
 def shortest_path(
     start: Pose, x: float, y: float, heading: float | None, radius: float
 ) -> ArcSequence:
-    """Return the three arcs of the shortest path from a pose to a pose or a point.
+    """Return the three arcs of the shortest path to a pose or to a point.
 
     An arc may have the length 0.
 
     Args:
         start: start pose.
-        x: x of the end, m.
-        y: y of the end, m.
+        x: x coordinate of the end, m.
+        y: y coordinate of the end, m.
         heading: heading at the end, rad, or None if the heading at the end is free.
         radius: turning radius, m.
     """

@@ -25,7 +25,7 @@ from srs_twin.scenario.fields import Contradiction, FileSections, Section, quant
 
 
 class CameraFile(Section):
-    """Motion capture of a follower."""
+    """Motion capture that a follower uses."""
 
     constructors = (Camera,)
 
@@ -52,8 +52,9 @@ class FollowFile(ControllerSection):
     kind: Literal["follow"]
     """Kind of controller."""
     follower: Literal["bearing", "path"] = "path"
-    """Steering law. bearing is the law of the dissertation, which steers from node
-    to node. path is feedback of the cross-track error with curvature feedforward."""
+    """Steering law. `bearing` is the dissertation's law, which steers from node to
+    node. `path` combines feedback of the cross-track error with curvature feedforward.
+    """
     gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")]
     """Gait that is steered."""
     delay_s: float = quantity(0.0, 10.0, 0.1)
@@ -61,13 +62,15 @@ class FollowFile(ControllerSection):
     camera: CameraFile = CameraFile()
     """Motion capture of the snake."""
     gain_per_rad: float | None = quantity(0.001, 100.0, None)
-    """Offset per bearing error (bearing; default {default:g})."""
+    """Offset commanded per bearing error (bearing; default {default:g})."""
     node_m: float | None = quantity(0.001, 100.0, None)
     """Distance between nodes (bearing; default {default:g})."""
     near_m: float | None = quantity(0.001, 100.0, None)
     """Distance at which a node counts as reached (bearing; default {default:g})."""
     lookahead_m: float | None = quantity(0.001, 100.0, None)
-    """Path length over which a cross-track error decays (path; default {default:g})."""
+    """Distance along the path over which a cross-track error decays (path; default
+    {default:g}).
+    """
     response_length_m: float | None = quantity(0.0, 100.0, None)
     """Response length of the curvature to a change of offset (path; default:
     computed from the transients of the footprint, or {default:g} without
@@ -148,7 +151,7 @@ class FollowFile(ControllerSection):
         robot: RobotFile,
         planner: PlannerSection,
     ) -> ConditionsFile:
-        """Return the conditions for which a margin is selected from measurements."""
+        """Return the conditions of a run, from which its margin is selected."""
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(
             {

@@ -3,8 +3,8 @@
 The `Follower` implements Section 5.2.2. A camera measures poses, which are averaged
 over a gait period. A `Predictor` extrapolates the mean pose, and a steering law
 (`Steering`) computes the offset. The gait (or the iterative learning control) receives
-the offset after a command delay. The run ends at the goal, or earlier for one of the
-reasons in `ENDINGS`.
+the offset after a command delay. The run ends at the goal, or earlier for another
+reason in `ENDINGS`.
 
 If the snake deviates too far from its path or its body approaches an obstacle, the
 follower requests a new plan. The new plan has the margin of the first plan or, if
@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 ENDINGS = {
     "goal_reached": "the goal is reached",
-    "goal_missed": "the end of the path is passed outside the goal",
+    "goal_missed": "the snake passed the end of the path outside the goal",
     "no_plan": "there is no plan",
     "strayed": "too far from the path, and no new plan is left",
     "stuck": "no progress for several periods",
@@ -70,7 +70,7 @@ RETRY_PERIODS = 2
 _MIN_CHANGE = 1e-3
 """Minimum change of the offset that is sent to the gait."""
 _WINDOW_M = 0.3
-"""Distance along the path within which the nearest point is searched, m.
+"""Distance along the path within which the nearest point is searched for, m.
 
 The search is local because a path may cross itself.
 """
@@ -82,7 +82,7 @@ _UNKNOWN = (
 """Pose and path coordinates before the first camera frame."""
 
 Replan = Callable[[Pose, float], Plan]
-"""Function of a pose and a fraction of the margin that returns a new plan."""
+"""Function that returns a new plan from a pose and a fraction of the margin."""
 
 
 class ReplanResult(NamedTuple):
@@ -107,12 +107,12 @@ _RESERVE_FRACTION = 0.3
 _MARGIN_FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Fractions of the margin for a new plan, tried in this order."""
 _OPTIONAL = ("close", "run_up", "fault", "start")
-"""Reasons for requesting a new plan where the snake may also keep the old plan."""
+"""Reasons for requesting a new plan that still allow the snake to keep the old plan."""
 _UNCOUNTED = ("run_up", "fault", "start")
 """Reasons for requesting a plan that do not count towards `Conditions.max_replans`."""
 
 _PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")
-"""Fields of a world that affect plans. The floor affects only the plants."""
+"""World fields that affect plans. The floor affects only the plants."""
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ class Follower(Controller):
         footprint: footprint of the snake, which limits the offset.
         body: footprint with which the plan was computed, by default `footprint`.
         world: world, which is recorded with the run.
-        replan: planner for new plans, or None if the run has no new plans.
+        replan: function that computes new plans, or None if no new plans are allowed.
         submit: function that runs the planner in another thread, or None if the snake
             waits for the planner.
         min_margin_fraction: minimum fraction of the margin in a new plan. If this
@@ -158,7 +158,7 @@ class Follower(Controller):
             or when the body approaches an obstacle and no further plan is allowed.
         allows_contact: whether the body may lean on obstacles.
         ending: key of `ENDINGS`, or None if the run has not ended.
-        plans: start time (s) of each plan, and the plan.
+        plans: pairs of start time (s) and plan.
     """
 
     kind = "follow"
@@ -292,7 +292,7 @@ class Follower(Controller):
         super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of gait and follower, with NaN before the first frame."""
+        """Return the signals of gait and follower (NaN before the first frame)."""
         pose, point = self._position
         return self.gait.signals() | {
             "offset_commanded": self._commanded,
@@ -311,7 +311,7 @@ class Follower(Controller):
         return events
 
     def describe(self) -> dict[str, object]:
-        """Return the description of the gait with plans, world and ending."""
+        """Return the description of the gait, extended by plans, world and ending."""
         goal = asdict(self.goal)
         conditions = asdict(self.conditions)
         return self.gait.describe() | {
@@ -405,8 +405,8 @@ class Follower(Controller):
         )
         for k in range(_CHECKED_PIECES):
             on = self._path.pose(point.s + k * piece)
-            # On each piece of the expected motion back to the path, the body is checked
-            # on an arc with the curvature of the path.
+            # The expected motion back to the path is checked piece by piece. On each
+            # piece, the body moves along an arc with the curvature of the path.
             first, last = (
                 self.steering.predict_cross_track(
                     point.n, heading_error, (k + i) * piece
@@ -448,12 +448,12 @@ class Follower(Controller):
                 self._tries += 1
                 text = (
                     f"{reason}: the old plan is kept, because all"
-                    f" {self.conditions.max_replans} new plans are used"
+                    f" {self.conditions.max_replans} new plans have been used"
                 )
                 self._events.append(Event(time, "no_new_plan", text))
             return
         self._tries += reason not in _UNCOUNTED
-        # A new plan changes the motion only after some gait periods, so an earlier
+        # A new plan takes several gait periods to change the motion, so an earlier
         # request would be useless.
         self._not_before = time + RETRY_PERIODS * self._period
         job = partial(_new_plan, self.replan, pose, self.min_margin_fraction)

@@ -1,7 +1,7 @@
 """Footprint: area that the body covers along the path of its centre of mass.
 
 At a constant offset the centre of mass follows an arc of curvature κ, and two
-concentric arcs bound the body (Section 5.2.1, Fig. 52 and 58). At every point of the
+concentric arcs bound the body (Section 5.2.1, Figs. 52 and 58). At every point of the
 path the body stays within
 
 $$ -r(κ) ≤ n ≤ l(κ), $$
@@ -159,8 +159,8 @@ class Footprint:
     def reduced(self, turn_fraction: float = 1.0, margin: float = 0.0) -> Footprint:
         """Return the footprint with a smaller range of curvatures and with wider edges.
 
-        A follower corrects errors with the turns that a plan does not use. The margin
-        allows for the remaining errors.
+        A follower corrects errors with the tighter turns that a plan leaves unused. The
+        margin allows for the remaining errors.
 
         Args:
             turn_fraction: ratio of the new to the old maximum curvature, at most 1.
@@ -248,9 +248,8 @@ class Footprint:
     def lag(self, before: float, after: float) -> tuple[float, float]:
         """Return the delay δ and the length T of a transition arc (see `planner`), m.
 
-        The delay and the length are interpolated between measured changes of different
-        size. If no change in this direction was measured, the delay and the length are
-        0.
+        Both are interpolated between measured changes of different size, and are 0 if
+        no change in this direction was measured.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):
@@ -343,7 +342,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             if tightest:
                 which = "tightest turn"
             else:
-                which = f"turn of offset {offset:g}"
+                which = f"turn at offset {offset:g}"
             where = f"the centre of the {which}, radius {1 / turn[row]:g} m"
             problems.append((name, f"{edges[row]:g} m reaches {where}"))
     return problems
@@ -355,8 +354,8 @@ def validate_footprint(footprint: Footprint) -> Footprint:
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
     if not np.isfinite(numbers).all():
         raise InputError(
-            f"footprint {footprint.name}: at least one number is not finite; all"
-            " numbers must be finite"
+            f"footprint {footprint.name}: at least one value is not finite; all"
+            " values must be finite"
         )
     if (
         min(footprint.speeds) <= 0
@@ -364,7 +363,7 @@ def validate_footprint(footprint: Footprint) -> Footprint:
         or min(footprint.ahead, footprint.behind) < 0
     ):
         raise InputError(
-            f"footprint {footprint.name}: a number is too small; speeds and the edges"
+            f"footprint {footprint.name}: a value is too small; speeds and the edges"
             " `left` and `right` must be above 0, and the edges `ahead` and `behind`"
             " at least 0"
         )

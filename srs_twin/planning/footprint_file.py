@@ -6,11 +6,11 @@ published footprints, and the command `srs-twin calibrate footprint` measures ne
 footprints.
 
 A file may also contain the maximum excursion beyond the footprint in each of n runs on
-random paths. From the excursions, the margin is computed within which a new run stays
-with a given probability. The probability that the excursion of a new run does not
-exceed the k-th smallest excursion is at least k/(n + 1), for any distribution. The
-method is split conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin for
-the probability p is the k-th smallest excursion with k = ⌈(n + 1) p⌉.
+random paths. The excursions determine the margin within which a new run stays with a
+given probability. The probability that the excursion of a new run does not exceed the
+k-th smallest excursion is at least k/(n + 1), for any distribution. The method is split
+conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin for the probability
+p is the k-th smallest excursion with k = ⌈(n + 1) p⌉.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
 from srs_twin.robot.sourced import Record, Status, bounded
 
 MEASURED_ON_TWIN = "measured on the twin"
-"""First words of the `source` text for curvatures that were measured on a twin."""
+"""Beginning of the `source` text of curvatures that were measured on a twin."""
 
 Fraction = Annotated[float, bounded(0.0, 1.0)]
 Excursion = Annotated[float, bounded(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
 LOST_M = 1e3
-"""Value that is stored as the excursion of a run that does not arrive, m."""
+"""Excursion that is stored for a run that does not reach the goal, m."""
 
 Rows = Field(min_length=3, max_length=101)
 Offsets = Record[
@@ -62,14 +62,16 @@ Spreads = Annotated[list[Annotated[float, bounded(0.0, 100.0)]], Rows]
 
 
 class ConditionsFile(StrictModel):
-    """Conditions of runs with a follower."""
+    """Conditions under which a follower runs."""
 
     plant: Literal["analytical", "twin"]
-    """Plant of the runs."""
+    """Plant that simulated the runs."""
     contact: ContactName | None = None
-    """Contact of the twin (default preloaded). The analytical model has none."""
+    """Contact model of the twin (default preloaded). The analytical model has no
+    contact model.
+    """
     chambers: Literal["lag", "orifice"] = "lag"
-    """Model of the chambers."""
+    """Chamber model."""
     follower: Literal["bearing", "path"]
     """Steering law."""
     gain_spread: Fraction = 0.0
@@ -124,7 +126,7 @@ class ConditionsFile(StrictModel):
         )
 
     def excess_difficulty(self, other: ConditionsFile) -> float:
-        """Return the sum of relative amounts by which the numbers exceed `other`."""
+        """Return the sum of the relative amounts by which quantities exceed `other`."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
         return float(
             sum((own - covered) / own for own, covered in pairs if own > covered)
@@ -140,11 +142,11 @@ _DIFFICULTIES = (
     "position_noise_m",
     "heading_noise_rad",
 )
-"""Keys whose values make following more difficult if they are larger."""
+"""Keys whose larger values make following more difficult."""
 
 
 class ExcursionsFile(StrictModel):
-    """Maximum excursion of each run, or 1000 if the run did not arrive, m."""
+    """Maximum excursion of each run (m), or 1000 m if the run missed the goal."""
 
     conditions: ConditionsFile
     """Conditions of the runs."""
@@ -185,7 +187,7 @@ class TransientsFile(StrictModel):
     """Measured changes of offset."""
 
     status: Status
-    """Status of the numbers."""
+    """Status of the values."""
     source: str = Field(min_length=1, max_length=1000)
     """Source of the measurements."""
     changes: Annotated[list[TransientFile], Field(min_length=1, max_length=200)]
@@ -196,7 +198,7 @@ class SpreadFile(StrictModel):
     """Standard deviations of repeated measurements, one per offset for each column."""
 
     source: str = Field(min_length=1, max_length=1000)
-    """Repeated measurement, and definition of the spread."""
+    """How the measurement was repeated, and how the spread is defined."""
     curvature_per_m: Spreads
     """Spread of the curvature, 1/m, 0 to 100."""
     speed_m_s: Spreads
@@ -227,8 +229,9 @@ class FootprintFile(StrictModel):
     robot: str = Field(min_length=1, max_length=200)
     """Robot that has this footprint."""
     contact: ContactName | None = None
-    """Contact of the twin on which the footprint was measured (default: not measured
-    on a twin)."""
+    """Contact model of the twin on which the footprint was measured (default: not
+    measured on a twin).
+    """
     offset: Offsets
     """Gait offsets in ascending order, -1 to 1. A positive offset turns to the left."""
     curvature_per_m: Curvatures
@@ -257,7 +260,7 @@ class FootprintFile(StrictModel):
         return self.contact or (UNSTATED_CONTACT if measured else None)
 
     def mismatch(self, contact: ContactName) -> str | None:
-        """Return a warning if the contact model differs from the measured model."""
+        """Return a warning if the measurement used another contact model."""
         own = self.twin_contact
         if own in (None, contact):
             return None
@@ -379,8 +382,8 @@ def margin_for(
                 f"no deviations from the path have been measured for {text}; measure"
                 " them with `srs-twin calibrate margin`"
             )
-        # Only one set of measurements is used, because the minimum over several sets
-        # would be exceeded more often than the probability states.
+        # Only one set of measurements is used. The minimum over several sets would be
+        # exceeded more often than the probability states.
         block = min(
             covering, key=lambda block: block.conditions.excess_difficulty(condition)
         )

@@ -44,7 +44,7 @@ def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
     Args:
         start: start pose.
-        goal: goal, in which the path may end anywhere within a radius.
+        goal: goal. The path may end anywhere within the goal's radius.
         world: obstacles and bounds.
         clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """
@@ -56,7 +56,7 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
     Args:
         start: start pose.
-        goal: goal, in which the path may end anywhere within a radius.
+        goal: goal. The path may end anywhere within the goal's radius.
         world: obstacles and bounds.
         clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
     """

@@ -44,8 +44,8 @@ _ENTRY_CLEARANCE_M = 1e-3
 """Distance from the head to the narrowest point where the straight path begins, m."""
 
 _ROUND_CLEARANCE = 0.3
-"""Additional distance from round obstacles, which narrow the approach, relative to the
-body width.
+"""Additional distance of an entry pose from round obstacles, relative to the body
+width. Round obstacles also narrow the approach to a passage.
 """
 
 _DISTANCE_TOLERANCE_M = 1e-6
@@ -96,7 +96,7 @@ def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
 def grid_heuristic(
     goal: Goal, start: Pose, world: World, clearance: float, margin: float
 ) -> GridHeuristic:
-    """Return the grid distances to a goal for points with a clearance from obstacles.
+    """Return grid distances to a goal along routes that keep clear of obstacles.
 
     Args:
         goal: goal of the path.
@@ -118,8 +118,8 @@ def grid_heuristic(
     row = int((goal.y - south) / cell)
     column = min(column, len(x) - 1)
     row = min(row, len(y) - 1)
-    # Dijkstra's algorithm starts at the goal and computes the distances of all cells at
-    # once.
+    # Dijkstra's algorithm starts at the goal, so one run computes the distances of all
+    # cells.
     distance = dijkstra(
         _grid_graph(free, cell), directed=False, indices=column * len(y) + row
     )
@@ -190,7 +190,7 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
 
 
 def find_passages(world: World, body: Footprint) -> np.ndarray:
-    """Return the narrow passages of a world in each of the two directions.
+    """Return the narrow passages of a world, for both directions of travel.
 
     A passage may have several entry poses. Each row contains an entry pose (x, y and
     heading, m and rad) and the length (m) of the straight path through the passage,

@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 PLAN_UNITS = units_of(
     ("plan_found", "plan_length_m", "plan_nodes", "plan_max_heading_jump_rad")
 )
-"""Units of the metrics of a plan without a run."""
+"""Units of the metrics for plans that are not simulated."""
 
 PLANNING_UNITS = PLAN_UNITS | units_of(["plan_s"])
-"""Units of the metrics of a plan without a run, including the wall time of planning."""
+"""Units of these metrics and of the wall time of planning."""
 
 _MEANINGS = {
     "plan_found": "1 if a path was found, else 0",
@@ -54,7 +54,7 @@ _MEANINGS = {
 """Descriptions of the metrics of a run that follows a plan."""
 
 FOLLOWING_UNITS = units_of(_MEANINGS)
-"""Units of the metrics of a run that follows a plan."""
+"""Units of the metrics for runs that follow a plan."""
 
 DISSERTATION_HALF_WIDTH_M = 0.025
 """Half the width of the footprint in the dissertation (Section 5.2), m."""
@@ -126,7 +126,7 @@ def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
 
 
 def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics of a run that followed a plan, with None for other runs.
+    """Return the metrics of a run that followed a plan; for other runs all are None.
 
     The following metrics refer to the plan that is active at each sample:
 
@@ -204,8 +204,7 @@ def _mean_heading(trajectory: Trajectory) -> float:
     if period <= 0:
         return float(heading[-1])
     at = np.linspace(time[-1] - period, time[-1], 201)
-    # The heading oscillates with the gait, but the mean heading over a whole period
-    # does not oscillate.
+    # The heading oscillates with the gait, but its mean over a whole period does not.
     values = np.interp(at, time, heading)
     return float(np.trapezoid(values, at) / period + (values[-1] - values[0]) / 2)
 
@@ -259,7 +258,7 @@ def beyond(trajectory: Trajectory) -> np.ndarray:
 def _path_deviations(
     trajectory: Trajectory,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield the deviations from the path of each plan.
+    """Yield the deviations from the path for each plan of a run.
 
     Yields:
         Cross-track errors of the centre of mass (m), cross-track errors of the body
@@ -294,7 +293,7 @@ def body_points(trajectory: Trajectory) -> np.ndarray:
 
 
 def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return the connectors and the segment middles, m, and the headings there."""
+    """Return the positions (m) and headings of connectors and segment midpoints."""
     position = trajectory.position
     theta = trajectory.stack("connector_heading")
     chord = position[:, :-1] - position[:, 1:]
@@ -350,4 +349,3 @@ METRICS = MetricGroup(
         ),
     ),
 )
-"""Metrics of runs that follow a plan."""

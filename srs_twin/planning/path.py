@@ -63,12 +63,11 @@ def make_segment(
 def path_from_arcs(
     start: Pose, arcs: ArcSequence, footprint: Footprint
 ) -> tuple[Segment, ...]:
-    """Return the path of consecutive arcs, and merge neighbours of equal curvature.
+    """Build a path from consecutive arcs, and merge neighbours of equal curvature.
 
     Args:
         start: start pose.
-        arcs: curvature (1/m) and length (m) of each arc, where arcs of length 0 are
-            dropped.
+        arcs: curvature (1/m) and length (m) of each arc. Arcs of length 0 are dropped.
         footprint: footprint from which offsets and speeds are interpolated.
     """
     merged: list[list[float]] = []
@@ -88,7 +87,7 @@ def path_from_arcs(
 
 
 class PathSteps(NamedTuple):
-    """Short steps along a path, for integrals over the path length.
+    """Path divided into short steps, for integrals over the path length.
 
     Attributes:
         poses: x, y (m) and heading (rad) in the middle of each step, shape (n, 3).
@@ -134,7 +133,7 @@ class PathPoint(NamedTuple):
 
 
 class ReferencePath:
-    """Path of a plan with methods to compute path coordinates and poses.
+    """Path of a plan, with methods that compute path coordinates and poses.
 
     Attributes:
         length: path length, m.
@@ -143,7 +142,7 @@ class ReferencePath:
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
-        """Prepare the path from the arcs of a plan, which has at least one arc."""
+        """Prepare the path. `segments` must contain at least one arc."""
         first = segments[0].start
         last = segments[-1].end
         before = (
@@ -172,7 +171,7 @@ class ReferencePath:
     def nearest(
         self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf
     ) -> PathPoint:
-        """Return the path coordinates of a point, where s is between two limits, m."""
+        """Return the path coordinates of a point. `low` and `high` limit s (m)."""
         return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -215,7 +214,7 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         dy = y - arcs[k, 1]
         n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)
         # The formula returns s between -π/|κ| and π/|κ|. On an arc of more than half a
-        # turn, a full turn is therefore added to a negative s if necessary.
+        # turn, a negative s may therefore need an additional full turn.
         if s < 0 and curvature != 0 and s + 2 * np.pi / abs(curvature) <= last:
             s += 2 * np.pi / abs(curvature)
         s = min(max(s, first), last)

@@ -71,7 +71,7 @@ def segment_points(
 def following_plot(
     trajectories: Mapping[str, Trajectory], spec: RobotSpec
 ) -> Figure | None:
-    """Plot a plan with the paths and bodies of its runs, if there is a plan.
+    """Plot a plan with the paths and bodies of the runs, or return None without a plan.
 
     All runs have the same first plan. Later plans of each run are drawn as thin lines.
     """
@@ -253,4 +253,4 @@ class FollowingPictures(RunPictures):
 
 
 PICTURES = FollowingPictures()
-"""Registry entry of the pictures of runs that follow a plan."""
+"""Registry entry for pictures of runs that follow a plan."""

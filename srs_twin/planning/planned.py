@@ -19,12 +19,10 @@ from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.scenario import Scenario
 
 _ROUNDING = 1e-9
-"""Length below which a distance is considered 0, m."""
+"""Distance below which a length is considered 0, m."""
 
 PLAN = "plan.json"
-"""File name of the plan."""
 PICTURE = "plan.png"
-"""File name of the picture of the plan."""
 _FILES = (PLAN, PICTURE)
 
 
@@ -114,7 +112,7 @@ def plan_scenario(
     Args:
         scenario: name or path of a scenario with a planner, or a loaded scenario.
         out: output folder, or None to write no files.
-        set: values that override scenario fields, as described in `load_scenario`.
+        set: new values for scenario fields, as described in `load_scenario`.
 
     Raises:
         InputError: the scenario is not valid or has no planner, or its start or goal is

@@ -35,8 +35,8 @@ from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""Widths added to each edge for a larger clearance, relative to the width of the
-straight body.
+"""Widths added to each edge to find paths with more clearance, relative to the width of
+the straight body.
 """
 _MAX_WIDER_NODES = 4000
 """Maximum number of expanded nodes in the search for a wider body."""
@@ -106,7 +106,8 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
     distance = np.full(len(points), np.inf)
     for _, core, radius in obstacle_shapes(problem.world):
         distance = np.minimum(distance, shapely.distance(points, core) - radius)
-    # As a simple bound, the wider of the two edges is used on each side.
+    # For simplicity, the wider of the two edges is used on both sides, which bounds the
+    # cost from above.
     clearance = np.maximum(distance - np.maximum(steps.left, steps.right), 0.0)
     return float(np.dot(steps.lengths, 1 + weight * np.exp(-clearance / width)))
 
@@ -130,7 +131,7 @@ def _compile() -> None:
 def with_transitions(
     segments: Sequence[Segment], footprint: Footprint
 ) -> tuple[Segment, ...]:
-    """Return a path with transition arcs.
+    """Insert transition arcs into a path.
 
     The curvature still jumps where there is no space for a transition arc. If the
     footprint has no transients, the path is returned unchanged.
@@ -194,7 +195,7 @@ def _search_with_transitions(
     if not first.segments or not body.transients:
         return replace(first, segments=(*begin, *first.segments))
     checker = Checker(problem.world, body)
-    # A path that is not shortened keeps a larger distance from obstacles.
+    # An unshortened path keeps a larger distance from obstacles.
     for smooth, margin in product((True, False), _SHAPING_MARGINS_M):
         wide = replace(problem, footprint=body.reduced(margin=margin))
         aim = problem.goal
@@ -212,8 +213,8 @@ def _search_with_transitions(
                 if checker.is_path_free(path):
                     return replace(result, segments=path)
                 break
-            # The iteration displaces the goal by the remaining error until the end of
-            # the path is correct.
+            # The goal is displaced by the remaining error until the path ends at the
+            # original goal.
             aim = _corrected_aim(aim, problem.goal, end)
     reason = (
         f"{first.reason}; without transition arcs, because no path with them was free"

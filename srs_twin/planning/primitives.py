@@ -1,4 +1,4 @@
-"""Arcs of a search, with transients that widen the edges, and shortening of paths."""
+"""Motion primitives of the search, transients that widen the edges, and shortening."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ Wide turns have small transients.
 """
 
 _SHORTENING_ROUNDS = 4
-"""Maximum number of shortening rounds."""
 _MIN_SAVING = 1e-4
 """Relative reduction of the path length below which the shortening stops."""
 _RETREAT = 0.97
-"""Ratio of the distances of successive tries for a short cut.
+"""Factor by which a short cut becomes shorter in each try.
 
-With this ratio the number of tries is proportional to the logarithm of the distance.
+The number of tries is therefore proportional to the logarithm of the distance.
 """
 
 
@@ -69,7 +68,7 @@ class MotionPrimitives(NamedTuple):
 
 
 class ArcState(NamedTuple):
-    """State at the end of an arc, with the transient of the last offset changes.
+    """State at the end of an arc, including the transient of the last offset changes.
 
     Attributes:
         x, y: position, m.
@@ -92,7 +91,7 @@ class ArcState(NamedTuple):
 def make_motion_primitives(
     primitives: Primitives, footprint: Footprint
 ) -> MotionPrimitives:
-    """Return the primitives with the tightest turns, wider turns and straight line."""
+    """Return primitives with the tightest turns, wider turns and a straight line."""
     right, left = footprint.tightest
     both = min(right, left)
     # The method `at` raises an error if a primitive is too tight for the footprint.
@@ -164,7 +163,8 @@ def follow_arc(state, move, length, primitives, grid):  # type: ignore[no-untype
     right = change[1]
     lasting = change[2]
     if state.lasting > 0:
-        # If two transients overlap, the maximum of their widths and lengths is used.
+        # Where transients overlap, the larger widths and the longer remaining length
+        # apply.
         left = max(state.left, left)
         right = max(state.right, right)
         lasting = max(state.lasting, lasting)

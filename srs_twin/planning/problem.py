@@ -36,9 +36,9 @@ class TouchLimits:
     """Limits and cost of leaning on obstacles, as explained in `touch`.
 
     Attributes:
-        hard: smallest footprint whose edges must not overlap obstacles.
+        hard: narrowed footprint whose edges must never overlap obstacles.
         core: half the width of the body, m.
-        stiffness: force per displacement of one connector, N/m.
+        stiffness: contact force per displacement of one connector, N/m.
         floor: maximum lateral friction force of the body on the floor, N.
     """
 
@@ -147,7 +147,7 @@ class Problem:
 
 
 def check_problem(problem: Problem) -> None:
-    """Check that start and goal are collision-free and that all numbers are allowed."""
+    """Check that start and goal are collision-free and that all values are allowed."""
     validate_footprint(problem.footprint)
     start = problem.start
     goal = problem.goal
@@ -248,9 +248,9 @@ class Plan(HtmlResult):
         expanded: number of expanded nodes.
         touches: parts of the path that lean on obstacles, or None if
             `Settings.touch_limits` is None.
-        seconds: wall time, which is ignored when plans are compared, s.
-        problem: problem with the required edges, which is ignored when plans are
-            compared.
+        seconds: wall time, s. It is ignored when plans are compared.
+        problem: problem with the edges that must stay free. It is ignored when plans
+            are compared.
     """
 
     page: ClassVar[str] = "plan"

@@ -66,13 +66,15 @@ class PlannerSection(ExtensionSection):
     footprint: PathOrName
     """Footprint of the body, as a shipped name or the path of a footprint file."""
     turn_fraction: float = quantity(0.05, 1.0, 1.0)
-    """Fraction of the tightest curvature that plans use. The follower needs the rest
-    for corrections."""
+    """Fraction of the tightest curvature that plans may use. The follower needs the
+    rest for corrections.
+    """
     margin_m: float | None = quantity(0.0, 10.0, None)
     """Margin added to both edges of the footprint (default 0)."""
     margin_probability: float | None = quantity(0.5, 0.999, None)
-    """Probability that a whole run stays within the margin, which is then computed
-    from the excursions in the footprint file. It replaces margin_m."""
+    """Probability that a whole run stays within the margin. The margin is then computed
+    from the excursions in the footprint file, and replaces `margin_m`.
+    """
 
     @model_validator(mode="after")
     def _keys_agree(self) -> PlannerSection:
@@ -160,7 +162,7 @@ class PlannerSection(ExtensionSection):
     ) -> Plan:
         """Return the plan of a problem.
 
-        `wider` is an additional width (m) of the footprint on the straight lead-in.
+        `wider` (m) is added to each edge of the footprint on the straight lead-in.
         """
 
 
@@ -170,11 +172,13 @@ class BestFirstFile(PlannerSection):
     constructors = (Settings,)
 
     contact: Literal["allowed"] | None = None
-    """With allowed, the path may lean on obstacles where the body can pass (default:
-    keep clear)."""
+    """If `allowed`, the snake may lean on obstacles wherever its body can pass
+    (default: keep clear).
+    """
     lead_in_m: float = quantity(0.0, 100.0, 0.0)
-    """Length of a straight lead-in at the start of the path, over which the gait
-    becomes steady."""
+    """Length of a straight lead-in at the start of the path, on which the gait becomes
+    steady.
+    """
     primitives: PrimitivesFile | None = None
     """Motion primitives (default: chosen by the planner)."""
     kind: Literal["best_first"]
@@ -190,23 +194,25 @@ class BestFirstFile(PlannerSection):
     levels: int = quantity(1, 5)
     """Number of resolutions to try."""
     clearance_weight: float = quantity(0.0, 100.0)
-    """Extra cost of a metre of path that touches an obstacle, in metres. With a cost
-    above 0, paths avoid obstacles."""
+    """Extra cost per metre of path that touches an obstacle, in metres. If it is above
+    0, paths keep away from obstacles.
+    """
     smooth: bool = constructor_default()
     """Whether to shorten the path after the search."""
     shape_changes: bool = False
-    """Whether to plan with transition arcs, which are the measured response to
-    changes of offset, instead of curvature jumps."""
+    """Whether to plan with transition arcs instead of curvature jumps. The transition
+    arcs follow from the measured response to changes of offset.
+    """
     improve: bool = constructor_default()
-    """Whether to continue at finer resolutions for a shorter path while the budget
-    lasts."""
+    """Whether to search for a shorter path at finer resolutions while the budget lasts.
+    """
 
     @model_validator(mode="after")
     def _leans_alone(self) -> BestFirstFile:
         for name in ("clearance_weight", "shape_changes"):
             if self.contact and getattr(self, name):
                 raise ValueError(
-                    f"`contact: allowed` and `{name}` exclude each other; remove one"
+                    f"`contact: allowed` and `{name}` cannot be combined; remove one"
                     " of them"
                 )
         return self
@@ -275,7 +281,7 @@ class GivenFile(PlannerSection):
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
         """Return the end of the path."""
-        # The end of the given path replaces the goal of the scenario.
+        # The end of the path replaces the goal of the scenario, but keeps its radius.
         end = self._path(start, footprint)[-1].end
         return Goal(end.x, end.y, end.heading, goal.radius if goal else 0.05)
 
@@ -311,7 +317,8 @@ class ScenarioPlanner:
 
     Attributes:
         footprint: footprint of the robot without margin and with all turns.
-        problem: problem whose footprint has a smaller range of turns and a margin.
+        problem: problem whose footprint has been reduced by the turn fraction and
+            widened by the margin.
     """
 
     file: PlannerSection

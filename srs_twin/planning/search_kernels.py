@@ -51,14 +51,14 @@ FULL = 4
 """Result of `expand` if the arrays are full."""
 
 _INDEX_BITS = 26
-"""Number of bits for the row or the column of a cell in its key."""
+"""Number of bits in a cell key for the row number, and for the column number."""
 _INDEX_OFFSET = 1 << (_INDEX_BITS - 1)
-"""Offset that makes the row and column numbers positive."""
+"""Offset added to row and column numbers to make them positive."""
 
 _COST_TOLERANCE = 1e-9
-"""Minimum reduction of the path length for which a node is replaced, m."""
+"""Minimum reduction of the path length at which a node is replaced, m."""
 _PASSAGE_INTERVAL = 4
-"""Number of expanded nodes after which narrow passages are tried again.
+"""Number of expanded nodes between two attempts to use narrow passages.
 
 Testing a passage takes far more time than testing an arc.
 """
@@ -67,7 +67,7 @@ _PASSAGE_REACH = 6.0
 
 
 class Node(NamedTuple):
-    """Pose of a search with the path length and the transient.
+    """Pose reached by the search, with its path length and transient.
 
     Attributes:
         x, y: position, m.
@@ -233,8 +233,8 @@ class Target(NamedTuple):
         heading_tolerance: heading tolerance, rad.
         bound_radius: minimum turning radius to the left or right, used for the lower
             bound, m.
-        dubins_radius: turning radius of the Dubins paths, possible in left and right
-            turns, m.
+        dubins_radius: turning radius of the Dubins paths, which the snake can follow to
+            both sides, m.
     """
 
     x: float
@@ -251,8 +251,8 @@ class SearchSpec(NamedTuple):
     """Parameters of a search.
 
     Attributes:
-        cell: side of a cell of poses, m.
-        sector: heading range of a cell, by which 2π is divisible, rad.
+        cell: cell size in x and y, m.
+        sector: heading range of a cell, rad. It must divide 2π.
         weight: weight w of the lower bound.
         heuristic: grid distances, which affect the order of the nodes but exclude no
             node.
@@ -303,7 +303,7 @@ def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
 
 @compiled
 def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
-    """Expand nodes until an event such as `CONNECTED`; return the event and the node.
+    """Expand nodes until an event such as `CONNECTED`; return the event and its node.
 
     Args:
         frontier: state of the search, which is modified.
@@ -328,7 +328,7 @@ def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
         node = pop(frontier)
         at = _node(frontier, node)
         slot = cell_slot(frontier, at.x, at.y, at.heading, spec.cell, spec.sector)
-        # A node is skipped if another node with a shorter path now represents its cell.
+        # A node is skipped if a node with a shorter path has replaced it in its cell.
         if frontier.owners[slot] != node + 1 or at.cost + at.bound >= best:
             continue
         frontier.counts[EXPANDED] += 1
@@ -425,15 +425,16 @@ def _is_taken(frontier, slot, cost):  # type: ignore[no-untyped-def]
 @kernel_only
 def _open_node(frontier, slot, parent, move, node, spec):  # type: ignore[no-untyped-def]
     child = _add_node(frontier, slot, parent, move, node)
-    # Grid distances may increase h, which is then no lower bound.
+    # With grid distances, h may exceed the remaining length and is no longer a lower
+    # bound.
     rest = max(node.bound, grid_distance(spec.heuristic, node.x, node.y))
     push(frontier, child, node.cost + spec.weight * rest)
 
 
 @kernel_only
 def _add_node(frontier, slot, parent, move, node):  # type: ignore[no-untyped-def]
-    # The new node replaces the previous node of the cell, which is skipped when it is
-    # removed from the heap.
+    # The new node replaces the previous node of the cell. The previous node is skipped
+    # when it is popped from the heap.
     child = frontier.counts[NODES]
     frontier.counts[NODES] += 1
     frontier.owners[slot] = child + 1

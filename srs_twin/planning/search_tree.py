@@ -27,7 +27,7 @@ from srs_twin.planning.search_kernels import (
 from srs_twin.robot.world import Goal, Pose
 
 _INITIAL_CAPACITY = 4096
-"""Initial number of nodes. This number suffices for easy problems and is increased when
+"""Initial capacity for nodes, which suffices for easy problems and is increased when
 needed.
 """
 
@@ -39,7 +39,7 @@ circle. The Dubins length would then be larger by a full turn.
 """
 
 _GOAL_SPREAD = (0.0, -0.7, 0.7)
-"""Coordinates of start positions of a backward search, in units of the goal's radius.
+"""Coordinates at which backward searches start, in units of the goal's radius.
 
 With the factor 0.7, the corners of this square pattern are within the radius.
 """
@@ -108,7 +108,7 @@ class SearchTree:
         end = Pose(*map(float, self.frontier.nodes[node, :3]))
         if connected:
             heading = None if target.any_heading else target.heading
-            # The kernel has tested this Dubins path.
+            # The kernel has already checked this Dubins path for collisions.
             arcs = shortest_path(
                 end, target.x, target.y, heading, target.dubins_radius
             )[::-1]
@@ -138,7 +138,7 @@ def goal_poses(goal: Goal, sector: float) -> list[Pose]:
     If the heading of the goal is free, each heading sector (rad) has one pose.
     """
     if goal.heading is None:
-        # A second pose in a sector would be in an occupied cell.
+        # A second pose in a sector would fall into an occupied cell.
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
         headings = [

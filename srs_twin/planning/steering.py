@@ -46,7 +46,7 @@ from srs_twin.planning.path import PathPoint, ReferencePath
 from srs_twin.robot.world import Pose
 
 _SPEED_LIMITS = (0.2, 5.0)
-"""Limits of the measured speed relative to the footprint's speed."""
+"""Minimum and maximum measured speed, relative to the footprint's speed."""
 
 _MAX_DISTURBANCE_FRACTION = 0.5
 """Maximum estimate of the disturbance relative to the tightest curvature."""
@@ -66,7 +66,7 @@ tightest curvature.
 """
 
 _HISTORY_PERIODS = 2.5
-"""Length of the stored history of the model in gait periods."""
+"""Duration of the stored model history, in gait periods."""
 
 _Sample = tuple[float, ...]
 """Time (s), x, y (m) and heading (rad).
@@ -105,7 +105,7 @@ class Predictor(Stateful):
     def __init__(
         self, footprint: Footprint, period: float, delay: float, response_length: float
     ) -> None:
-        """Start a run with period (s), delay (s) and response length (m)."""
+        """Initialise with the period (s), command delay (s) and response length (m)."""
         self._offsets = np.array(footprint.offsets)
         self._curvatures = np.array(footprint.curvatures)
         self._period = period
@@ -135,7 +135,7 @@ class Predictor(Stateful):
         return self.gain * self.curvature + self.disturbance
 
     def command(self, time: float, offset: float) -> None:
-        """Integrate the model, which leads the snake by the command delay."""
+        """Advance the model, which leads the snake by the command delay."""
         before, x, y, heading, total_turn = self._model[-1]
         step = time - before
         if step <= 0:
@@ -167,8 +167,8 @@ class Predictor(Stateful):
             time: current time, s.
             middle: middle of the averaging interval, s.
             mean: mean pose.
-            whole: whether the averaging interval covers a whole gait period, without
-                which the estimates are not updated.
+            whole: whether the averaging interval covers a whole gait period. Otherwise
+                the estimates are not updated.
         """
         means = self._means
         means.append((middle, mean.x, mean.y, mean.heading))
@@ -247,7 +247,7 @@ class Predictor(Stateful):
         return Pose(mean.x + c * dx - s * dy, mean.y + s * dx + c * dy, heading + turn)
 
     def _at(self, time: float) -> _Sample:
-        """Return the state of the model that belongs to a time of the snake."""
+        """Return the model state that corresponds to a time of the snake."""
         # The model leads the snake by the command delay.
         time -= self._delay
         model = self._model
@@ -283,7 +283,7 @@ class SteeringInput:
     """Input of a steering law.
 
     Attributes:
-        pose: predicted pose, or the mean pose over a period for laws that use no
+        pose: predicted pose, or the mean pose over a period if the law uses no
             prediction.
         place: path coordinates of the pose.
         curvature: curvature of the model at the time of the pose, 1/m.
@@ -319,7 +319,7 @@ class Steering(Stateful, ABC):
 
     @abstractmethod
     def offset(self, state: SteeringInput) -> float:
-        """Return the desired offset without limits."""
+        """Return the desired offset, which may exceed the limits of the gait."""
 
     def predict_cross_track(
         self, n: float, heading_error: float, distance: float
@@ -335,7 +335,7 @@ class Steering(Stateful, ABC):
 
 
 class WaypointSteering(Steering):
-    """Steering law of the dissertation, from node to node."""
+    """Steering law of the dissertation, which steers from node to node."""
 
     predicts = False
 

@@ -13,15 +13,15 @@ The estimated contact force limits the overlap δ. A connector that is displaced
 between two fixed neighbours bends each of the two adjacent segments by 2δ/L, where L is
 the distance between connectors. The elastic energy 4kδ²/L² of the two bends, where k is
 the bending stiffness, gives the force Kδ with K = 8k/L². The obstacle displaces the
-body when this force exceeds the friction on the floor, μ_n m g. The lateral wave with
-the amplitude A = e − c reaches the obstacle during a fraction arccos(1 − δ/A)/π of the
+body when this force exceeds the floor friction μ_n m g. The lateral wave with the
+amplitude A = e − c reaches the obstacle during a fraction arccos(1 − δ/A)/π of the
 period. The mean force on one side is therefore
 
 $$ F = \frac1π \arccos\Bigl(1 - \frac{δ}{A}\Bigr) \min(Kδ,\, μ_n m g), $$
 
-and a metre of path with the forces F_l and F_r on the left and on the right costs 1 +
-(F_l + F_r)/(μ_n m g) metres. Edges and overlaps include the margin of the plan, because
-the body may deviate from its path by this margin.
+and each metre of path with the forces F_l (left) and F_r (right) costs 1 + (F_l +
+F_r)/(μ_n m g) metres. Edges and overlaps include the margin of the plan, because the
+body may deviate from its path by this margin.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ Search = Callable[[Problem, Settings], Plan]
 
 
 def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
-    """Return the limits of leaning on obstacles for a footprint without margin."""
+    """Return the limits for leaning on obstacles, given a footprint without margin."""
     core = spec.geometry.width / 2
     hard_left, hard_right = (
         tuple(core + (1 - TOUCH_FRACTION) * max(edge - core, 0.0) for edge in edges)
@@ -78,7 +78,7 @@ def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
 
 
 def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
-    """Return a problem whose edges may overlap obstacles by a fraction of the maximum.
+    """Return a problem whose edges may overlap obstacles by part of the maximum.
 
     The body cannot lean on the bounds of the world, so the bounds are reduced by the
     overlap.
@@ -120,7 +120,8 @@ def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Pla
                     reason = result.reason
                 best = replace(result, touches=touches, reason=reason)
                 lowest = cost
-    # If no path is found, the reason is taken from the search with the narrowest edges.
+    # If no path is found, the reported reason comes from the search with the narrowest
+    # edges.
     if best is None:
         return replace(result, touches=())
     return best
@@ -131,7 +132,7 @@ class _Overlaps:
     """Overlaps of the footprint with obstacles along a path.
 
     Attributes:
-        s: path length in the middle of each step, m, shape (steps,).
+        s: path position at the middle of each step, m, shape (steps,).
         steps: step lengths, m, shape (steps,).
         depth, force: overlap (m) with each obstacle and mean contact force (N), shape
             (obstacles, steps).

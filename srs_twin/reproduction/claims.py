@@ -30,16 +30,16 @@ def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
 
 
 COMPUTATIONS = _functions(computations)
-"""Functions that compute the numbers of a claim without a run (key `computation`).
+"""Functions that compute a claim's values without a run (key `computation`).
 
-The argument of a function is the dictionary `set`. The function returns numbers, keyed
-by ``<column>.<metric>``.
+Each function receives the entries of `set` as arguments, and returns numbers keyed by
+``<column>.<metric>``.
 """
 
 TRACES = _functions(traces)
 """Functions that compute the metrics `trace.…` from a trajectory.
 
-A function returns a number or None.
+Each function returns a number or None.
 """
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
@@ -77,7 +77,7 @@ _BOUND = 1e9
 """Maximum magnitude of a published value."""
 
 CLAIMS_BYTES = 128 * 1024
-"""Maximum size of a claims file. A file with 166 claims has 72 kB."""
+"""Maximum size of a claims file, bytes. A file with 166 claims takes 72 kB."""
 
 
 class RunRequest(Section):
@@ -94,7 +94,7 @@ class RunRequest(Section):
     periods: float | None = quantity(3.0, 1000.0, None)
     """Simulated time in periods."""
     where: Fields = {}
-    """Selected points of the sweep, as values of the varied fields."""
+    """Values of the varied fields that select points of the sweep."""
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
@@ -130,10 +130,12 @@ class RunRequest(Section):
 
 
 class Measure(RunRequest):
-    """Number computed from a run, the runs of a sweep, or a computation."""
+    """Number taken from a run, from the runs of a sweep, or from a computation."""
 
     metric: Name
-    """Metric, `comparison.…`, `trace.…` (of the trajectory), or computed result."""
+    """Metric, `comparison.…`, `trace.…` (computed from the trajectory), or name of a
+    computed result.
+    """
     take: Take | None = None
     """Aggregation over the points of a sweep."""
     plant: Literal["analytical", "twin"] | None = None
@@ -152,10 +154,10 @@ class Measure(RunRequest):
 
 
 class Cause(Section):
-    """Reason why the results of a plant contradict a claim.
+    """Reason why a plant's results contradict a claim.
 
-    The reason is demonstrated by a run with a changed assumption or by the
-    documentation, or the reason is only presumed.
+    A run with a changed assumption or a section of the documentation demonstrates the
+    reason. Otherwise the reason is only presumed.
     """
 
     says: Name
@@ -178,7 +180,7 @@ class Cause(Section):
         if (self.docs and self.switch) or bool(self.set) != (self.switch is not None):
             raise ValueError(
                 "the evidence is incomplete; give `docs`, or `switch` together with"
-                " `set`, or none of them for a presumed cause"
+                " `set`, or neither for a presumed cause"
             )
         return self
 
@@ -187,29 +189,27 @@ class TableRows(Section):
     """Rule that derives claims from the numbers of a table."""
 
     at: Name
-    """Key of the setting in each row of the table."""
+    """Key under which each row of the table contains the setting."""
     field: Name
-    """Field of the sweep that contains the setting."""
+    """Field that the sweep varies, with the setting as its value."""
     sweep: Name
     """Sweep with one point per setting."""
     columns: dict[Name, Name]
     """Metric for each column of the table."""
     signed: list[Name] = []
-    """Columns that are printed without a sign.
-
-    The numbers of these columns have the sign of `at`. If `at` is 0, absolute values
-    are compared.
+    """Columns whose numbers are printed without a sign. These numbers take the sign of
+    `at`. If `at` is 0, absolute values are compared.
     """
     fit: list[Name] = []
     """Columns whose numbers may be used for calibration."""
     fit_at: list[float] = []
-    """Settings at which the numbers of these columns may be used for calibration."""
+    """Settings at which numbers in the columns of `fit` may be used for calibration."""
     could_fail: dict[Name, Falsifiability]
-    """For each column, a sentence that states whether its claims could have failed."""
+    """Sentence for each column that states whether its claims could have failed."""
     could_fail_fit: Falsifiability
     """Sentence that states whether claims used for calibration could have failed."""
     cause: dict[Name, list[Cause]] = {}
-    """Known reasons for failed claims, for each column."""
+    """Known reasons for missed claims, for each column."""
 
     @model_validator(mode="after")
     def _check_columns(self) -> Self:
@@ -227,8 +227,7 @@ class TableRows(Section):
     ) -> bool:
         """Return whether a number may be used for calibration.
 
-        If a number in the same column is used for calibration, an equal number counts
-        as used as well.
+        A number also counts as used if an equal number in the same column is used.
         """
         if column not in self.fit:
             return False
@@ -250,21 +249,21 @@ class Claim(Section):
     says: Annotated[str, Field(min_length=1, max_length=600)]
     """Text of the claim."""
     use: Use
-    """Use of the claim: fit, holdout, law or shape."""
+    """Use of the claim: `fit`, `holdout`, `law` or `shape`."""
     could_fail: Falsifiability | None = None
-    """Whether the check of the claim could have failed.
-
-    "Yes: …" describes the results that would contradict the claim and the origin of the
-    tolerance. "No: …" states why the results cannot contradict the claim.
+    """Whether the check of the claim could have failed. "Yes: …" describes which
+    results would contradict the claim, and where the tolerance comes from. "No: …"
+    states why no result could contradict the claim.
     """
     tolerance: Tolerance | None = None
     """Origin of the tolerance of a prediction.
 
-    The tolerance comes from the dissertation's statement, from its measurement error,
-    or from our choice.
+    The tolerance is stated in the dissertation, follows from its measurement error, or
+    was chosen by us.
     """
     limitation: Limitation | None = None
-    """Reason why a prediction is not a headline, regardless of its tolerance."""
+    """Reason why the claim is not a headline prediction, regardless of its tolerance.
+    """
     value: float | None = quantity(-_BOUND, _BOUND, None, unit="the unit")
     """Published value."""
     unit: Name = "1"
@@ -274,7 +273,9 @@ class Claim(Section):
     abs: float | None = quantity(0.0, _BOUND, None, unit="the unit")
     """Absolute tolerance."""
     rule: Rule | None = None
-    """Rule: near, below, above, or ordering (each measure exceeds the next measure)."""
+    """Rule: `near`, `below`, `above`, or `ordering` (each measure exceeds the next
+    measure).
+    """
     measure: Measure | None = None
     """Measure that is compared with the value."""
     measures: list[Measure] = []
@@ -284,7 +285,7 @@ class Claim(Section):
     columns: list[Column] = ["analytical", "twin"]
     """Columns of results that are compared with the claim."""
     quick: bool = False
-    """Whether the option --quick includes the claim."""
+    """Whether the option `--quick` includes the claim."""
     cause: list[Cause] = []
     """Known reasons why the results contradict the claim."""
     table: TableRows | None = None
@@ -353,12 +354,12 @@ class Claim(Section):
         return self
 
     def is_named(self, name: str) -> bool:
-        """Return whether `name` is the claim's name, or its part before a dot."""
+        """Return whether `name` is the claim's name or its beginning up to a dot."""
         return f"{self.id}.".startswith(f"{name}.")
 
     @property
     def fitted(self) -> bool:
-        """Whether the claim may be used for calibration and is not a prediction."""
+        """Whether the claim may be used for calibration, and so is not a prediction."""
         return self.use == "fit"
 
     @property
@@ -377,7 +378,7 @@ class Claim(Section):
 
     @property
     def category(self) -> Category:
-        """Group of a prediction, or use of any other claim."""
+        """Group if the claim is a prediction, otherwise the use of the claim."""
         if self.group is not None:
             return self.group
         if self.use == "shape" and not self.falsifiable:
@@ -386,11 +387,11 @@ class Claim(Section):
 
     @property
     def all_measures(self) -> list[Measure]:
-        """List with the single measure, or with the combined measures."""
+        """All measures of the claim, in a list."""
         return [self.measure] if self.measure else self.measures
 
     def with_switch(self, cause: Cause) -> Claim:
-        """Return the claim with the scenario fields that a reason changes."""
+        """Return the claim with the scenario fields of a reason changed."""
         measures = [
             measure.model_copy(update={"set": {**measure.set, **cause.set}})
             for measure in self.all_measures
@@ -399,7 +400,7 @@ class Claim(Section):
 
     @property
     def allowed(self) -> AllowedRange:
-        """Range of allowed values. The tolerance extends the range beyond a bound."""
+        """Range of allowed values. A tolerance extends a one-sided bound."""
         if self.value is None:
             return AllowedRange()
         near = AllowedRange.near(self.value, self.tol, self.abs)
@@ -411,14 +412,14 @@ class Claim(Section):
 
     @property
     def allowed_text(self) -> str:
-        """Allowed values as text."""
+        """Text that describes the allowed values."""
         if self.rule == "ordering":
             return "each above the next"
         return self.allowed.text
 
 
 COLUMNS = get_args(Column)
-"""Columns of results: the plants, and "alone" for computations without a plant."""
+"""Result columns: the plants, and "alone" for computations without a plant."""
 
 
 def claims_file() -> Path:
@@ -473,7 +474,7 @@ def load_list(
 def select_claims(
     claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool
 ) -> tuple[Claim, ...]:
-    """Select claims by their names or by the beginning of their names, laws first.
+    """Select claims by name or by the beginning of the name. Laws come first.
 
     Args:
         claims: all claims.

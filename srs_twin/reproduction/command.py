@@ -35,15 +35,15 @@ def reproduce(
 ) -> None:
     """Check the claims of the dissertation with both models.
 
-    The command simulates what the claims need, judges every claim, and compares the
-    verdicts with the stored baseline.
+    The command runs the simulations that the claims need, judges every claim, and
+    compares the verdicts with the stored baseline.
 
     Options:
         --only ID: Judge only the claim with this name, or the claims whose names begin
-            with this word and a dot, for example gen3. Can be repeated.
+            with ID and a dot, for example gen3. Can be repeated.
         --quick: Judge only the claims that need short simulations.
         --out DIR: Output folder. Finished runs are kept there and reused.
-        --no-figures: Omit the figures and the simulations that only they need.
+        --no-figures: Omit the figures, and the simulations that only figures need.
         --write-baseline: Store the verdicts as the new baseline.
         --scorecard: Print only the credibility grades according to NASA-STD-7009,
             without running simulations.

@@ -22,7 +22,7 @@ _PULL_S = 1.0
 """Duration for which the robot is pulled, s."""
 
 _MIN_GAIN_M_S = 1e-3
-"""Minimum increase of speed in the second half of a pull for a robot that slides, m/s.
+"""Increase of speed in the second half of a pull above which a robot slides, m/s.
 
 Below the friction limit, axles creep at a constant speed proportional to the force. In
 generation 1 the maximum creep speed is 13 mm/s.
@@ -101,8 +101,8 @@ def _analytical_coefficients(robot: str) -> tuple[float, float]:
 def tail_load(scenario: str, frequency_hz: float) -> Numbers:
     """Return the minimum tail load of the twin, divided by the load at rest.
 
-    Section 3.4.3 of the dissertation describes the experiment. A negative ratio means
-    that a wheel lifts off.
+    Section 3.4.3 of the dissertation describes the experiment. If the ratio is
+    negative, a wheel lifts off.
     """
     from srs_twin.plants.twin.snake import TwinSnake
     from srs_twin.rollout import rollout
@@ -136,8 +136,8 @@ def change_of_offset(
         at_period: time of the change, in gait periods.
 
     Returns:
-        Number ``first`` for both plants, which is the curvature over the first period
-        after the change divided by the final curvature.
+        Number ``first`` for both plants: curvature over the first period after the
+        change, divided by the final curvature.
     """
     from srs_twin.control.commands import ScheduledOffset
     from srs_twin.control.gait import Gait
@@ -177,7 +177,7 @@ def _with_controller(scenario: Scenario, **controller: float) -> Scenario:
 def contact_force(
     robot: str, frequency_hz: float, force_n: float, connector: float
 ) -> Numbers:
-    """Estimate a force on a connector without force sensors (Section 6.2).
+    """Estimate the force on a connector without force sensors (Section 6.2).
 
     The force acts to the left for 0.5 s after 12 s of free crawling.
 
@@ -185,11 +185,11 @@ def contact_force(
         robot: name of a robot.
         frequency_hz: gait frequency, Hz. The gait period must be a multiple of the
             tick.
-        force_n: force, N.
+        force_n: applied force, N.
         connector: number of the connector, counted from 1 at the head.
 
     Returns:
-        Number ``score`` of the detection, and ``ratio`` of the estimated force to the
+        Detection score ``score``, and the ratio ``ratio`` of the estimated to the
         applied force.
     """
     from srs_twin.control.gait import Gait

@@ -48,11 +48,11 @@ class FigureEntry(Section):
     caption: Name
     """Caption."""
     draw: Name
-    """Kind of drawing, a key of `DRAWINGS`."""
+    """Kind of drawing, which is a key of `DRAWINGS`."""
     of: Annotated[list[RunRequest], Field(min_length=1, max_length=10)]
-    """Runs of the figure."""
+    """Runs that the figure shows."""
     metric: Name | None = None
-    """Metric of a sweep. The figure is then the plot of the sweep."""
+    """Metric of a sweep. If given, the figure is the sweep's plot of this metric."""
     names: list[Name] = []
     """Labels of the runs if one figure shows several runs."""
 

@@ -54,7 +54,7 @@ class Quantiles:
 
     Attributes:
         median: median of the quantity.
-        interval_95: ends of the 95 % interval.
+        interval_95: lower and upper end of the 95 % interval.
         interval_95_error: standard errors of the two ends, or None.
         robots: number of sampled robots, or 0 if the number is unknown.
     """
@@ -72,7 +72,7 @@ class Quantiles:
     def verdict(self, published: PublishedValue) -> IntervalVerdict:
         """Return the verdict on a published value.
 
-        The verdict is undecided if the number of robots is too small for an accurate
+        The verdict is undecided if too few robots were sampled for an accurate
         interval.
         """
         if self.robots < MIN_BOUNDING_SAMPLES:
@@ -82,7 +82,7 @@ class Quantiles:
         )
 
     def cells(self, published: PublishedValue) -> tuple[str, ...]:
-        """Return interval, published value and verdict as table cells."""
+        """Return the interval, the published value and the verdict as table cells."""
         low, high = self.interval_95
         result = "inside" if self.contains(published) else "outside"
         if self.verdict(published) is IntervalVerdict.UNDECIDED:
@@ -92,7 +92,7 @@ class Quantiles:
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedQuantity:
-    """Prediction of a quantity, and the published value.
+    """Prediction of a quantity, together with its published value.
 
     Attributes:
         robot: name of the robot file.
@@ -100,8 +100,8 @@ class PredictedQuantity:
         predicted: predicted quantiles.
         recomputed: quantiles computed after the published value was known, or None.
         published: published value, or None.
-        prediction_commit: last commit that changed a number of the prediction, or None
-            outside a git checkout.
+        prediction_commit: last commit that changed a predicted value, or None outside a
+            git checkout.
         comparison_commit: first commit that contains published values of the robot, or
             None.
     """
@@ -190,8 +190,8 @@ def load_predicted_quantities() -> list[PredictedQuantity]:
 def _predictions(path: Path) -> dict[str, Quantiles]:
     """Return the quantiles of each quantity in a file, or {} for a missing file.
 
-    The first prediction, of a spatial snake, has different keys, because the committed
-    text must not be changed.
+    The first prediction was for a spatial snake. It has different keys, because a
+    committed prediction must not be edited.
     """
     if not path.exists():
         return {}

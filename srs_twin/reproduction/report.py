@@ -5,11 +5,11 @@ with the reasons for the grades. Grades range from 0 (nothing is known) to 4. Th
 computed from stored results: verdicts of the baseline, intervals of `srs-twin
 uncertainty`, and sources of the robots' parameters.
 
-- Verification has grade 2 if all laws of the dissertation are met. Verification has
-  grade 3 if, in addition, a smaller time step changes a prediction by less than a fifth
-  of the prediction's input uncertainty.
+- Verification has grade 2 if all laws of the dissertation are met. It has grade 3 if a
+  smaller time step also changes a prediction by less than a fifth of the prediction's
+  input uncertainty.
 - Validation has grade 2 if three quarters of the headline predictions are met, grade 1
-  if fewer are met, and grade 0 if none is met. Predictions of other groups (own
+  if fewer are met, and grade 0 if none is met. Predictions in other groups (own
   tolerance, fitted robot, …) are listed but not counted. A higher grade would require
   our own measurements, because nothing has been validated against hardware.
 - Input pedigree has grade 3 if at least three quarters of the robot parameters are
@@ -72,13 +72,13 @@ _OTHER_GROUPS: dict[Category, str] = {
     "chosen_obstacles": "own obstacles",
     "between_models": "models",
 }
-"""Labels of categories of predictions that are not headlines."""
+"""Labels for the categories of predictions that are not headlines."""
 
 _MOST = 0.75
-"""Minimum fraction for the higher grade of validation and of input pedigree."""
+"""Minimum fraction for the highest grade in validation and in input pedigree."""
 
 _MANY = 0.4
-"""Minimum fraction for the middle grade of input pedigree."""
+"""Minimum fraction for grade 2 in input pedigree."""
 
 _SMALL_NUMERICAL_ERROR = 0.2
 """Maximum ratio of numerical error to input uncertainty for verification grade 3."""
@@ -176,7 +176,7 @@ def _pedigree(robots: Sequence[str]) -> Grade:
     measured = sum(record.status == "measured" for record in records)
     fraction = measured / len(records)
     grade = 1 + (fraction >= _MANY) + (fraction >= _MOST)
-    return Grade(grade, f"{measured} of {len(records)} numbers measured")
+    return Grade(grade, f"{measured} of {len(records)} parameters measured")
 
 
 def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
@@ -266,7 +266,7 @@ MEANINGS: dict[Category, str] = {
         " evidence."
     ),
     "law": "Laws are true by construction or theory; they test the program.",
-    "fit": "Robots were calibrated with these values, or may be.",
+    "fit": "Robots were, or may be, calibrated with these values.",
 }
 """Descriptions of the claims in each category."""
 
@@ -294,7 +294,7 @@ def by_category(rows: Sequence[JudgedClaim]) -> dict[Category, list[JudgedClaim]
 
 
 def summary_line(rows: Sequence[JudgedClaim]) -> str:
-    """Return a sentence with the number of claims that each plant meets."""
+    """Return a sentence that states how many claims each plant meets."""
     columns = {
         "twin": "the twin meets",
         "analytical": "the analytical model",

@@ -34,7 +34,7 @@ from srs_twin.studies.sweep.execution import Progress, quiet
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Claims of the dissertation with their verdicts.
+    """Verdicts on the claims of the dissertation.
 
     Attributes:
         rows: claims with their outcomes.
@@ -62,7 +62,7 @@ def reproduce(
         only: names of claims, or beginnings of names that end before a dot. An empty
             sequence selects all claims.
         quick: whether to check only the claims with short runs.
-        out: output folder, which also stores finished runs, or None to keep no files.
+        out: output folder for reports and finished runs, or None to keep no files.
         workers: number of parallel runs, by default one per processor.
         figures: whether to draw figures.
         write_baseline: whether to store the verdicts as the new baseline.

@@ -1,4 +1,4 @@
-"""Runs for claims, stored under a hash of all inputs.
+"""Runs that claims require, stored under a hash of all inputs.
 
 Several claims may use the same run. Worker processes simulate missing runs, and each
 result is stored as soon as the run is finished.
@@ -33,7 +33,7 @@ from srs_twin.trajectory import Trajectory
 Document = dict[str, Any]
 
 DocumentChange = Callable[[Document], Document]
-"""Function that modifies a scenario document. Tests use it to introduce faults."""
+"""Function that modifies a scenario document, which tests use to introduce faults."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class RunStore:
         self._keys: dict[str, tuple[str, ...]] = {}
 
     def jobs(self, request: RunRequest) -> tuple[ReproductionJob, ...]:
-        """Return the job of a request, or the jobs of all points of a sweep.
+        """Return the job for a request, or one job per point if it requests a sweep.
 
         Equal requests share jobs.
 
@@ -149,7 +149,7 @@ class RunStore:
         if text not in self._keys:
             jobs = list(self._make_jobs(request))
             for job in jobs:
-                # A job that stores trajectories replaces an equal job that stores none.
+                # If two jobs are equal, the one that stores trajectories is kept.
                 if job.key not in self._jobs or job.stores_trajectories:
                     self._jobs[job.key] = job
             self._keys[text] = tuple(job.key for job in jobs)
@@ -190,7 +190,7 @@ class RunStore:
         workers: int | None = None,
         progress: Progress = quiet,
     ) -> None:
-        """Run missing jobs, and store each result as soon as the job is finished.
+        """Run the jobs without a stored result, and store each result immediately.
 
         If a job raises an error, a row with the error is stored.
 
@@ -242,7 +242,7 @@ class RunStore:
 
 
 def run_job(job: ReproductionJob) -> Row:
-    """Run a job in this process. The row contains the error of a failed job."""
+    """Run a job in this process. If the job fails, the row contains the error."""
     if job.experiment is not None:
         return run_point(job.experiment, Point(job.key, {}))
     assert job.computation is not None, "a job is a scenario or a computation"

@@ -1,4 +1,4 @@
-"""Quantities of a trajectory that claims require and no metric contains."""
+"""Quantities of a trajectory that claims require but that no metric provides."""
 
 from __future__ import annotations
 
@@ -14,10 +14,9 @@ from srs_twin.robot.geometry import arc_between, measured_bend, pair_heading
 from srs_twin.trajectory import Trajectory
 
 _MARKER_M = 0.01
-"""Distance of the two markers of a connector from the centre of the connector, m."""
+"""Distance from the centre of a connector to each of its two markers, m."""
 
 _ARC_POINTS = 101
-"""Number of points on an arc."""
 
 
 def tail_drift(run: Trajectory) -> float | None:
@@ -44,7 +43,7 @@ def speed_regularity(run: Trajectory) -> float | None:
 
 
 def third_harmonic(run: Trajectory) -> float | None:
-    """Return the maximum over all bends of the ratio of third to first harmonic.
+    """Return the ratio of third to first harmonic, maximised over all bends.
 
     The ratio is 1/3 for a square wave.
     """
@@ -148,8 +147,8 @@ def step_c(run: Trajectory) -> float:
 def _time_constants(run: Trajectory) -> tuple[float, float]:
     """Return τ₁ and τ₂ of an overdamped step response y from the moments of 1 − y.
 
-    The moments are ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂². The two
-    moments require neither a fit nor initial values.
+    The moments are ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂². This
+    method needs neither a fit nor initial values.
     """
     remainder = 1 - run["bend_1"] / run["bend_1"][-1]
     total = float(np.trapezoid(remainder, run.time))
@@ -162,8 +161,8 @@ def _time_constants(run: Trajectory) -> tuple[float, float]:
 def learning_law_error(run: Trajectory) -> float:
     """Return the maximum difference between the duty cycles and Eq. 32 with k = 0.3.
 
-    The equation computes the duty cycle of a chamber from the error and duty cycle of
-    the previous period. The result is limited to values between 0 and 1.
+    The equation computes a chamber's duty cycle from the error and the duty cycle in
+    the previous period, limited to values from 0 to 1.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     expected = np.clip(periods.duty[:-1] + 0.3 * periods.error[:-1], 0, 1)
@@ -198,7 +197,7 @@ def smallest_amplitude(run: Trajectory) -> float:
 
 
 def saturated_after(run: Trajectory) -> float:
-    """Return the number of periods in which a chamber exceeds its target by 5 %.
+    """Return the number of periods in which a chamber exceeds its target by over 5 %.
 
     Periods are counted from the first update of the duty cycles.
     """

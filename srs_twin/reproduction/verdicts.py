@@ -42,7 +42,7 @@ Number = Annotated[
     BeforeValidator(lambda value: math.nan if value is None else value),
     PlainSerializer(_json),
 ]
-"""Number that is written as null in JSON if it is not finite."""
+"""Number that JSON files contain as null if it is not finite."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,8 @@ class ClaimOutcome:
             demonstrated.
         values: values of the measures, in the unit of the claim. A missing value is
             NaN.
-        value: number that is compared with the published number, or NaN for an ordering
-            or a missing measure.
+        value: number that is compared with the published value, or NaN for an ordering
+            or if a measure is missing.
         error: (value − published)/|published|, or NaN.
         why: reason for a miss or for a missing value, or an empty string if the reason
             is unknown.
@@ -127,7 +127,7 @@ def _missing_reason(store: RunStore, claim: Claim) -> str:
         for measure in claim.all_measures
         for job in store.jobs(measure)
     )
-    reason = next(filter(None, failures), "the run has no such number")
+    reason = next(filter(None, failures), "the run does not provide this value")
     return f"no value: {reason}"
 
 
@@ -160,7 +160,7 @@ def _ratio(numerator: float, denominator: float) -> float:
 
 
 def aggregate(name: str | None, values: np.ndarray) -> float:
-    """Return the maximum, the minimum, the relative range ("spread") or the mean."""
+    """Return the maximum, minimum, relative range ("spread") or mean of values."""
     if name == "most":
         return float(values.max())
     if name == "least":
@@ -176,12 +176,12 @@ _OUTCOMES = TypeAdapter(Mapping[str, Mapping[str, ClaimOutcome]])
 
 @dataclass(frozen=True)
 class Baseline:
-    """Stored outcomes with which later reproductions are compared."""
+    """Stored outcomes to which later reproductions are compared."""
 
     outcomes: Mapping[str, Mapping[str, ClaimOutcome]]
 
     def changes(self, rows: Sequence[JudgedClaim]) -> list[str]:
-        """Return one line for each changed verdict, even if the verdict has improved.
+        """Return one line for each changed verdict, including improved verdicts.
 
         An improved verdict may be due to a larger tolerance. Claims that the baseline
         does not contain are ignored.
@@ -251,7 +251,8 @@ def judge(
 ) -> tuple[JudgedClaim, ...]:
     """Run and judge claims, and find the reasons for missed claims.
 
-    A missed claim with a known reason is run again with the assumption changed.
+    If a claim is missed for a reason that a changed assumption can demonstrate, the
+    claim is run again with this change.
 
     Raises:
         InputError: a scenario or sweep is invalid, or a result cannot be stored.

@@ -139,7 +139,7 @@ BENCH_MALFORMED = edited(
             "compliant_gait",
             (
                 "not text 'compliant_gait': it was retired, because none of its"
-                " reactions helps"
+                " reactions to contact clearly increased the speed"
             ),
         ),
         (

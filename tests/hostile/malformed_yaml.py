@@ -202,7 +202,7 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "key given twice",
         b"title: x\ntitle: y\n",
-        ":2:1: title: the key is given twice; the first one is in line 1",
+        ":2:1: title: the key is given twice; the first one is on line 1",
     ),
     Malformed(
         "key given twice in braces",

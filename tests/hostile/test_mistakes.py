@@ -46,7 +46,7 @@ COMMANDS = [
     ),
     (
         "compare gen2_straight --duration 3s",
-        "write the number without a unit, which the key names",
+        "write the number without its unit, which the key states",
     ),
     ("run gen2_straight --seed 1.5", "--seed 1.5: seed: must be a whole number from 0"),
     (
@@ -340,7 +340,7 @@ POSITIONS = [
     (
         "gen2\n",
         "gen2\nrobot: gen3\n",
-        "3:1: robot: the key is given twice; the first one is in line 2",
+        "3:1: robot: the key is given twice; the first one is on line 2",
     ),
     ("gen2\n", "&r gen2\n", "2:8: anchors (&r) are not allowed"),
     (
@@ -383,7 +383,7 @@ NUMBERS = [
     ("1e999", "infinity"),
     ("9" * 5000, "infinity"),
     ("NaN", "text 'NaN'"),
-    ("2Hz", "text '2Hz'; write the number without a unit, which the key names"),
+    ("2Hz", "text '2Hz'; write the number without its unit, which the key states"),
     ("'2.0'", "text '2.0'"),
     ("true", "true"),
     ("[2]", "a list of 1"),

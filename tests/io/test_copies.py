@@ -171,7 +171,7 @@ class ScheduledOffset(Gait):
     [
         (lambda time: 0.1, "a lambda or a nested function"),
         ((item for item in ()), "a generator"),
-        (ThreadPoolExecutor(1).submit, "a task of another thread"),
+        (ThreadPoolExecutor(1).submit, "a task that runs in another thread"),
     ],
     ids=["function", "generator", "thread"],
 )

@@ -91,7 +91,7 @@ def test_existing_file_is_not_called_an_unknown_name(tmp_path, monkeypatch):
         find_file("scenario", "notes.txt")
     with pytest.raises(
         InputError,
-        match=r"^empty: this is a folder; give one file \(\.yaml; there is none in it\)$",
+        match=r"^empty: this is a folder; give one file \(\.yaml; this folder contains none\)$",
     ):
         find_file("scenario", "empty")
 
@@ -200,7 +200,7 @@ def test_all_rejected_features_are_reported_at_once():
             "f.yaml:3:4: tags (tag:yaml.org,2002:str) are not allowed; write the plain"
             " value"
         ),
-        "f.yaml:4:1: a: the key is given twice; the first one is in line 1",
+        "f.yaml:4:1: a: the key is given twice; the first one is on line 1",
         "f.yaml:5:5: merge keys (<<) are not allowed; write the keys out",
     )
 
@@ -218,7 +218,7 @@ def test_all_rejected_features_are_reported_at_once():
         (
             "a: 'x\n",
             (
-                "f.yaml:2:1: not YAML: while scanning a .* that begins in line 1: found"
+                "f.yaml:2:1: not YAML: while scanning a .* that begins on line 1: found"
                 " unexpected end"
             ),
         ),

@@ -289,7 +289,9 @@ def test_numbers_of_journals_are_taken_atomically(tmp_path):
         range(1, 41)
     )
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="file: nothing can be written there"):
+    with pytest.raises(
+        InputError, match="file: this is not a folder, so no file can be written there"
+    ):
         create_numbered_file(tmp_path / "file", "journal-{}.mcap")
 
 

@@ -201,7 +201,7 @@ def test_unknown_footprint_error_lists_the_names():
             "speeds and the edges `left` and `right` must be above 0",
         ),
         ({"ahead": -0.1}, "`ahead` and `behind` at least 0"),
-        ({"left": (0.02, math.nan, 0.02)}, "all numbers must be finite"),
+        ({"left": (0.02, math.nan, 0.02)}, "all values must be finite"),
         (
             {"curvatures": (-1.0, 1.0, 0.5)},
             "curvatures: the values must increase from row to row",

@@ -225,11 +225,11 @@ def scenario(**changes: object) -> dict:
         ),
         (
             {"clearance_weight": 1},
-            "`contact: allowed` and `clearance_weight` exclude each other",
+            "`contact: allowed` and `clearance_weight` cannot be combined",
         ),
         (
             {"shape_changes": True},
-            "`contact: allowed` and `shape_changes` exclude each other",
+            "`contact: allowed` and `shape_changes` cannot be combined",
         ),
         ({"contact": "yes"}, "planner.contact"),
     ],

@@ -41,10 +41,10 @@ def optimize(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the best robot or gait of a study file.
+    """Find the best robot or gait for the objectives in a study file.
 
-    The search uses many runs of the analytical model `compliant` and corrects them with
-    a few runs of the twin. All reported results are from the twin. An interrupted
+    The search runs the analytical model `compliant` many times and corrects its results
+    with a few runs of the twin. All reported results come from the twin. An interrupted
     search resumes if you start the command again with the same output folder.
 
     Options:
@@ -156,7 +156,7 @@ def _design_lines(design: DesignDocument, k: int) -> Iterator[str]:
 
     fraction = design["beats_next"]
     if fraction is not None:
-        others = f"{100 * fraction:.0f} % of the drawn robots"
+        others = f"{100 * fraction:.0f} % of the random robots"
         yield f" is better than best/{k + 1} for {others}"
     for metric, gain in design["gains"].items():
         text = f": {metric_label(metric)} {percentage(gain['fraction'])}"
@@ -166,7 +166,7 @@ def _design_lines(design: DesignDocument, k: int) -> Iterator[str]:
         yield text
     if not design["keeps_constraints"]:
         yield (
-            ": misses the constraints, as all runs of the twin do, by the least amount"
+            ": violates the constraints by the least amount; no twin run satisfies them"
         )
     if not design["survives"]:
         yield ": changes by more than 1 % with a finer time step or more hinges"

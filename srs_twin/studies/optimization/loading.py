@@ -1,4 +1,4 @@
-"""Study files and their design space. All problems of a file are reported together."""
+"""Study files and their design space. All problems in a file are reported together."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ from srs_twin.studies.sweep.points import (
 from srs_twin.studies.uncertainty.study import compliant_scenario, on_plant
 
 SEGMENTS = "robot.segments"
-"""Variable for the number of segments. The variable changes all robot parameters
-that depend on the number.
+"""Variable for the number of segments. It also changes all robot parameters that depend
+on this number.
 """
 
 
@@ -58,21 +58,25 @@ class VariableFile(Section):
     low: float = Field(ge=-1e12, le=1e12, description="Minimum value of the field.")
     high: float = Field(ge=-1e12, le=1e12, description="Maximum value of the field.")
     scale: Literal["linear", "log"] = "linear"
-    """Scale on which the search measures distances; log stands for ratios."""
+    """Scale on which the search measures distances. `log` treats equal ratios as equal
+    distances.
+    """
     whole: bool = False
     """Whether only integers are allowed."""
     hold: list[Literal["total_length", "total_mass"]] | None = None
-    """Quantities that stay constant when the number of segments (robot.segments)
-    changes."""
+    """Quantities to keep constant when the number of segments (`robot.segments`)
+    changes.
+    """
     bounds_source: Words | None = None
-    """Physical reason for low and high, which the result repeats for designs on a
-    bound."""
+    """Physical reason for `low` and `high`. The result quotes it for designs on a
+    bound.
+    """
 
     def value_at(self, fraction: float) -> float | int:
         """Return the rounded value at a fraction of the range."""
         value = value_at(fraction, self.low, self.high, self.scale)
-        # With six digits, designs that differ only by rounding errors have the same
-        # stored run.
+        # With six digits, designs that differ only by rounding errors share a stored
+        # run.
         return round(value) if self.whole else float(f"{value:.6g}")
 
     def fraction_of(self, value: float) -> float:
@@ -103,9 +107,9 @@ class ObjectiveFile(Section):
     goal: Literal["maximize", "minimize"]
     """Direction of the optimisation."""
     quantile: float | None = quantity(0.01, 0.99, None)
-    """Quantile over the robot's uncertain parameters (budget.uncertain) by which the
-    reported designs are ranked (default: ranking by the result of the nominal
-    robot)."""
+    """Quantile over the robot's uncertain parameters (`budget.uncertain`) that ranks
+    the reported designs (default: rank by the result of the nominal robot).
+    """
 
     @property
     def sign(self) -> float:
@@ -114,7 +118,7 @@ class ObjectiveFile(Section):
 
 
 class ConstraintFile(Section):
-    """Limit of a metric that a design must satisfy."""
+    """Limit on a metric that every design must satisfy."""
 
     metric: MetricName
     """Limited metric, as listed by `srs-twin list --metrics`."""
@@ -135,19 +139,22 @@ class ConstraintFile(Section):
 
 
 class BudgetFile(Section):
-    """Numbers of runs of a study."""
+    """Numbers of runs in a study."""
 
     compliant: int = quantity(8, 1_000_000, 400)
-    """Number of runs of the analytical model compliant, if it can run the scenario."""
+    """Number of runs of the analytical model `compliant`, if this model can run the
+    scenario.
+    """
     twin: int = quantity(4, 1_000_000, 40)
     """Number of runs of the twin during the search."""
     uncertain: int = quantity(0, 10_000, 0)
-    """Number of runs of the twin per best design, each with a random draw of the
-    robot's uncertain parameters. With 0 there are no such runs."""
+    """Number of twin runs per best design, each with randomly drawn uncertain
+    parameters of the robot. With 0 there are no such runs.
+    """
 
 
 class StudyFile(Section):
-    """Optimisation of some fields of a scenario."""
+    """Optimisation of selected scenario fields."""
 
     title: Line | None = None
     """Title on one line (default: the name)."""
@@ -195,8 +202,8 @@ def study_json_schema() -> dict[str, object]:
 
 
 ON_BOUND = 0.01
-"""Distance from an end of a range below which a design is considered to be on the
-bound, as a fraction of the range.
+"""Distance from a bound below which a design counts as on the bound, as a fraction of
+the range.
 """
 
 
@@ -205,8 +212,8 @@ class DesignSpace:
     """Variables of a study with their ranges.
 
     Attributes:
-        variables: range of each variable by its dotted name.
-        robot: robot of the scenario as plain data, which contains the quantities that
+        variables: range of each variable, keyed by dotted name.
+        robot: robot of the scenario as plain data. It contains the quantities that
             `hold` keeps constant.
     """
 
@@ -219,7 +226,7 @@ class DesignSpace:
         return len(self.variables)
 
     def values(self, fractions: np.ndarray) -> tuple[float | int, ...]:
-        """Return the values of a design that is given as fractions, shape (d,)."""
+        """Return the values of a design from its fractions, shape (d,)."""
         ranges = zip(self.variables.values(), np.clip(fractions, 0.0, 1.0), strict=True)
         return tuple(variable.value_at(fraction) for variable, fraction in ranges)
 
@@ -246,7 +253,7 @@ class DesignSpace:
         )
 
     def changes(self, fractions: np.ndarray) -> Changes:
-        """Return the fields that a design changes in the scenario."""
+        """Return the changes that a design makes to the scenario."""
         changes: dict[str, Value] = {}
         for (name, variable), value in zip(
             self.variables.items(), self.values(fractions), strict=True
@@ -281,7 +288,8 @@ class OptimizationStudy:
 
     Attributes:
         name: name of the study and of the output folder.
-        experiments: experiment of the twin and, if possible, of the model "compliant".
+        experiments: experiment for the twin and, if possible, for the model
+            "compliant".
         changes: fields that differ from the study file, as text.
     """
 
@@ -308,8 +316,8 @@ def load_study(
 
     Args:
         study: name or path of the study. A loaded study is returned unchanged.
-        set: scenario fields to fix by dotted path, in addition to the fixed fields of
-            the file. The field `seed` sets the random seed of the study.
+        set: values of scenario fields, keyed by dotted path, in addition to the fixed
+            fields in the file. The field `seed` sets the random seed of the study.
     """
     if isinstance(study, OptimizationStudy):
         refuse_changes("study", set)

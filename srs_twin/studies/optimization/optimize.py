@@ -34,12 +34,11 @@ def optimize(
     Args:
         study: name of a shipped study, path of a study file, or a loaded study.
         out: output folder, or None to write no files.
-        set: scenario fields to fix, as described in `load_study`.
+        set: values of scenario fields, as described in `load_study`.
         engine: name of the engine ("local", "ray" or "warp"), or an engine object.
         workers: number of parallel runs, or None for one per processor.
-        changed: whether runs of another study in `out` may be reused (see `StudyRuns`).
-        progress: function that is called with the number of finished runs and the
-            maximum number of runs.
+        changed: whether to reuse runs in `out` that belong to another study.
+        progress: callback that reports the runs (see `execution.Progress`).
 
     Raises:
         InputError: the study is not valid, the engine is not available, or the folder
@@ -48,9 +47,9 @@ def optimize(
     loaded = load_study(study, set=set)
     budget = loaded.file.budget
     total = budget.twin + (budget.compliant if "compliant" in loaded.experiments else 0)
-    # After the search, the initial scenario is simulated with the nominal robot and
-    # with all random robots. Each reported design is simulated with two refinements and
-    # with all random robots.
+    # After the search, the initial scenario runs once with the nominal robot and once
+    # with each random robot. Each reported design runs with two refinements and with
+    # each random robot.
     total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
     progress(loaded.name, total, None)
 

@@ -36,7 +36,6 @@ _RUN_COLOR = "#9aa5b1"
 _BEST_COLOR = "#1f6f8b"
 _INITIAL_COLOR = "#b5651d"
 CaptionedFigure = tuple[Figure, str]
-"""Figure and its caption."""
 
 
 @drawing
@@ -48,7 +47,7 @@ def draw_convergence(
     *,
     maximize: bool,
 ) -> CaptionedFigure:
-    """Plot the objective of the runs of the twin and the best feasible value so far."""
+    """Plot the objective of each twin run and the best feasible value so far."""
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
     number = np.arange(1, len(values) + 1)
@@ -69,7 +68,7 @@ def draw_convergence(
     axes.legend()
     return (
         figure,
-        "Convergence of the search: runs of the twin in order, and the best so far.",
+        "Convergence of the search: twin runs in order, and the best result so far.",
     )
 
 
@@ -96,7 +95,7 @@ def draw_front(
     axes.legend()
     return (
         figure,
-        "Both objectives. No design is better in both than a design of the front.",
+        "Both objectives. No design beats a design on the front in both objectives.",
     )
 
 
@@ -104,7 +103,7 @@ def draw_front(
 def draw_parallel(
     space: DesignSpace, runs: Sequence[Run], ranks: np.ndarray, best: Sequence[Run]
 ) -> CaptionedFigure:
-    """Plot designs as parallel coordinates, with thicker lines for better designs."""
+    """Plot designs as parallel coordinates, and emphasise better designs."""
     places = np.arange(space.size)
     figure = Figure(figsize=(max(6.5, 1.1 * space.size), 3.6), layout="constrained")
     axes = figure.subplots()
@@ -120,7 +119,8 @@ def draw_parallel(
             markersize=3,
         )
     caption = (
-        "Designs run by the twin; better ones are more opaque, the best tenth is blue."
+        "Designs that the twin simulated. Better designs are more opaque, and the best"
+        " tenth is blue."
     )
     bounds = [space.bounds(run.fractions) for run in best]
     marked = [
@@ -130,7 +130,7 @@ def draw_parallel(
         if bound in [own.get(name) for own in bounds]
     ]
     if marked:
-        caption += " Red: bounds on which a best design is."
+        caption += " Red: bounds on which a best design lies."
         style: dict[str, Any] = {"color": "#b03030", "markersize": 7, "zorder": 3}
         axes.plot(*zip(*marked, strict=True), "D", clip_on=False, **style)
     labels = [
@@ -289,7 +289,7 @@ def _interval_text(
 
 
 def bound_lines(document: StudyDocument) -> list[str]:
-    """Return a sentence for each bound on which one of the best designs lies."""
+    """Return a sentence for each bound on which a best design lies."""
     designs: dict[str, list[str]] = {}
     for design in document["best"]:
         for name, bound in design["on_bound"].items():
@@ -303,7 +303,7 @@ def bound_lines(document: StudyDocument) -> list[str]:
         f"{BOUND_MARK} {', '.join(names)}: {text}." for text, names in designs.items()
     ]
     if lines:
-        lines.append("With a wider range the optimum may be beyond such a bound.")
+        lines.append("With a wider range, the optimum may lie beyond such a bound.")
     return lines
 
 

@@ -21,22 +21,18 @@ from srs_twin.studies.sweep.points import Changes, sobol_points
 from srs_twin.studies.sweep.task import Row
 
 RESULT = "study.json"
-"""File name of the result."""
 
 EVALUATIONS = "evaluations.parquet"
-"""File name of the table of all runs."""
 
 REPORT = "report.html"
-"""File name of the report."""
 
 PICTURES = ("convergence.png", "front.png", "parallel.png")
-"""File names of the plots."""
 
 PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 
 _MAX_REFINEMENT_CHANGE = 0.01
-"""Maximum relative change due to a refinement of the twin for which a result is
-considered converged.
+"""Maximum relative change due to a refinement of the twin at which a result counts as
+converged.
 """
 
 _MIN_RANKED = 4
@@ -44,14 +40,14 @@ _MIN_RANKED = 4
 
 
 class Gain(TypedDict):
-    """Relative gain over the initial scenario and its 95 % interval over robots."""
+    """Relative gain over the initial scenario, with a 95 % interval over robots."""
 
     fraction: float | None
     interval_95: list[float | None] | None
 
 
 class Bound(TypedDict):
-    """Bound on which a variable of a design lies, with the source of the bound."""
+    """Bound on which a design variable lies, with the physical reason for the bound."""
 
     bound: str
     value: float
@@ -94,9 +90,9 @@ class EvaluatedDesign:
     """Design with additional runs that show the accuracy of its result.
 
     Attributes:
-        refined: run with half the time step and run with twice the number of hinges,
-            except for the initial scenario.
-        samples: runs with random robots, which are the same robots for all designs.
+        refined: runs with half the time step and with twice the number of hinges. The
+            initial scenario has no such runs.
+        samples: runs with random robots. All designs use the same random robots.
     """
 
     run: Run
@@ -104,7 +100,7 @@ class EvaluatedDesign:
     samples: tuple[Row, ...] = field(repr=False)
 
     def sampled(self, name: str) -> np.ndarray:
-        """Return a metric of the runs with random robots, shape (samples,)."""
+        """Return a metric for the runs with random robots, shape (samples,)."""
         return np.array([metric_of(row, "twin", name) for row in self.samples])
 
     def refinement_change(self, name: str) -> float | None:
@@ -123,10 +119,11 @@ class StudyResult:
     Attributes:
         study: optimised study.
         runs: runs of the search.
-        initial: unmodified scenario with the fixed fields.
+        initial: scenario before the optimisation, with the fixed fields.
         designs: best designs in descending order of quality.
         files: names of the written files, if an output folder was given.
-        improvement: expected improvement by one more run, as described in `Optimum`.
+        improvement: expected improvement due to one more run, as described in
+            `Optimum`.
     """
 
     study: OptimizationStudy
@@ -140,7 +137,7 @@ class StudyResult:
     def evaluate(
         cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns
     ) -> StudyResult:
-        """Run the initial scenario and the additional runs of the best designs.
+        """Perform the additional runs of the initial scenario and the best designs.
 
         Raises:
             InputError: a row cannot be written.
@@ -253,7 +250,7 @@ class StudyResult:
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Metrics of the objectives and of the constraints, in this order."""
+        """Metrics of the objectives, followed by those of the constraints."""
         objectives = [objective.metric for objective in self.study.file.objectives]
         constraints = [constraint.metric for constraint in self.study.file.constraints]
         return tuple(dict.fromkeys([*objectives, *constraints]))
@@ -281,7 +278,7 @@ class StudyResult:
     ) -> dict[str, float | None] | None:
         """Return the rank correlations of an objective between the two models.
 
-        The key "near" denotes the rank correlation of the better half of all designs.
+        The key "all" refers to all designs, and "near" to the better half.
         """
         from scipy.stats import spearmanr
 

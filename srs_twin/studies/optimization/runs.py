@@ -23,7 +23,7 @@ from srs_twin.studies.sweep.store import RowStore
 from srs_twin.studies.sweep.task import DONE, Row
 
 PLANTS = {"compliant": "analytical", "twin": "twin"}
-"""Name of the plant that simulates each fidelity."""
+"""Plant that simulates each fidelity."""
 
 RowCallback = Callable[[str, Row], None]
 """Callback that receives the fidelity and the row of each newly finished run."""
@@ -59,7 +59,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
     """Runs of a study in a locked folder.
 
     Attributes:
-        requested: runs in the order of their first request, without duplicates.
+        requested: requested runs without duplicates, in the order of the first request.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return runs
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
-        """Return the rows of scenarios after the missing rows have been computed."""
+        """Return the rows of scenarios. Missing rows are computed first."""
         experiment = self._study.experiments[part]
         points = [experiment.point(change) for change in changes]
         missing = list({p.key: p for p in points if p.key not in self._rows}.values())
@@ -122,7 +122,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             if self._on_row is not None:
                 self._on_row(part, row)
 
-        # Starting an engine may take seconds, so the engine starts only if a run is
+        # Starting an engine may take seconds, so it is started only if a run is
         # missing.
         if missing:
             self._stores[part].collect(

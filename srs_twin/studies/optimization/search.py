@@ -1,21 +1,21 @@
 r"""Design optimisation with many runs of `compliant` and few runs of the twin.
 
 **One objective.** CMA-ES (Hansen 2016) minimises the objective of the low-fidelity
-model, and the twin simulates the best designs that were found. After that, a Gaussian
-process predicts the result of the twin from the design and the low-fidelity result
-(Kennedy and O'Hagan 2000). New designs maximise the expected improvement
+model, and the twin then simulates the best designs. A Gaussian process fitted to these
+runs predicts the twin's result from the design and the low-fidelity result (Kennedy and
+O'Hagan 2000). New designs maximise the expected improvement
 
 $$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \qquad z =
 (y^* - μ)/σ, $$
 
 where μ and σ are the predicted mean and standard deviation at the design u, and y* is
 the best result so far. Each round selects two designs. The second design is selected as
-if the result of the first design were equal to its expected result. Candidates are all
-designs that the low-fidelity model has simulated. In every round, the low-fidelity
-results of many new designs, near the best designs and in the whole space, are
-interpolated between earlier results. The low-fidelity model then simulates the most
-promising of the new designs. The Gaussian processes are not fitted to failed runs. If
-the nearest run of a design has failed, the expected improvement of the design is zero.
+if the first design had its predicted result. Candidates are all designs that the
+low-fidelity model has simulated. Every round draws many new designs near the best
+designs and in the whole space, and interpolates their low-fidelity results between
+earlier results. The low-fidelity model then simulates the most promising new designs.
+Failed runs are left out when the Gaussian processes are fitted. If the run nearest to a
+design has failed, the design's expected improvement is zero.
 
 **Constraints.** The low-fidelity model may violate a constraint that the twin
 satisfies, and CMA-ES avoids such designs. A Gaussian process for each constraint
@@ -27,8 +27,8 @@ computed. If this maximum exceeds `MAX_IMPROVEMENT`, the result contains a warni
 
 **Two objectives.** The low-fidelity model is searched with several weights of a
 Tchebycheff scalarisation (Knowles 2006). New designs maximise the expected growth of
-the area that the Pareto front dominates (Emmerich et al. 2006). If an end of the front
-moves far, this area may grow only slightly. Every other round therefore improves one
+the area that the Pareto front dominates (Emmerich et al. 2006). This area may grow only
+slightly even if an end of the front moves far. Every other round therefore improves one
 end of the front instead.
 
 If `compliant` cannot simulate a scenario, the search uses only the twin.
@@ -54,7 +54,7 @@ from srs_twin.studies.sweep.task import DONE, Row
 from srs_twin.studies.uncertainty.surrogates import GaussianProcess
 
 _BATCH_SIZE = 2
-"""Number of designs that the twin runs per round."""
+"""Number of designs that the twin simulates per round."""
 
 _NEIGHBOUR_STD = 0.08
 """Maximum standard deviation of new candidates about the best designs, as a fraction
@@ -65,7 +65,7 @@ _NEIGHBOURS = {1: 8, 2: 16}
 """Number of new candidates per round, for each number of objectives."""
 
 _INITIAL_FRACTION = 0.3
-"""Fraction of the runs of the twin that are spent on the initial designs."""
+"""Fraction of the twin runs that are spent on the initial designs."""
 
 _EDGE_OVERDRAW = 0.2
 """Distance by which samples may lie outside the ranges, as a fraction of the ranges.
@@ -87,29 +87,30 @@ spent on candidates.
 """
 
 _POPULATION = 12
-"""Population size of CMA-ES."""
 
 _SCREENED = 256
-"""Number of new designs near the best designs that are evaluated by interpolation in
-a round. The same number of designs in the whole space is evaluated.
+"""Number of new designs near the best designs that are evaluated by interpolation per
+round. Equally many designs in the whole space are evaluated.
 """
 
 _SMOOTHING = 1e-9
-"""Smoothing of the interpolated low-fidelity results, which keeps the equations
+"""Smoothing of the interpolated low-fidelity results, which keeps the linear system
 regular.
 """
 
 MAX_IMPROVEMENT = 0.005
-"""Maximum expected improvement without a warning, as a fraction of the best result."""
+"""Expected improvement above which a warning is given, as a fraction of the best
+result.
+"""
 
 _IMPROVEMENT_DRAWS = 64
-"""Number of random results of a candidate from which the expected growth of the area
-is computed.
+"""Number of random results drawn per candidate to compute the expected growth of the
+dominated area.
 """
 
 _FAILURE_PENALTY_SD = 10.0
-"""Penalty for a failed run, and for violating a constraint by one standard
-deviation, in standard deviations of the objective.
+"""Penalty for violating a constraint by one standard deviation, in standard deviations
+of the objective. It also scales the penalty for failed runs.
 """
 
 
@@ -121,8 +122,8 @@ class Optimum:
         best: best runs of the twin in descending order of quality, at a minimum
             distance from each other. With two objectives, these runs are the Pareto
             front, sorted by the first objective.
-        improvement: maximum expected improvement by one more run, as a fraction of the
-            best result, or None if there are two objectives or no feasible runs.
+        improvement: maximum expected improvement due to one more run, as a fraction of
+            the best result, or None if there are two objectives or no feasible runs.
     """
 
     best: tuple[Run, ...]
@@ -143,7 +144,7 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
 
 
 def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
-    """Return the objectives of runs as costs to minimise, shape (runs, objectives)."""
+    """Return the objectives as costs to minimise, shape (runs, objectives)."""
     goals = study.file.objectives
     return _signed(runs, [(goal.metric, goal.sign, 0.0) for goal in goals])
 
@@ -180,7 +181,6 @@ def front(costs: np.ndarray) -> np.ndarray:
 
 
 def _cma() -> Any:
-    """Import the optional package cma."""
     try:
         import cma
     except ImportError as error:
@@ -211,8 +211,8 @@ class _Search:
         weights = self._weights_of(
             np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1)
         )
-        # Constraints may divide the space, so that one search from a single start
-        # cannot reach the best designs. The samples therefore get as many runs as each
+        # Constraints may divide the design space, so a search from a single start may
+        # miss the best designs. Random samples therefore get as many runs as each
         # search.
         sampled = max(2 * self._size, budget // (len(weights) + 1))
         self._run("compliant", self._sample_space(sampled))
@@ -255,7 +255,7 @@ class _Search:
 
     @property
     def _improved_objective(self) -> int | None:
-        """Objective that this round improves, or None for the area of the front."""
+        """Objective improved in this round, or None to increase the dominated area."""
         if self._objectives == 1:
             return 0
         return self._round // 2 % 2 if self._round % 2 else None
@@ -286,8 +286,7 @@ class _Search:
             if score[k] < 0:
                 break
             chosen.append(candidates[k].fractions)
-            # The next design is selected as if the result of this run were its expected
-            # result.
+            # The next design is selected as if this run had its predicted result.
             assumed_costs = np.vstack([assumed_costs, mean[k]])
         self._run("twin", np.array(chosen))
         self._round += 1
@@ -311,7 +310,7 @@ class _Search:
         )
 
     def best(self) -> tuple[Run, ...]:
-        """Return the best runs of the twin with minimum constraint violation."""
+        """Return the best twin runs, with minimum violation of the constraints."""
         if self._objectives == 1:
             return self._distinct_optima(0)
         feasible = self._most_feasible()
@@ -390,7 +389,7 @@ class _Search:
         if not len(known):
             return np.zeros(len(runs))
         std = np.maximum(known.std(axis=0), 1e-12)
-        # Costs are relative to the best known costs, in standard deviations.
+        # Costs are measured from the best known costs, in standard deviations.
         weighted = weight * ((costs(self._study, runs) - known.min(axis=0)) / std)
         value = weighted.max(axis=1) + 0.05 * weighted.sum(axis=1)
         scale = np.maximum(np.nanstd(excesses(self._study, reference), axis=0), 1e-12)
@@ -448,9 +447,8 @@ class _Search:
         centres = np.array([run.fractions for run in parents])
         std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
-        # In every third candidate, one variable gets a new random value from the whole
-        # range or, in half of the cases, a bound. The search can therefore reach other
-        # optima.
+        # To reach other optima, every third candidate gets a new value in one variable:
+        # a bound in half of the cases, otherwise a random value from the whole range.
         third = np.arange(0, count, 3)
         new[third, self._rng.integers(self._size, size=len(third))] = np.clip(
             self._rng.uniform(-0.5, 1.5, size=len(third)), 0.0, 1.0
@@ -504,8 +502,8 @@ class _Search:
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
                 # Results far from the optimum would reduce the accuracy of the fit near
-                # the optimum. The worst third is clipped instead of removed, because
-                # the search must know where these designs are.
+                # the optimum. The worst third is clipped but not removed, because the
+                # search must know where these designs are.
                 order = rows[np.argsort(y[rows])]
                 better = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
                 y = np.minimum(y, y[better[-1]])
@@ -550,7 +548,7 @@ class _Search:
         """Return the expected improvement of each candidate, shape (candidates,).
 
         The arrays `mean`, `sd` and `known` (results of the twin) have one column per
-        output. If the objective is None, the improvement is the growth of the dominated
+        output. If `objective` is None, the improvement is the growth of the dominated
         area.
         """
         count = self._objectives
@@ -574,11 +572,11 @@ class _Search:
 
 
 def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the growth of the dominated area by each point, shape (…).
+    """Return how much each point would enlarge the dominated area, shape (…).
 
     Points of shape (…, 2) contain two costs. A reference point bounds the dominated
-    area. In each coordinate, the reference point lies beyond the end of the front by
-    the extent of the front, so that moving an end of the front increases the area.
+    area. In each coordinate, it lies beyond the end of the front by the extent of the
+    front. Moving an end of the front therefore increases the area.
     """
     members = known[front(known)]
     members = members[np.argsort(members[:, 0])]
@@ -600,8 +598,8 @@ def _predict_with_process(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean and standard deviation of a Gaussian process fitted to samples.
 
-    A simulation has no noise, so the fitted noise represents structure that additional
-    runs may reveal. The standard deviation therefore includes the fitted noise.
+    Simulations have no noise, so the fitted noise stands for structure that more runs
+    may reveal. The standard deviation therefore includes it.
     """
     scale = max(float(y.std()), 1e-12)
     mean = float(y.mean())

@@ -35,15 +35,15 @@ _MAX_REASONS = 5
 
 @dataclass(frozen=True)
 class StudyOptions:
-    """Options of commands that run many points.
+    """Options shared by commands that run many points.
 
     Options:
         --engine NAME: Engine that executes the runs: local (processes on this machine),
             ray (cluster) or warp (twins on a GPU).
         --address HOST:PORT: Address of the Ray cluster (--engine ray), or name of the
             Warp device (--engine warp), for example cuda:0.
-        --changed: Resume in a folder that belongs to another version of the file. Rows
-            that are still valid are kept.
+        --changed: Resume in a folder that contains results of another version of the
+            file. Rows that are still valid are kept.
     """
 
     engine: str = "local"
@@ -56,8 +56,8 @@ class StudyOptions:
         if self.engine == "local":
             from srs_twin.compute.workers import start_server
 
-            # The fork server is started first, so that it imports the modules of the
-            # workers while this process imports other modules.
+            # The fork server is started first. It imports the modules for the workers
+            # while this process imports other modules.
             start_server("srs_twin.studies.sweep.warm")
         from srs_twin.studies.sweep.execution import make_engine
 
@@ -86,9 +86,9 @@ def sweep(
     Options:
         name: Name of a shipped sweep, or path of a sweep file.
         --out DIR: Output folder. [default: runs/sweeps/SWEEP]
-        --retry-failed: Run the points again that failed in an earlier run.
-        --exclude FIELD=VALUE: Leave out all points in which FIELD has this VALUE. Can
-            be repeated.
+        --retry-failed: Repeat the points that failed in an earlier run.
+        --exclude FIELD=VALUE: Skip all points in which FIELD has this VALUE. Can be
+            repeated.
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
             [default: the models that the sweep names]
     """

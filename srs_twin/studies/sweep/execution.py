@@ -47,8 +47,8 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import Plant
 
 _RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
-"""Environment variables that disable the usage reports of Ray and make its workers
-use the Python environment of this process.
+"""Environment variables that disable Ray's usage reports and make Ray workers use the
+Python environment of this process.
 """
 
 _LOOPBACK_ONLY = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0"}
@@ -145,9 +145,9 @@ def _run_on_ray(
 
 
 Progress = Callable[[str, int, Row | None], object]
-"""Callback that reports the runs of one part of a study. At the start of the part,
-it is called with the number of runs and None. Then it is called with the row of
-each finished run.
+"""Callback that reports the progress of one part of a study. It is called with the
+number of runs and None when the part starts, and then with the row of each finished
+run.
 """
 
 
@@ -222,16 +222,16 @@ def sweep(
 
     Args:
         sweep: name of a shipped sweep, path of a sweep file, or a loaded sweep.
-        out: output folder, or None to return the rows without storing them.
-        set: scenario fields to fix, as described in `load_sweep`.
-        plants: plants to simulate, or None for the plants of the sweep.
+        out: output folder, or None to write no files.
+        set: values of scenario fields, as described in `load_sweep`.
+        plants: plants to simulate, or None for the plants that the sweep names.
         exclude: excluded values, each in the form `field=value`.
         engine: name of the engine ("local", "ray" or "warp"), or an engine object
             (`local`, `on_ray`, `on_device`).
         workers: number of parallel runs, or None for one per processor.
-        retry_failed: whether points with a failed row are run again.
-        changed: whether the folder may belong to another version of the sweep (see
-            `open_sweep`).
+        retry_failed: whether to repeat points that failed in an earlier run.
+        changed: whether the folder may contain rows of another version of the sweep
+            (see `open_sweep`).
         progress: callback that reports the runs.
 
     Raises:
@@ -263,10 +263,8 @@ def sweep(
 
 
 RESULTS = "results.parquet"
-"""File name of the results table."""
 
 SUMMARY = "sweep.json"
-"""File name of the summary."""
 
 SWEEP = "sweep.yaml"
 """File name of the sweep including its changes."""
@@ -275,10 +273,8 @@ SCENARIO = "scenario.resolved.yaml"
 """File name of the scenario that includes all default values and the robot."""
 
 PLOTS = "plots"
-"""Name of the folder for plots."""
 
-# The first file of `replace_files` marks a complete set, so the summary is the first
-# file.
+# In `replace_files`, the first file marks a complete set. This file is the summary.
 _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 
 
@@ -291,8 +287,8 @@ def open_sweep(
     Args:
         sweep: sweep to run.
         folder: folder of rows and results, which is created if it does not exist.
-        changed: whether the folder may belong to another version of the sweep. Rows
-            that are still valid are kept.
+        changed: whether the folder may contain rows of another version of the sweep.
+            Rows that are still valid are kept.
     """
     check_output_folder(folder, _PRODUCTS)
     with RowStore(folder) as store:
@@ -300,7 +296,7 @@ def open_sweep(
 
 
 class OpenSweep:
-    """Sweep with a locked folder."""
+    """Sweep whose folder is open and locked."""
 
     def __init__(
         self, sweep: Sweep, folder: Path, store: RowStore, *, changed: bool
@@ -416,7 +412,7 @@ class OpenSweep:
 
 
 _RUN_KEYS = ("title", "name", "duration_s", "seed", "record_hz", "controller", "start")
-"""Keys of a scenario that do not change its twin."""
+"""Scenario keys that have no effect on the twin itself."""
 
 
 class _TwinPoint(NamedTuple):
@@ -428,7 +424,7 @@ class _TwinPoint(NamedTuple):
 def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     """Return the engine that runs twins with MuJoCo Warp.
 
-    The engine `local` runs the points that Warp cannot run, after a warning.
+    Points that Warp cannot run are left to the engine `local`, and a warning is given.
 
     Args:
         device: Warp device, or None to use an accelerator, if there is one.
@@ -477,7 +473,7 @@ def _batches(
     points: Sequence[Point],
     unsupported: dict[int, str],
 ) -> Iterator[list[_TwinPoint]]:
-    """Yield groups of twins for one batch, and record which points are unsupported.
+    """Yield groups of twins, one per batch, and record which points are unsupported.
 
     A group has as many points as fit into memory. Points with equal robots and worlds
     share one twin.
@@ -505,7 +501,7 @@ def _batches(
 
 
 def _shared_twin(scenario: Scenario, twins: dict[str, Plant]) -> Plant:
-    """Return the twin of a scenario; equal robots and worlds have one twin in `twins`."""
+    """Return the twin shared by all scenarios with equal robots and worlds."""
     relevant = {
         key: value for key, value in scenario.document.items() if key not in _RUN_KEYS
     }
@@ -516,7 +512,7 @@ def _shared_twin(scenario: Scenario, twins: dict[str, Plant]) -> Plant:
 
 
 def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]:
-    """Return the time step and other timing that all runs of one batch must share."""
+    """Return the time step and other values that all runs in a batch must share."""
     timing = scenario.timing
     if "twin" not in experiment.plants:
         raise InputError(

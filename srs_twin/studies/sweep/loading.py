@@ -1,4 +1,4 @@
-"""Loading of sweep files, which reports all problems of a file together."""
+"""Loading of sweep files. All problems in a file are reported together."""
 
 from __future__ import annotations
 
@@ -65,9 +65,9 @@ def load_sweep(
 
     Args:
         sweep: name or path of the sweep. A loaded sweep is returned unchanged.
-        set: scenario fields to fix by dotted path, in addition to the fixed fields of
-            the file.
-        plants: plants to simulate instead of the plants in the file.
+        set: values of scenario fields, keyed by dotted path, in addition to the fixed
+            fields in the file.
+        plants: plants to simulate, which replace the plants in the file.
     """
     if isinstance(sweep, Sweep):
         refuse_changes("sweep", set, plants)
@@ -111,7 +111,7 @@ def _with_changes(
     if not changes:
         return sweep
     title = marked(sweep.title, changes)
-    # The document is written to sweep.yaml, which must be loadable.
+    # The document is written to sweep.yaml, which `load_sweep` must be able to read.
     document = {**sweep.document, "title": title[:200]}
     return replace(sweep, title=title, changes=changes, document=document)
 
@@ -122,7 +122,7 @@ def changed_base(
     written: Mapping[str, object],
     locs: Iterable[Loc],
 ) -> list[dict[str, object]]:
-    """Return the fields of an experiment that differ from its file."""
+    """Return the fields that differ between an experiment and its file."""
     fixed = written.get("fixed")
     original = replace(experiment, base=scenario.document)
     before = original.with_fixed(fixed if isinstance(fixed, dict) else {})
@@ -132,9 +132,10 @@ def changed_base(
 def problems_at(
     points: Iterable[tuple[Loc, Experiment, Mapping[str, Value]]],
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield each distinct problem of the scenarios at some points with its location.
+    """Yield each distinct problem of the scenarios at points, with its location.
 
-    Each point has a location in the file, an experiment, and changes of the scenario.
+    Each entry of `points` is a location in the file, an experiment and changes of its
+    scenario.
     """
     reported: set[str] = set()
     for loc, experiment, changes in points:
@@ -147,7 +148,7 @@ def problems_at(
 
 
 def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
-    """Return a problem with a suggestion if it reports an unknown key."""
+    """Add a suggestion to a problem that reports an unknown key."""
     needs_hint = "unknown key" in problem and "did you mean" not in problem
     return problem + (did_you_mean(field, known) if needs_hint else "")
 
@@ -197,8 +198,8 @@ class _Loader:
         self._plants = tuple(p for p in PLANTS if p in plants)
         self._scenario = dict(scenario.document)
         settings = self._scenario["plants"]
-        # A scenario that is only planned keeps its plants, because it must remain
-        # valid.
+        # A scenario that is only planned keeps its plants, because a scenario without
+        # plants is invalid.
         self._scenario["plants"] = {
             plant: settings.get(plant, {}) for plant in self._plants or scenario.plants
         }
@@ -340,7 +341,7 @@ class _Loader:
     def _test_points(
         self, sweep: Sweep
     ) -> Iterator[tuple[Loc, Experiment, Mapping[str, Value]]]:
-        """Yield a point for each varied value, with first values of other fields."""
+        """Yield a point per varied value, with other fields at their first value."""
         experiment = sweep.experiment
         rows = [dict(zip(sweep.fields, row, strict=True)) for row in sweep.values]
         if self._file.sampling.kind == "list":

@@ -32,8 +32,7 @@ from srs_twin.viewing.plots.labels import field_label
 from srs_twin.viewing.plots.style import drawing, finish, side_by_side, style_of
 
 _MAX_LINES = 12
-"""Maximum number of values in a legend. A colour bar explains larger numbers of
-values.
+"""Maximum number of values in a legend. For more values, a colour bar is drawn instead.
 """
 
 _COLORMAP = "viridis"
@@ -53,9 +52,9 @@ _KEY_WIDTH = 1.3
 
 @drawing
 def draw(plot: Plot, results: SweepTable) -> Figure:
-    """Return the figure of a plot, which is independent of the order of the rows."""
+    """Draw a plot. The order of the rows has no effect on the figure."""
     owners = results.owners(plot.metric)
-    # The comparison is shown only if no plant has the metric.
+    # The comparison is plotted only if no plant has the metric.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
     if plot.kind == "line" and plot.by is None:
         separate = _separate_fields(plot, results)
@@ -142,9 +141,10 @@ class _Colors:
     """Colours of the values of `by`, explained by a legend or a colour bar.
 
     Attributes:
-        column: values of the first owner, or zeros if no field distinguishes the runs.
+        column: column of the field `by` for the first owner, or zeros without such a
+            field.
         norm: function from values to positions on the colour map.
-        by_group: colour of each value, unless the colours show the owners.
+        by_group: colour of each value. It is empty if the colours show the owners.
     """
 
     def __init__(self, columns: list[ColumnValues], *, used: bool) -> None:
@@ -243,7 +243,7 @@ def _mark_failed(axes: Axes, x: np.ndarray) -> None:
 
 def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
     handles: list[Artist] = []
-    # A plan belongs to no plant, so it has no legend entry.
+    # Metrics of a plan belong to no plant, so they have no legend entry.
     for owner in owners if PLAN not in owners else ():
         style = _line_style(owner)
         if plot.kind == "scatter":
@@ -269,7 +269,7 @@ def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
 
 
 def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> int:
-    """Draw the means over seeds for each value of `by`; return the number of points.
+    """Draw the means over seeds for each value of `by`. Return the number of points.
 
     The rows of `columns` are x, y and `by`.
     """
@@ -277,7 +277,7 @@ def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) ->
     x, y, by = columns
     size, width = (3.5, 1.3) if colors.few else (2.0, 0.9)
     for i, group in enumerate(colors.groups):
-        # Each line has smaller markers than the previous line, so that coinciding lines
+        # Each line has smaller markers than the line before, so that coinciding lines
         # remain visible.
         steps = 0
         if colors.column.names and colors.few:

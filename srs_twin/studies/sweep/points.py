@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 
 
 MAX_POINTS = 1_000_000
-"""Maximum number of points of a sweep."""
 
 MAX_FIELDS = 16
-"""Maximum number of varied fields."""
 
 Value = bool | int | float | str
 
@@ -46,11 +44,12 @@ class Plot(Section):
     kind: Literal["line", "scatter"]
     """Kind of plot."""
     x: FieldName
-    """Varied field along x. A scatter plot may also have a metric along x."""
+    """Varied field on the x axis. In a scatter plot, the x axis may also show a metric.
+    """
     metric: MetricName
-    """Plotted metric, which is shown for each plant or for the comparison."""
+    """Metric to plot, for each plant or for the comparison."""
     by: FieldName | None = None
-    """Varied field whose values are distinguished by lines or colours."""
+    """Varied field whose values are shown as separate lines or colours."""
 
 
 class RangeFile(Section):
@@ -71,9 +70,9 @@ class RangeFile(Section):
         description="Last value of the field.",
     )
     count: int | None = quantity(2, 10_000, None)
-    """Number of values. Only the sampling kinds grid and list use it."""
+    """Number of values, which only the sampling kinds `grid` and `list` use."""
     scale: Literal["linear", "log"] = "linear"
-    """Spacing of the values. With log, consecutive values have a constant ratio."""
+    """Spacing of the values. With `log`, consecutive values have a constant ratio."""
 
     @model_validator(mode="after")
     def _ascending(self) -> RangeFile:
@@ -104,13 +103,16 @@ class SamplingFile(Section):
     """Method that combines the values of several fields."""
 
     kind: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
-    """Method: grid takes all combinations, and list joins the first values, the second
-    values and so on. latin_hypercube and sobol take points that fill the ranges evenly.
+    """Sampling method. `grid` takes all combinations. `list` combines the first values
+    of all fields, then the second values, and so on. `latin_hypercube` and `sobol` draw
+    points that fill the ranges evenly.
     """
     count: int | None = quantity(1, MAX_POINTS, None)
-    """Number of points for latin_hypercube and sobol; for sobol a power of 2."""
+    """Number of points for `latin_hypercube` and `sobol`. For `sobol` it must be a
+    power of 2.
+    """
     seed: int | None = quantity(0, 2**32 - 1, None)
-    """Random seed of the points for latin_hypercube and sobol (default 0)."""
+    """Random seed of the points for `latin_hypercube` and `sobol` (default 0)."""
 
     @model_validator(mode="after")
     def _check_combinations(self) -> SamplingFile:
@@ -144,28 +146,29 @@ class SweepFile(Section):
     plants: (
         Annotated[list[Literal["analytical", "twin"]], Field(max_length=2)] | None
     ) = None
-    """Plants that run (default: the plants of the scenario). With [] the scenario is
-    planned but not simulated.
+    """Plants to simulate (default: the plants of the scenario). With `[]`, the scenario
+    is planned but not simulated.
     """
     periods: float | None = quantity(3.0, 1000.0, None)
     """Simulated time in periods of the gait or the reference, rounded up to whole
-    ticks. It replaces duration_s."""
+    ticks. It replaces `duration_s`.
+    """
     fixed: Annotated[dict[FieldName, Plain], Field(max_length=64)] = {}
-    """Fields whose values differ from the scenario in all runs."""
+    """Scenario fields that are changed in all runs, with their new values."""
     vary: Annotated[
         dict[FieldName, VariedField], Field(min_length=1, max_length=MAX_FIELDS)
     ]
-    """Varied fields of the scenario with dotted names (supply.pressure_kpa). Each has a
-    list of values, or a range with the keys from, to and count.
+    """Scenario fields to vary, with dotted names (`supply.pressure_kpa`). Each has a
+    list of values, or a range with the keys `from`, `to` and `count`.
     """
     sampling: SamplingFile = SamplingFile()
     """Method that combines the values."""
     metrics: Annotated[list[MetricName], Field(min_length=1, max_length=64)] | None = (
         None
     )
-    """Metrics that become columns (default: all)."""
+    """Metrics to include as columns of the results (default: all)."""
     trajectories: bool = False
-    """Whether the trajectories are stored as well."""
+    """Whether to store the trajectories as well."""
     plots: Annotated[list[Plot], Field(max_length=32)] = []
     """Plots of the results."""
 
@@ -182,8 +185,8 @@ def sweep_json_schema() -> dict[str, object]:
 
 
 RUNNER = "srs_twin.studies.sweep.task"
-"""Module that runs a point. The keys of rows depend on the source code of this
-module and of its imports.
+"""Module that runs a point. Row keys depend on the source code of this module and its
+imports.
 """
 
 Changes = Mapping[str, Value]
@@ -206,14 +209,14 @@ class Point:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Common inputs of all points of a sweep, small enough to be sent to every worker.
+    """Inputs shared by all points of a sweep, small enough to be sent to every worker.
 
     Attributes:
         base: scenario with defaults, robot and `fixed` fields as plain data.
         plants: plants to simulate, or an empty tuple if the scenario is only planned.
         periods: simulated time in periods of the gait or the reference, or None to use
             the field duration_s of the scenario.
-        robots: robot as plain data for each value of the field `robot`.
+        robots: contents of the robot file for each value of the field `robot`.
     """
 
     base: Mapping[str, Any] = field(repr=False)
@@ -232,7 +235,7 @@ class Experiment:
         return document
 
     def provenance(self, document: Mapping[str, object]) -> Provenance:
-        """Return the provenance of a run with the plants of the experiment."""
+        """Return the provenance of a run on the plants of the experiment."""
         return run_provenance(document, self.plants, RUNNER)
 
     def point(self, changes: Changes) -> Point:
@@ -247,7 +250,7 @@ class Experiment:
         return document
 
     def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
-        """Return a scenario with one changed field as plain data.
+        """Return a scenario with one field changed, as plain data.
 
         The name of a robot is replaced by the contents of its file.
         """
@@ -343,7 +346,7 @@ def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
 def _duration(
     document: Mapping[str, Any], plants: tuple[str, ...], periods: float
 ) -> Any:
-    """Return the duration of a number of periods, rounded up to whole time steps, s.
+    """Return the duration (s) of `periods`, rounded up to whole time steps.
 
     If the frequency or a time step is unknown, the result is the duration of the
     scenario.
@@ -435,7 +438,7 @@ def _values_at(
 
 
 def value_at(fraction: Any, low: float, high: float, scale: str) -> Any:
-    """Return the values at fractions (0 to 1) of a linear or logarithmic range."""
+    """Return the values at fractions (0 to 1) along a linear or logarithmic range."""
     if scale == "log":
         return low * (high / low) ** fraction
     return low + (high - low) * fraction

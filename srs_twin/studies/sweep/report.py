@@ -1,4 +1,4 @@
-"""HTML report of a sweep with its fields, runs, plots and means over seeds."""
+"""HTML report of a sweep: fields, runs, plots and means over seeds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from srs_twin.viewing.html import Table, cell, image, render
 from srs_twin.viewing.plots.labels import field_label
 
 MAX_RUNS = 200
-"""Maximum number of rows in a table of runs."""
+"""Maximum number of runs in a table."""
 
 _MAX_COLUMNS = 24
 """Maximum number of metric columns in a report."""
@@ -61,13 +61,13 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Column:
-    """Metric of one owner with a number for each run, or NaN if it is missing."""
+    """Metric of one owner, with one number per run (NaN if missing)."""
 
     heading: str
     numbers: np.ndarray
 
     def text(self, run: int) -> str:
-        """Return a number, rounded to the fourth digit of the maximum of the column."""
+        """Return a number, rounded to the fourth digit of the column's maximum."""
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
         if np.isfinite(self.numbers[run]):
@@ -90,8 +90,8 @@ class _Column:
 def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return tables with one row per run, ordered by field values.
 
-    If there are more than `MAX_RUNS` runs, the tables contain a note instead of the
-    runs. A list metric is represented by its mean.
+    If there are more than `MAX_RUNS` runs, a note replaces them. A list metric is
+    represented by its mean.
     """
     failed = results.failed
     if len(failed) > MAX_RUNS:
@@ -111,7 +111,7 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
 
 
 def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return tables of means over seeds, if the sweep repeats runs with other seeds."""
+    """Return tables of means over seeds, or no tables if no seed varies."""
     groups = results.groups(results.settings)
     if len(groups) == len(results.failed):
         return []
@@ -152,7 +152,6 @@ def _split_tables(
     lines: list[tuple[list[str], Any]],
     text: Callable[[_Column, Any], str],
 ) -> list[Table]:
-    """Return tables with as many metric columns as fit on a page."""
     columns, note = _metric_columns(results, metrics)
     tables = []
     for first in range(0, max(len(columns), 1), _COLUMNS_PER_TABLE):

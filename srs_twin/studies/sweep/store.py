@@ -32,8 +32,8 @@ from srs_twin.studies.sweep.task import FAILED, PLAN_TIME, Row, failed_row
 FILE = "rows.sqlite"
 
 _MAX_BYTES = 1_000_000
-"""Maximum size of a value that is read, bytes. The limit protects against damaged
-files.
+"""Maximum size of a value that is read from the file, bytes. It protects against
+damaged files.
 """
 
 
@@ -45,8 +45,8 @@ _DAMAGE = (
     UnicodeDecodeError,
 )  # SQLite may include damaged text in an error message.
 
-# Exclusive locking must be set first. The log then needs no shared memory, which
-# network drives do not support.
+# Exclusive locking must be set first, so that the log needs no shared memory. Network
+# drives do not support shared memory.
 _OPENING = (
     "PRAGMA locking_mode=EXCLUSIVE",
     "PRAGMA journal_mode=WAL",
@@ -78,13 +78,12 @@ _MESSAGES = {
         _NOT_A_STORE,
     ),
 }
-"""Error message for each SQLite error code."""
 _PROVENANCE = TypeAdapter(Provenance)
 _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
 class RowStore(contextlib.AbstractContextManager["RowStore"]):
-    """Stored rows of one sweep, and a context manager that locks the folder."""
+    """Stored rows of one sweep. As a context manager, it locks the folder."""
 
     def __init__(self, folder: Path) -> None:
         """Open the file, and create the file and the folder if they do not exist."""
@@ -108,8 +107,8 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
     def __exit__(self, *error: object) -> None:
         """Unlock the folder, and delete a newly created file that contains no rows."""
-        # Closing the database copies the log into the database. On a full disk the copy
-        # fails, but the rows remain in the log.
+        # Closing the database copies the log into it. On a full disk the copy fails,
+        # but the rows remain in the log.
         with contextlib.suppress(sqlite3.Error, OSError):
             is_empty = (
                 self._is_new
@@ -121,11 +120,11 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         remove_empty_folders(self._missing)
 
     def claim(self, now: Provenance, *, changed: bool = False) -> None:
-        """Use the folder for a study, whose provenance is stored.
+        """Record that the folder belongs to a study.
 
         Args:
             now: provenance of the study.
-            changed: whether the rows may belong to another version of the study.
+            changed: whether to accept rows of another version of the study.
 
         Raises:
             InputError: the rows belong to another version of the study.
@@ -138,8 +137,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
                 raise InputError(
                     f"{display_path(self._path.parent)}: the rows in this folder belong"
                     " to another study or to another version of it"
-                    f" ({now.difference(before)}). Keep the rows that still apply and"
-                    " run the others with --changed, or give another folder with --out"
+                    f" ({now.difference(before)}). Use --changed to keep the rows"
+                    " that still apply and run the others, or give another folder with"
+                    " --out"
                 )
         self._write("INSERT OR REPLACE INTO about VALUES ('sweep', ?)", now.text)
 

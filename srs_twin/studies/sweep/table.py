@@ -1,4 +1,4 @@
-"""Columns of the results of a sweep for plots and reports."""
+"""Sweep results as columns, for plots and reports."""
 
 from __future__ import annotations
 
@@ -30,10 +30,9 @@ OWNERS = ("analytical", "twin", COMPARISON, PLAN)
 """All prefixes of metrics: the plants, the comparison and the plan."""
 
 _EXACT = 1e15
-"""Magnitude below which integers, such as seeds, are printed with all digits."""
+"""Integers below this magnitude, such as seeds, are printed with all digits."""
 
 _ROW_COLUMNS = {"key", "status", "reason", "exit_code", "wall_s"}
-"""Columns that are neither varied fields nor metrics."""
 
 _ELEMENT = re.compile(r"(_\d+)?(_period_\d+)?$")
 """Suffix that marks a column as one element of a list metric."""
@@ -56,9 +55,9 @@ class ColumnValues:
     """Values of one column as numbers, for an axis or a colour scale.
 
     Attributes:
-        numbers: values, or indices of the texts in `names`, with NaN for missing
-            values, shape (rows,).
-        names: distinct texts in order, if the values of the column are texts.
+        numbers: values, or indices into `names`, with NaN for missing values, shape
+            (rows,).
+        names: distinct strings in order, if the column contains strings.
     """
 
     label: str
@@ -66,7 +65,7 @@ class ColumnValues:
     names: tuple[str, ...] = ()
 
     def text(self, number: float) -> str:
-        """Return a number of the column as text."""
+        """Format a number from the column as text."""
         if self.names:
             return self.names[int(number)]
         if float(number).is_integer() and abs(number) < _EXACT:
@@ -76,7 +75,7 @@ class ColumnValues:
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Results of a sweep by column.
+    """Sweep results, one column per field and metric.
 
     Attributes:
         columns: values of each column, one value per row.
@@ -86,7 +85,7 @@ class SweepTable:
 
     @staticmethod
     def from_rows(sweep: Sweep, rows: Iterable[Row]) -> SweepTable:
-        """Return the results with one row per point, ordered by key.
+        """Build the table with one row per point, ordered by key.
 
         The columns are ``key``, the varied fields, ``status``, ``reason``,
         ``exit_code``, the metrics (such as ``twin.com_speed_m_s``), with None for
@@ -113,7 +112,7 @@ class SweepTable:
 
         Args:
             path: output file.
-            sweep: sweep with the title and the versions.
+            sweep: sweep that provides the title and the versions.
 
         Raises:
             InputError: the file cannot be written.
@@ -159,7 +158,7 @@ class SweepTable:
         ]
 
     def owners(self, metric: str) -> list[str]:
-        """Return the owners of a metric, such as plants, the comparison or the plan.
+        """Return the owners of a metric: plants, the comparison or the plan.
 
         Raises:
             UnknownNameError: the results contain no metric with this name.
@@ -177,7 +176,7 @@ class SweepTable:
         return [owner for owner in OWNERS if self._names(owner, metric)]
 
     def metric(self, metric: str, owner: str) -> ColumnValues:
-        """Return a metric of an owner, averaged over the elements of a list metric."""
+        """Return a metric of an owner. A list metric is averaged over its elements."""
         names = self._names(owner, metric)
         elements = np.array([_numbers(self.columns[name]) for name in names])
         label = metric_label(metric)
@@ -186,7 +185,7 @@ class SweepTable:
         return ColumnValues(label, elements.mean(axis=0))
 
     def values(self, name: str, owner: str) -> ColumnValues:
-        """Return a varied field, or a metric of `owner` or of the comparison.
+        """Return a varied field, or a metric that belongs to `owner` or the comparison.
 
         Args:
             name: name of a varied field or of a metric.
@@ -220,7 +219,7 @@ class SweepTable:
         return [name for name in others if len(self.groups([*known, name])) > count]
 
     def groups(self, names: Sequence[str]) -> list[tuple[tuple[str, ...], np.ndarray]]:
-        """Return the distinct combinations of field values and the rows of each."""
+        """Return the distinct combinations of field values with their row indices."""
         if not names:
             return [((), np.arange(len(self.failed)))]
         columns = [self.values(name, "") for name in names]
@@ -310,12 +309,12 @@ def _numbers(column: Sequence[object]) -> np.ndarray:
 
 
 def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray:
-    """Return the mean of each group of values, independent of the order of the rows.
+    """Return the mean of each group. The order of the rows has no effect.
 
     Args:
         group: group number of each value, shape (rows,).
-        count: number of groups, where an empty group has the mean NaN.
-        values: values to average, where NaN is ignored, shape (rows,).
+        count: number of groups. The mean of an empty group is NaN.
+        values: values to average, shape (rows,). NaN values are ignored.
     """
     # Floating-point sums depend on the order of their terms, so the values are sorted.
     order = np.lexsort((values, group))

@@ -22,10 +22,8 @@ from srs_twin.studies.sweep.points import Experiment, Point
 from srs_twin.trajectory import Trajectory
 
 DONE = "done"
-"""Status of a successful run."""
 
 FAILED = "failed"
-"""Status of a failed run."""
 
 PLAN = "plan"
 """Prefix of the metrics of a scenario that is planned but not simulated."""
@@ -33,8 +31,8 @@ PLAN = "plan"
 PLAN_TIME = f"{PLAN}.plan_s"
 """Column of the planning time, which differs between identical runs."""
 
-# Wall times differ between identical runs, so they are not metrics of a row. The column
-# wall_s contains the total time.
+# Wall times differ between identical runs, so a row does not include them as metrics.
+# Its total time is in `wall_s`.
 _TIMES = ("wall_s", "realtime_factor")
 
 _warmed_planners: set[str] = set()
@@ -48,14 +46,14 @@ class Row:
     Attributes:
         key: key of the point.
         status: `DONE` or `FAILED`.
-        values: value of each metric by its name (``<plant>.<metric>``,
+        values: value of each metric, keyed by name (``<plant>.<metric>``,
             ``comparison.<metric>`` or ``plan.<metric>``), or None if the metric has no
             value.
         wall_s: wall time, s.
         reason: error message if the run failed.
-        exit_code: exit code of the command line for the error, or 0 if the run
+        exit_code: exit code that the command line uses for the error, or 0 if the run
             succeeded.
-        files: trajectory of each plant as Parquet, if trajectories are stored.
+        files: Parquet trajectory of each plant, if trajectories are stored.
     """
 
     key: str
@@ -74,7 +72,7 @@ def run_point(
 ) -> Row:
     """Run the plants of a point, or only plan the path, and compute the metrics.
 
-    An `SrsError` is not raised but stored in a failed row.
+    If an `SrsError` occurs, a failed row with the error is returned.
     """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
@@ -122,7 +120,7 @@ def run_point(
 
 
 def failed_row(key: str, error: Exception | None, wall_s: float = 0.0) -> Row:
-    """Return the row of a point whose task raised an error or whose worker crashed."""
+    """Return the row for a task that raised an error or whose worker crashed."""
     code = error.exit_code if isinstance(error, SrsError) else SrsError.exit_code
     return Row(
         key, FAILED, {}, wall_s, escape_unprintable(" ".join(str(error).split())), code
@@ -158,8 +156,8 @@ def _partial_trajectory(
 def flat_metrics(prefix: str, metrics: Mapping[str, object]) -> dict[str, float | None]:
     """Return metrics as scalars with names of the form ``<prefix>.<metric>``.
 
-    The elements of a list metric are numbered from 1. The two chambers of a segment are
-    named plus and minus.
+    The elements of a list metric are numbered from 1. The names of a segment's two
+    chambers are `plus` and `minus`.
     """
     scalars: dict[str, float | None] = {}
     for name, value in metrics.items():

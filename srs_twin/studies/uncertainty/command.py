@@ -48,25 +48,23 @@ def uncertainty(
 ) -> None:
     """Compute prediction intervals of a scenario's metrics.
 
-    The command propagates the uncertain parameters of the robot file to every metric.
-    The output also ranks the parameters by their influence and suggests what to measure
-    next. An interrupted study resumes if you start the command again with the same
-    output folder.
+    The command propagates the uncertain parameters in the robot file to every metric.
+    It also ranks the parameters by their influence and suggests what to measure next.
+    An interrupted study resumes if you start the command again with the same output
+    folder.
 
     Options:
         --out DIR: Output folder. [default: runs/uncertainty/SCENARIO]
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
             [default: the models that the scenario names]
-        --samples N: Number of random robots drawn from the distributions of the
-            parameters.
-        --twin N: Number of runs of the twin, if the compliant model simulates all
-            samples and the twin only some of them.
-        --exclude NAME: Parameter that keeps its value from the robot file, for example
+        --samples N: Number of robots with randomly drawn parameters.
+        --twin N: Number of twin runs, if the compliant model simulates all samples.
+        --exclude NAME: Parameter to keep at its value in the robot file, for example
             friction.drag_n. Can be repeated.
-        --model-form FIELD=A,B: Scenario field with its possible values, which are equally
-            likely, for example pneumatics.kind=lag,orifice. Can be repeated.
-        --write: Also write the intervals to calibration/intervals, where expectations
-            of scenarios can use them.
+        --model-form FIELD=A,B: Scenario field to vary between equally likely values, for
+            example pneumatics.kind=lag,orifice. Can be repeated.
+        --write: Also write the intervals to calibration/intervals, so that scenario
+            expectations can use them.
     """
     runner = options.make_engine()
     from srs_twin.scenario.loading import load_scenario

@@ -1,7 +1,6 @@
 r"""Uncertainty of one metric: prediction intervals, their errors, sensitivity indices.
 
-The ends of an interval are sample quantiles q. The standard error of an interval end
-has two parts,
+The interval bounds are sample quantiles q. The standard error of a bound has two parts,
 
 $$ \mathrm{se}^2 = \mathrm{se}_\text{sampling}^2 + \mathrm{se}_\text{surrogate}^2,
 \qquad
@@ -10,14 +9,14 @@ $$ \mathrm{se}^2 = \mathrm{se}_\text{sampling}^2 + \mathrm{se}_\text{surrogate}^
 The sampling error is estimated by the bootstrap (Efron 1979, Annals of Statistics 7),
 which draws samples with replacement. The bootstrap estimate is an upper bound, because
 points of a Sobol sequence are distributed more evenly than independent points. The
-surrogate error applies to metrics that a surrogate predicts at most of the samples. The
-surrogate error is estimated by a delete-a-group jackknife over the runs of the twin,
-where q_{-g} is the quantile without group g of G groups. The groups are random, because
-consecutive Sobol points are not independent.
+surrogate error applies to metrics that a surrogate predicts for most samples. It is
+estimated by a delete-a-group jackknife over the twin runs, where q_{-g} is the quantile
+without group g of G groups. The groups are random, because consecutive Sobol points are
+not independent.
 
-The bootstrap cannot represent values beyond the outermost samples. The probability that
-all n samples lie above the quantile of probability p is (1 − p)^n. For the ends of a 95
-% interval, this probability exceeds 2.5 % if there are fewer than
+The bootstrap cannot represent values beyond the outermost samples. All n samples lie
+above the quantile of probability p with the probability (1 − p)^n. For the bounds of a
+95 % interval, this probability exceeds 2.5 % if there are fewer than
 `MIN_BOUNDING_SAMPLES` samples.
 """
 
@@ -41,15 +40,14 @@ MIN_BOUNDING_SAMPLES = math.ceil(math.log(_TAIL) / math.log(1 - _TAIL))
 """Minimum number of samples for a 95 % interval, which is 146."""
 
 _MAX_END_ERROR = 0.05
-"""Maximum standard error of an interval end without a warning, relative to the
+"""Standard error of an interval bound above which a warning is given, relative to the
 interval width.
 """
 
 _MAX_INDEX_ERROR = 0.1
-"""Maximum half width of the 95 % interval of a total index without a warning."""
+"""Half width of a total index's 95 % interval above which a warning is given."""
 
 _GROUPS = 8
-"""Number of groups of the jackknife."""
 
 _RESAMPLINGS = 400
 """Number of bootstrap samples. The relative error of the standard error is
@@ -57,7 +55,7 @@ _RESAMPLINGS = 400
 """
 
 _BATCH = 50
-"""Number of bootstrap samples in memory at once."""
+"""Number of bootstrap samples that are in memory at the same time."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class SobolIndices:
     Attributes:
         first: first-order indices, shape (d,).
         total: total indices, shape (d,).
-        half_width: half widths of the 95 % intervals of the first-order and total
+        half_width: half widths of the 95 % intervals for the first-order and total
             indices, shape (2, d).
     """
 
@@ -78,7 +76,7 @@ class SobolIndices:
     def ranks(self) -> list[tuple[int, int]]:
         """Return the best and worst possible rank of each parameter by total index.
 
-        Two total indices are different if their difference exceeds the root sum of
+        Two total indices count as different if their difference exceeds the root sum of
         squares of their half widths.
         """
         limit = np.hypot(self.half_width[1][:, None], self.half_width[1])
@@ -102,19 +100,19 @@ class SobolIndices:
 
 @dataclass(frozen=True)
 class MetricUncertainty:
-    """Distribution of one metric of one plant.
+    """Distribution of a metric on one plant.
 
     Attributes:
-        value: value with the parameters of the robot file.
+        value: value with the parameters from the robot file.
         half_timestep: value with half the time step.
         at_medians: value with all uncertain parameters at their medians.
-        samples: values at the samples of the priors, with NaN for unknown values, shape
+        samples: values at samples from the priors, with NaN for unknown values, shape
             (samples,).
         runs: number of samples that were simulated instead of predicted by a surrogate.
-        sampling: standard errors of the ends of the 50 % and 95 % intervals due to
-            sampling, shape (4,).
-        surrogate: standard errors of the ends of the 50 % and 95 % intervals due to the
-            surrogate, shape (4,).
+        sampling: standard errors due to sampling, for the bounds of the 50 % and 95 %
+            intervals, shape (4,).
+        surrogate: standard errors due to the surrogate, for the same bounds, shape
+            (4,).
         indices: sensitivity indices, or None if the metric is constant or the
             parameters are correlated.
     """
@@ -130,7 +128,7 @@ class MetricUncertainty:
     published: float | None = None
 
     def interval(self, name: str) -> tuple[float, float]:
-        """Return the ends of `interval_50` or `interval_95`."""
+        """Return the bounds of `interval_50` or `interval_95`."""
         low, high = np.nanquantile(self.samples, RANGES[name])
         return float(low), float(high)
 
@@ -146,12 +144,12 @@ class MetricUncertainty:
 
     @property
     def errors(self) -> Array:
-        """Standard errors of the ends of the 50 % and 95 % intervals, shape (4,)."""
+        """Standard errors of the bounds of the 50 % and 95 % intervals, shape (4,)."""
         return np.hypot(self.sampling, self.surrogate)
 
     @property
     def numerical_error(self) -> float:
-        """Numerical error, estimated by first-order Richardson extrapolation."""
+        """Time step error, estimated by first-order Richardson extrapolation."""
         return 2 * abs(self.value - self.half_timestep)
 
     def warnings(self) -> list[str]:
@@ -227,7 +225,7 @@ def _finite(value: float) -> float | None:
 
 
 def sampling_errors(samples: Array) -> Array:
-    """Return the standard errors of the interval ends due to sampling, shape (4,)."""
+    """Return the standard errors of interval bounds due to sampling, shape (4,)."""
     known = samples[np.isfinite(samples)]
     result = bootstrap(
         (known,),
@@ -241,7 +239,7 @@ def sampling_errors(samples: Array) -> Array:
 
 
 def predict_twin(fractions: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the metric of the twin at all samples, and the errors of interval ends.
+    """Return the twin's metric at all samples, and the errors of interval bounds.
 
     The errors are standard errors due to the surrogate.
 

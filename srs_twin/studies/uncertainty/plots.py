@@ -13,11 +13,9 @@ from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import PUBLISHED_COLOR, drawing, finish, style_of
 
 _MAX_SWINGS = 10
-"""Maximum number of causes in the tornado chart."""
 
 _WIDTH = 4.6
-"""Width of the figure, inches. With a small width, the text is readable on a
-smartphone.
+"""Width of the figure, inches. The text of a narrow figure is readable on a smartphone.
 """
 
 _LEFT = 1.85
@@ -30,7 +28,7 @@ _TOP = 0.7
 """Height of the title and the heading above the panels, inches."""
 
 _ROW = 0.42
-"""Height of an interval or a cause, inches."""
+"""Height of the row for an interval or a cause, inches."""
 
 _BETWEEN = 0.85
 """Height between the panels, inches. This space contains the axis of the upper panel
@@ -59,7 +57,7 @@ _ERROR: dict[str, Any] = {
 
 @drawing
 def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
-    """Plot the intervals of the target metric, and the effect of each quantity.
+    """Plot the intervals of the target metric and the effect of each quantity on it.
 
     `document` is the result of `Propagation.document`.
     """
@@ -87,7 +85,7 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     width = 1 - left - 0.15 / _WIDTH
     for axes, bottom, panel in zip((upper, lower), bottoms, heights, strict=True):
         axes.set_position((left, bottom / height, width, panel / height))
-    # Headings begin at the left edge of the figure, because they are wider than the
+    # Headings start at the left edge of the figure, because they are wider than the
     # panels.
     headings = [
         "50 and 95 %; tick: value; line: published",

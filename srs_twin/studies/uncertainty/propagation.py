@@ -67,27 +67,24 @@ if TYPE_CHECKING:
     from srs_twin.studies.sweep.task import Row
 
 RESULT = "intervals.json"
-"""File name of the result."""
 
 SAMPLES = "samples.parquet"
 """File name of the table with parameters and metrics of all samples."""
 
 PICTURE = "intervals.png"
-"""File name of the plot."""
 
 FILES = (RESULT, SAMPLES, PICTURE)
 
 REFERENCE_ROWS = 3
-"""Number of additional runs after the samples. These runs use the medians of the
-parameters, the values of the robot file, and the values of the robot file with
-half the time step.
+"""Number of additional runs after the samples. They use the parameter medians, the
+values in the robot file, and the values in the robot file with half the time step.
 """
 
 _MIN_KNOWN = 0.9
-"""Minimum fraction of samples with a value for which a metric is included."""
+"""Minimum fraction of samples that must have a value for a metric to be included."""
 
 _CENTRES = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Quantiles of the prior at which a measurement is assumed."""
+"""Prior quantiles assumed as results of a measurement."""
 
 _MEASUREMENT_ERROR = 0.1
 """Half width of the 95 % interval of an assumed measurement, relative to the
@@ -95,7 +92,7 @@ measured value.
 """
 
 _PREDICTION_SAMPLES = 4096
-"""Number of surrogate samples from which the effect of a measurement is computed."""
+"""Number of surrogate samples used to compute the effect of a measurement."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +100,8 @@ class Measurement:
     """Effect of measuring one parameter on the interval of the target metric.
 
     Attributes:
-        interval_95: 95 % interval after a measurement at the median of the prior.
-        width: mean width of the interval after measurements at several quantiles of the
+        interval_95: 95 % interval if the measurement gives the prior median.
+        width: interval width, averaged over measurements at several quantiles of the
             prior.
         width_now: width of the current interval.
     """
@@ -153,10 +150,10 @@ class Propagation:
     """Result of a propagation.
 
     Attributes:
-        study: study that was executed.
-        rows: values of each metric for each fidelity, at the samples and then at the
-            `REFERENCE_ROWS`. The key `SEGMENTS` contains the values for different
-            stiffness and damping times.
+        study: uncertainty study.
+        rows: values of each metric for each fidelity, first at the samples and then in
+            the `REFERENCE_ROWS` additional runs. The key `SEGMENTS` contains the values
+            for different stiffness and damping times.
     """
 
     study: UncertaintyStudy
@@ -221,8 +218,8 @@ class Propagation:
     def target(self) -> tuple[str, str]:
         """Plant and metric of the summary.
 
-        The summary shows the first metric with a published value, or by default the
-        speed.
+        The summary shows the first metric with a published value. Without published
+        values it shows the speed.
         """
         plants = [plant for plant in PLANTS if plant in self.plants]
         for plant in reversed(plants):
@@ -240,7 +237,7 @@ class Propagation:
         )
 
     def measure_next(self) -> list[Measurement]:
-        """Return the effect of measuring each parameter to ±10 %, sorted by width."""
+        """Return the effects of measuring each parameter to ±10 %, narrowest first."""
         chaos = self._chaos
         width_now = float(np.ptp(self._target.interval("interval_95")))
         if not width_now > 0 or self._target.indices is None:
@@ -266,7 +263,7 @@ class Propagation:
         return sorted(measurements, key=lambda measurement: measurement.width)
 
     def swings(self) -> list[Swing]:
-        """Return the effect of each uncertain quantity, sorted by total index."""
+        """Return the effects of the uncertain quantities, sorted by total index."""
         names = self.study.names
         chaos = self._chaos
         indices = self._target.indices
@@ -289,11 +286,11 @@ class Propagation:
 
     @property
     def segments(self) -> dict[str, list[float]] | None:
-        """Minimum and maximum speed of the twin over stiffness and damping time, m/s.
+        """Speed range of the twin for varied stiffness and damping time, m/s.
 
-        With the key `stiffness_and_damping`, both parameters vary over their 95 %
-        intervals. With the key `damping`, only the damping time varies. The result is
-        None if the runs are missing.
+        For the key `stiffness_and_damping`, both parameters vary over their 95 %
+        intervals. For the key `damping`, only the damping time varies. The result is
+        None if the study has no such runs.
         """
         speeds = self.rows.get(SEGMENTS, {}).get("com_speed_m_s")
         if speeds is None or not np.isfinite(speeds).all():
@@ -307,7 +304,7 @@ class Propagation:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Warnings about large errors of the target metric on each plant."""
+        """Warnings about large errors in the target metric, for each plant."""
         metric = self.target[1]
         return [
             f"{plant}, {metric_label(metric)}: {text}"
@@ -392,7 +389,7 @@ class Propagation:
             (fresh / RESULT).write_text(json.dumps(document, indent=2) + "\n", "utf-8")
 
     def keep(self) -> Path:
-        """Store the intervals with a digest of the scenario for later expectations.
+        """Store the intervals and a digest of the scenario for use in expectations.
 
         Raises:
             InputError: the scenario is modified, or the file cannot be written.
@@ -408,7 +405,7 @@ class Propagation:
 
     @property
     def failed(self) -> dict[str, int]:
-        """Number of samples without any value for each fidelity."""
+        """Number of samples for which no metric has a value, for each fidelity."""
         failed = dict.fromkeys(self.study.runs, 0)
         for part in failed:
             if columns := list(self.rows[part].values()):
@@ -459,7 +456,7 @@ def propagate(
             if missing:
                 progress(part, len(missing), None)
                 opened.run(engine, missing, partial(progress, part, len(missing)))
-            # An earlier result does not belong to the new rows.
+            # An earlier result would not match the new rows.
             if missing or changed:
                 remove_completion_mark(folder / RESULT)
             opened.finish()
@@ -491,18 +488,17 @@ def uncertainty(
     Args:
         scenario: name or path of a scenario, or a loaded scenario.
         out: output folder, or None to write no files.
-        set: values that override scenario fields, as described in `load_scenario`.
+        set: new values for scenario fields, as described in `load_scenario`.
         plants: plants to simulate, or None for the plants of the scenario.
-        samples: number of robots drawn from the distributions.
+        samples: number of robots with randomly drawn parameters.
         twin: number of runs of the twin if the model `compliant` simulates all samples.
-        exclude: robot parameters that keep their values in the robot file.
-        choices: equally likely values of each scenario field. If the damping of the
-            bends is uncertain, the two interpretations of the delay of the bends
-            (`bending.lead`) are added.
+        exclude: robot parameters to keep at their values in the robot file.
+        choices: equally likely values of each scenario field. If the bending damping is
+            uncertain, the two interpretations of the bend delay (`bending.lead`) are
+            added.
         engine: name of the engine ("local", "ray" or "warp"), or an engine object.
         workers: number of parallel runs, or None for one per processor.
-        changed: whether the folder may belong to another version of the study (see
-            `propagate`).
+        changed: whether the folder may contain rows of another version of the study.
         progress: callback that reports the runs.
 
     Raises:

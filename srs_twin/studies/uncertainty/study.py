@@ -1,4 +1,4 @@
-"""Uncertainty study, which runs a sweep over the uncertain parameters per fidelity."""
+"""Uncertainty study with one sweep over the uncertain parameters per fidelity."""
 
 from __future__ import annotations
 
@@ -23,12 +23,11 @@ COMPLIANT = "compliant"
 DAMPING = "bending.damping_time_s"
 STIFFNESS = "bending.stiffness_nm_per_rad"
 SEGMENTS = "segments"
-"""Part of a study in which the twin is simulated over the 95 % intervals of
-stiffness and damping time. All other parameters have their values in the robot
-file.
+"""Part of a study in which stiffness and damping time of the twin vary over their 95 %
+intervals. All other parameters have their values from the robot file.
 """
 LEAD = "robot.bending.lead"
-"""Field for the two equally likely interpretations of the delay of a bend."""
+"""Field with two equally likely values, the interpretations of the bend delay."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +35,8 @@ class UncertaintyStudy:
     """Scenario with uncertain robot parameters and discrete choices.
 
     Attributes:
-        discrete_choices: equally likely values of scenario fields, such as two chamber
-            models.
+        discrete_choices: equally likely values of scenario fields, for example two
+            chamber models.
         samples: number of samples that each plant simulates.
         twin_samples: number of samples that the twin simulates if a low-fidelity model
             is used.
@@ -90,7 +89,7 @@ class UncertaintyStudy:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Fidelities of the study and, if possible, the part `SEGMENTS`."""
+        """Fidelities of the study, followed by `SEGMENTS` if its runs are possible."""
         if {"analytical", "twin"} <= {*self.plants} and {STIFFNESS, DAMPING} <= {
             *self.priors.paths
         }:
@@ -103,7 +102,7 @@ class UncertaintyStudy:
         return self.draw(self.samples, self.seed)
 
     def sweep(self, part: str) -> Sweep:
-        """Return the runs of a part, with the `REFERENCE_ROWS` after the samples."""
+        """Return the sweep for a part, with the `REFERENCE_ROWS` after the samples."""
         plant = "twin" if part in ("twin", SEGMENTS) else "analytical"
         document = self.surrogate_scenario
         if part != COMPLIANT:
@@ -160,7 +159,7 @@ class UncertaintyStudy:
     def _over_segments(
         self, nominal: Sequence[Any], step: float
     ) -> Iterator[list[Any]]:
-        """Yield rows for pairs of nominal and extreme stiffness and damping time."""
+        """Yield rows that combine nominal and extreme stiffness and damping time."""
         places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
         levels = []
         for prior in (self.priors.parameters[place] for place in places):
@@ -180,7 +179,7 @@ def on_plant(
 ) -> dict[str, Any]:
     """Return a scenario with a single plant and no expectations, as plain data.
 
-    If `settings` is None, the plant keeps its settings in the scenario.
+    If `settings` is None, the plant keeps its settings from the scenario.
     """
     if settings is None:
         settings = document["plants"].get(plant, {})
@@ -188,7 +187,7 @@ def on_plant(
 
 
 def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
-    """Return a scenario whose only plant is `compliant`, if it can be simulated."""
+    """Return a scenario with `compliant` as its only plant, or None if not possible."""
     twin = scenario.plants.get("twin") or TwinFile()
     assert isinstance(twin, TwinFile), "the scenario's model ensures this type"
     settings = {"model": COMPLIANT, "friction": twin.friction_law, "gaps": twin.gaps}

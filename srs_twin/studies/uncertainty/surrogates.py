@@ -10,8 +10,8 @@ T_i = \frac{\sum_{\alpha_i > 0} c_\alpha^2}{\sum_{\alpha \ne 0} c_\alpha^2}, $$
 
 where the set A_i contains the terms that depend only on u_i, and S_i and T_i are
 Sobol's first-order and total indices. The degree is selected by leave-one-out
-cross-validation. The error of an index includes the unexplained variance of left-out
-samples and the scatter under bootstrap resampling.
+cross-validation. The error of an index combines the unexplained variance of left-out
+samples with the scatter under bootstrap resampling.
 
 **Gaussian process** (Kennedy and O'Hagan 2000, Biometrika 87). The high-fidelity result
 is modelled as a linear function of the low-fidelity result and the inputs, plus a
@@ -33,19 +33,18 @@ from scipy.special import eval_legendre
 from srs_twin.compute.arrays import Array
 
 _MAX_DEGREE = 10
-"""Maximum degree of a chaos expansion."""
 
 _SAMPLES_PER_TERM = 5
 """Minimum number of samples per coefficient."""
 
 _MAX_INTERACTION = 2
-"""Maximum number of variables in a term above the third degree."""
+"""Maximum number of variables in a term of degree above 3."""
 
 _RESAMPLINGS = 20
 """Number of bootstrap samples from which the scatter of the indices is computed."""
 
 _MAX_UNEXPLAINED = 0.5
-"""Maximum unexplained fraction of the variance for which a surrogate is used."""
+"""Unexplained fraction of the variance above which no surrogate is used."""
 
 _TYPICAL = (0.1, 1.0, 0.01)
 """Medians of the log-normal priors of s, b and n of a Gaussian process. The
@@ -78,7 +77,7 @@ def _terms(variables: int, degree: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PolynomialChaos:
-    """Polynomial chaos expansion of several results.
+    """Polynomial chaos expansion of one or more results.
 
     Attributes:
         terms: exponents, shape (terms, d).
@@ -143,7 +142,7 @@ class PolynomialChaos:
 
 
 def _design_matrix(fractions: Array, terms: np.ndarray) -> Array:
-    """Return each term at each sample, shape (samples, terms)."""
+    """Return the value of each term at each sample, shape (samples, terms)."""
     orders = np.arange(terms.max(initial=0) + 1)
     polynomials = eval_legendre(orders, 2 * fractions[..., None] - 1) * np.sqrt(
         2 * orders + 1
@@ -197,8 +196,8 @@ class GaussianProcess:
         Args:
             x: inputs with magnitudes of about 1, shape (samples, d).
             y: values with magnitudes of about 1, shape (samples,).
-            log_hyperparameters: hyperparameters to use instead of the most probable
-                values.
+            log_hyperparameters: natural logarithms of the hyperparameters, or None to
+                compute the most probable values.
         """
         self._x = x
         self._y = y
@@ -227,7 +226,7 @@ class GaussianProcess:
         return np.asarray(_kernel(self.log_hyperparameters, x, self._x) @ self._weights)
 
     def covariance(self, x: Array) -> Array:
-        """Return the covariance of the function at inputs without noise."""
+        """Return the covariance of the noise-free function at inputs."""
         cross = _kernel(self.log_hyperparameters, x, self._x)
         prior = _kernel(self.log_hyperparameters, x, x)
         return np.asarray(prior - cross @ scipy.linalg.cho_solve(self._factor, cross.T))
@@ -274,16 +273,16 @@ def predict_high_fidelity(
 ) -> tuple[Array, Array]:
     """Predict a high-fidelity result at all samples from a low-fidelity result.
 
-    Predictions include random leave-one-out residuals, so that quantiles contain the
-    error of the surrogate. The predictions are NaN if the surrogate explains less than
-    half of the variance of left-out samples.
+    Random leave-one-out residuals are added to the predictions, so that quantiles
+    include the error of the surrogate. The predictions are NaN if the surrogate
+    explains less than half of the variance of left-out samples.
 
     Args:
         fractions: inputs u of all samples, shape (samples, d).
         low: low-fidelity result, shape (samples,).
         high: high-fidelity result at the first n samples, shape (n,).
-        log_hyperparameters: hyperparameters of the Gaussian process, or None to compute
-            the most probable values.
+        log_hyperparameters: natural logarithms of the Gaussian process hyperparameters,
+            or None to compute the most probable values.
 
     Returns:
         High-fidelity result at all samples, and the hyperparameters.

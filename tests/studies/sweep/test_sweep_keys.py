@@ -70,7 +70,7 @@ def test_an_edited_footprint_repeats_only_its_rows(tmp_path, monkeypatch):
     (tmp_path / "one.yaml").write_text(
         shipped.replace("5.23599", "3.5")
     )  # it turns less tightly
-    refusal = r"one\.yaml changed; points changed\)\. Keep the rows"
+    refusal = r"one\.yaml changed; points changed\)\. Use --changed to keep the rows"
     with (
         pytest.raises(InputError, match=refusal),
         open_sweep(load_sweep(sweep), tmp_path / "out"),
