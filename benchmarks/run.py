@@ -37,7 +37,7 @@ from common.results import (
     save_result,
     stamp,
 )
-from common.studies import OUT, STUDIES, script_of, title_of
+from common.studies import BENCHMARKS, OUT, STUDIES, script_of, title_of
 
 from srs_twin.io.provenance import Provenance
 
@@ -72,7 +72,9 @@ def run(name: str) -> None:
     study = STUDIES[name]
     code = digests_of(name)
     start = time.monotonic()
-    tables, text = parse_output(output_of(name, study.arguments))
+    # Texts of the result must not depend on the folder of the checkout.
+    output = output_of(name, study.arguments).replace(f"{BENCHMARKS.parent}/", "")
+    tables, text = parse_output(output)
     minutes = (time.monotonic() - start) / 60
     if not tables:
         raise RuntimeError("the script printed no table")
