@@ -370,7 +370,7 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
         ),
         (
             {"kind": "orifice", "line_volume_ml": 5.0},
-            "pneumatics: `line_volume_ml` needs a limited supply; set"
+            "pneumatics: `line_volume_ml` needs a supply with limited flow; set"
             " `flow_limit_l_per_min`",
         ),
         (
@@ -667,14 +667,14 @@ def test_expectations_of_the_comparison():
             "expect[0]: an expectation needs exactly one of the keys `near`, `below`,"
             " `above` and `published`",
         ),
-        ({"abs": 1}, "expect[0]: a tolerance is needed with `near`"),
+        ({"abs": 1}, "expect[0]: `near` needs a tolerance"),
         (
             {"below": None, "near": 1},
-            "expect[0]: a tolerance is needed with `near`",
+            "expect[0]: `near` needs a tolerance",
         ),
         (
             {"below": None, "near": 1, "rel": 0.1, "abs": 1},
-            "expect[0]: a tolerance is needed with `near`",
+            "expect[0]: `near` needs a tolerance",
         ),
         (
             {"below": None, "near": 0, "rel": 0.1},
