@@ -338,8 +338,8 @@ class PictureOptions:
         part = whole.between(low, high)
         if len(part) < _MIN_SAMPLES:
             raise InputError(
-                f"the interval --from {low:g} --to {high:g} is outside the run, which"
-                f" lasts from {first:g} to {last:g} s"
+                f"the interval --from {low:g} --to {high:g} is outside the run; choose"
+                f" times from {first:g} to {last:g} s"
             )
         return part
 

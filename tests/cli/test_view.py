@@ -107,7 +107,7 @@ def test_foreign_recording_is_refused(recordings, tmp_path):
     (tmp_path / "other.rrd").write_bytes(memory.drain_as_bytes())
     with pytest.raises(
         InputError,
-        match=r"other\.rrd: the file is not a recording of srs-twin, because it"
+        match=r"other\.rrd: the file was not recorded by srs-twin, because it"
         r" contains no snake",
     ):
         write_side_by_side(
@@ -199,7 +199,7 @@ def test_invalid_options_are_refused(recordings, srs_twin, tmp_path):
     with serve_recordings([recordings["left+1"]]) as (address, _):
         port = address.rstrip("/").rpartition(":")[2]
         done = srs_twin("view", run, "--web", "--port", port, cwd=tmp_path)
-    assert done.returncode == 2 and f"the port {port} cannot be used" in done.stderr
+    assert done.returncode == 2 and f"port {port} cannot be used" in done.stderr
 
 
 @pytest.mark.slow

@@ -102,7 +102,7 @@ def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
     [
         (
             ("--strobe", "--from", "30"),
-            "the interval --from 30 --to 3 is outside the run, which lasts from 0 to"
+            "the interval --from 30 --to 3 is outside the run; choose times from 0 to"
             " 3 s",
         ),
         (
@@ -402,7 +402,7 @@ REFUSED = {
     ),
     "moment beyond": (
         ("--image", "t=20"),
-        "t = 20 s is outside the run, which lasts from 0 to 3 s",
+        "t = 20 s is outside the run; choose a time from 0 to 3 s",
     ),
     "moment of none": (("--image", "nan"), "t = nan s is outside the run"),
     "odd size": (
@@ -464,7 +464,7 @@ def test_a_trajectory_of_another_robot_is_refused(runs):
         for k, v in run.trajectories["twin"].columns.items()
         if not k.startswith("qpos")
     }
-    with pytest.raises(InputError, match="nothing to draw"):
+    with pytest.raises(InputError, match="contains no positions of the twin"):
         Stage(run.scenario, Trajectory(columns))
 
 
@@ -527,7 +527,7 @@ def test_failing_opengl_backend_is_named(runs, srs_twin_process, tmp_path):
     )
     assert done.returncode == 2
     assert (
-        "OpenGL backend in MUJOCO_GL does not work (vulkan: the backend is unknown"
+        "OpenGL backend selected by MUJOCO_GL does not work (vulkan: unknown backend"
         in done.stderr
     )
 
@@ -540,8 +540,8 @@ def test_without_opengl_the_error_names_packages(monkeypatch):
         opengl.usable_opengl.__wrapped__()
     assert (
         str(caught.value)
-        == "no OpenGL backend renders off screen (egl: no libegl; osmesa: no"
-        " libosmesa); on Debian and Ubuntu, install one with apt-get install"
+        == "no OpenGL backend can render off screen (egl: no libegl; osmesa: no"
+        " libosmesa); on Debian and Ubuntu, install a backend with apt-get install"
         " libegl1 libgl1-mesa-dri; or apt-get install libosmesa6"
     )
 

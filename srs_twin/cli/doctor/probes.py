@@ -157,9 +157,7 @@ def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
             yield _run(name, folder, time_limit_s)
         yield rerun_check(Path(folder), time_limit_s)
     if lacks_display():
-        detail = (
-            "no display was found, because neither DISPLAY nor WAYLAND_DISPLAY is set"
-        )
+        detail = "no display was found: neither DISPLAY nor WAYLAND_DISPLAY is set"
         yield Check(VIEWING, "window", "missing", detail, NO_WINDOW)
 
 
