@@ -128,7 +128,7 @@ def judged(
             STEP,
             {"duration_s": 0.2},
             "settling_5_s",
-            "not reached within the 0.1 s after the step",
+            "not reached within 0.1 s after the step",
         ),
         (LEARNING, {}, "periods_to_converge", "not converged within 4 periods"),
         (

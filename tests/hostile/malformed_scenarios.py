@@ -383,8 +383,7 @@ FOLLOWING_MALFORMED = edited(
         (
             "count: 2",
             "kind: fig54, count: 19",
-            "world.random: 19 obstacles are too many; there are only 18 places for"
-            " them",
+            "world.random: 19 obstacles do not fit; Fig. 54 has only 18 sites",
         ),
         (
             (

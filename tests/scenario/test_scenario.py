@@ -206,11 +206,10 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
         ({"base": "gen5"}, "robot.base: unknown robot 'gen5'"),
         (
             {"base": 5},
-            "robot.base: must be a robot's name, a path, or a block of keys with"
-            " `base`",
+            "robot.base: must be a robot name, a path, or a block of keys with `base`",
         ),
-        (5, "robot: must be a robot's name, a path, or a block of keys with `base`"),
-        (None, "robot: must be a robot's name, a path"),
+        (5, "robot: must be a robot name, a path, or a block of keys with `base`"),
+        (None, "robot: must be a robot name, a path"),
         ("no/such.yaml", "robot: no/such.yaml: no such file"),
         (
             {"base": "gen2", "bending": {"stifness_nm_per_rad": 1}},
