@@ -191,8 +191,7 @@ def test_invalid_options_are_refused(recordings, srs_twin, tmp_path):
     done = srs_twin("view", run, "--port", "9000", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and done.stderr.strip()
-        == "--port is allowed only together with --web; add --web or remove --port"
+        and done.stderr.strip() == "--port requires --web; add --web or remove --port"
     )
     done = srs_twin("view", run, run, cwd=tmp_path)
     assert done.returncode == 2 and "given twice" in done.stderr

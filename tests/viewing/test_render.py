@@ -111,7 +111,7 @@ def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
         ),
         (
             ("--image", "t=1", "--to", "1"),
-            "--from and --to select an interval for --video or --strobe",
+            "--from and --to apply only to --video and --strobe",
         ),
     ],
 )
@@ -378,7 +378,7 @@ def test_scale_bar_has_the_stated_length(runs, opengl_here):
 REFUSED = {
     "ghost on a strobe": (
         ("--strobe", "--ghost"),
-        "--ghost is possible only with --video or --image",
+        "--ghost requires --video or --image",
     ),
     "ghost of none": (
         ("--image", "1", "--ghost"),
@@ -386,11 +386,11 @@ REFUSED = {
     ),
     "nothing asked": (
         (),
-        "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is needed",
+        "exactly one of the options --video FILE.mp4, --image t=2.5 and --strobe",
     ),
     "two things asked": (
         ("--strobe", "--image", "1"),
-        "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is needed",
+        "exactly one of the options --video FILE.mp4, --image t=2.5 and --strobe",
     ),
     "out with a video": (
         ("--video", "a.mp4", "--out", "b.png"),
@@ -447,7 +447,7 @@ def test_missing_run_is_refused(runs, srs_twin, tmp_path):
     done = srs_twin("render", *two, "--video", "a.mp4", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and "a.mp4: 2 runs cannot share one file; give a folder" in done.stderr
+        and "a.mp4: 2 runs cannot be written to one file; give a folder" in done.stderr
     )
 
 
