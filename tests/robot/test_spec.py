@@ -54,7 +54,7 @@ def refusal(path) -> tuple[str, ...]:
             {"robot": {"base": "gen2"}, "controller": {"kind": "gait"}},
             "1:1: this is a scenario, not a robot file; ",
         ),
-        ({"base": "gen2"}, "1:1: base: this key is allowed only in a scenario; "),
+        ({"base": "gen2"}, "1:1: base: this key is allowed only in a scenario, "),
     ],
 )
 def test_another_kind_of_file_is_refused_with_one_message(tmp_path, data, message):
