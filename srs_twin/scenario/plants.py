@@ -137,7 +137,7 @@ class TwinFile(_PlantFile):
     timestep_s: float = quantity(1e-6, 1.0)
     """Time step of the integrator (default: 0.001 times the robot's time unit)."""
     wheels: Wheels = constructor_default()
-    """Kind of wheels; "rolling" selects wheels with the friction law wheel. "skid"
+    """Wheels; "rolling" selects wheels with the friction law wheel. "skid"
     selects skids with the friction law ellipse."""
     contact: ContactName = LoadedContact.name
     """Floor contact; "loaded" applies a friction law to the loads computed by MuJoCo.
