@@ -186,7 +186,6 @@ def test_the_picture_shows_what_was_measured(stopped):
 def test_a_carrier_as_slow_as_the_gait_is_refused():
     with pytest.raises(
         InputError,
-        match="`carrier_hz` is too low for a gait of this frequency; it must be at"
-        " least 8",
+        match="`carrier_hz` is too low for this gait frequency; it must be at least 8",
     ):
         scenario(carrier_hz=7)

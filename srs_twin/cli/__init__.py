@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 _GC_THRESHOLD = 200_000
 """Number of new objects after which Python collects garbage.
 
-With Python's default of 700, garbage collection takes a sixth of the computing time of
-`compare`. The threshold of 200,000 increases the memory use by 3 %.
+With Python's default of 700, garbage collection takes a sixth of the time of `compare`.
+The threshold of 200,000 increases memory use by 3 %.
 """
 
 _SHORT_WARNINGS = (
@@ -48,8 +48,8 @@ _SHORT_WARNINGS = (
 _PYTHON_FORMATWARNING = warnings.formatwarning
 
 # File system errors that earlier checks cannot exclude, such as a full disk or missing
-# permission, are reported as invalid input. A missing file is not listed here, because
-# it would be a bug of the program.
+# permission, are reported as invalid input. A missing file is not among them, because it
+# would indicate a bug.
 _FILE_SYSTEM_ERRORS = [
     "ENAMETOOLONG",
     "EROFS",
@@ -67,17 +67,16 @@ def main(argv: list[str] | None = None) -> None:
 
     The exit codes are 0 (success), 1 (an expectation failed under ``--check``), 2
     (invalid input), 3 (a simulation diverged), 4 (internal error) and 130
-    (interrupted). If the output is piped to a process that ends early (``| head -1``),
-    the command continues with an unchanged exit code.
+    (interrupted). If stdout is a pipe that the reader closes early (``| head -1``), the
+    command continues and the exit code is unaffected.
 
     Args:
-        argv: arguments after the program name, by default the arguments of the process.
+        argv: arguments without the program name. By default, `sys.argv` is used.
     """
     sys.stdout = _without_broken_pipes(sys.stdout)
     sys.stderr = _without_broken_pipes(sys.stderr)
     gc.set_threshold(_GC_THRESHOLD)
-    # The operating system frees the memory anyway. Without a final garbage collection,
-    # the interpreter exits 0.7 s earlier.
+    # Skipping the final garbage collection saves 0.7 s at exit.
     atexit.register(gc.freeze)
     warnings.formatwarning = _format_warning  # type: ignore[assignment]
     try:
@@ -89,7 +88,7 @@ def main(argv: list[str] | None = None) -> None:
         from srs_twin.cli.app import command
 
         try:
-            # Shell completion works for the installed program, but not for "uv run".
+            # Shell completion works only for the installed program, not for `uv run`.
             completes = any(argument.endswith("-completion") for argument in arguments)
             started = "srs-twin" if completes else f"{launcher()}srs-twin"
             named = next((each for each in arguments if each != "--debug"), "")
@@ -98,8 +97,8 @@ def main(argv: list[str] | None = None) -> None:
             )
         finally:
             if sys.stdout is not None:
-                # An error in this explicit flush can still be reported, in contrast to
-                # an error in the flush of the interpreter at exit.
+                # Unlike an error when the interpreter flushes at exit, an error in this
+                # explicit flush can still be reported.
                 sys.stdout.flush()
     except SrsError as error:
         show_traceback(error)
@@ -130,7 +129,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _with_current_option(argument: str) -> str:
-    """Replace a former option name by the current name, and warn the user."""
+    """Replace a former option name by the current name and issue a warning."""
     option, equals, value = argument.partition("=")
     if not option.startswith("--") or option not in RENAMED:
         return argument
@@ -143,26 +142,26 @@ def _check_current_folder() -> None:
         os.getcwd()
     except OSError as error:
         raise InputError(
-            f"the current folder cannot be used ({error.strerror}), perhaps because it"
-            " was removed; change to another folder"
+            f"the current folder cannot be used ({error.strerror}); if the folder was"
+            " removed, change to another folder"
         ) from error
 
 
 class _StandardStream(io.FileIO):
-    """Standard stream that writes to the null device after a write has failed.
+    """Standard stream that is redirected to the null device if a write fails.
 
     A closed pipe is ignored. Any other failure, such as a full disk, raises an error.
     """
 
     def write(self, data: ReadableBuffer, /) -> int:
         if not memoryview(data).nbytes:
-            return 0  # libraries write zero bytes to test whether the stream is binary
+            return 0  # libraries test whether a stream is binary by writing no bytes
         try:
             return super().write(data)
         except OSError as error:
             null = os.open(os.devnull, os.O_WRONLY)
-            # The file descriptor itself is replaced, so that later writes by libraries,
-            # by child processes and at the shutdown of the interpreter succeed.
+            # Replacing the file descriptor itself lets later writes succeed, whether by
+            # libraries, by child processes or at interpreter shutdown.
             os.dup2(null, self.fileno())
             os.close(null)
             if isinstance(error, BrokenPipeError):
@@ -199,7 +198,7 @@ def _format_warning(message: Any, category: type[Warning], *location: Any) -> st
 def _is_interrupt(error: BaseException | None) -> bool:
     """Return whether an error was caused by an interrupt.
 
-    C extensions may convert an interrupt during their import to another error.
+    If an import is interrupted, C extensions may raise a different error.
     """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__

@@ -1,4 +1,4 @@
-"""Typer application with the commands of the core and of the extensions."""
+"""Typer application with core commands and extension commands."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CORE_COMMANDS = {
     "models": "srs_twin.cli.models:app",
     "new": "srs_twin.cli.new:app",
 }
-"""Commands of the core, as entries of the form `extensions.COMMANDS`."""
+"""Core commands, in the same form as the entries of `extensions.COMMANDS`."""
 
 _HELP_ORDER = [
     "list",
@@ -66,18 +66,19 @@ _WITHOUT_PLUGINS = [
     "reproduce",
     "emulate",
 ]
-"""Commands that read finished runs or no files at all, and never import plug-ins."""
+"""Commands that never import plug-ins, because they read only finished runs or no files.
+"""
 
 
 @cache
 def command(only: str = "") -> Any:
     """Return the click command of the application.
 
-    If `only` is the name of a command, only this command is imported. Otherwise all
-    commands are imported.
+    If `only` names a command, only this command is imported. Otherwise, all commands
+    are imported.
     """
-    # Help and usage errors are printed without rich. The boxes of rich break file names
-    # across lines, and importing rich would double the duration of `--help`.
+    # Help and usage errors are printed without rich, whose boxes break file names across
+    # lines and whose import would double the duration of `--help`.
     app = typer.Typer(
         no_args_is_help=True,
         rich_markup_mode=None,
@@ -109,7 +110,7 @@ def _print_version(requested: bool) -> None:
 def _options(
     debug: Annotated[
         bool,
-        option("--debug", f"Print the traceback of an error. {DEBUG}=1 does the same."),
+        option("--debug", f"Print tracebacks of errors. Same as {DEBUG}=1."),
     ] = False,
     version: Annotated[
         bool,
@@ -123,8 +124,8 @@ def _options(
 ) -> None:
     """Simulate a soft robotic snake with an analytical model and a MuJoCo twin.
 
-    Both models receive the same valve commands. Messages refer to pages of the
-    documentation as docs/NAME.md; `srs-twin show docs/NAME.md` prints such a page.
+    Both models receive the same valve commands. Messages refer to documentation pages
+    as docs/NAME.md; `srs-twin show docs/NAME.md` prints the page.
     """
     if debug:
         os.environ[DEBUG] = "1"

@@ -1,4 +1,4 @@
-"""Scenarios that are given on the command line, and the results of their runs."""
+"""Scenarios given on the command line, with the results of their runs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class CaseResult:
     Attributes:
         run: results of the run, or None if the input was invalid or a worker process
             died.
-        errors: errors that stopped the run or one of the plants.
+        errors: errors that stopped the run or a single plant.
         wall_s: wall time, s.
     """
 
@@ -35,7 +35,7 @@ class CaseResult:
 
     @property
     def metrics(self) -> Mapping[str, Any]:
-        """Contents of metrics.json, or an empty dictionary if the run is incomplete."""
+        """Contents of metrics.json, or {} if the run is incomplete."""
         if self.run is None:
             return {}
         return self.run.metrics
@@ -48,7 +48,7 @@ class CaseResult:
         return Counter(map(verdict, self.metrics.get("expectations", ())))
 
     def exit_code(self, fails: Set[str]) -> int:
-        """Return the highest exit code of errors and expectations in states `fails`."""
+        """Return the highest exit code due to errors, or expectations in `fails`."""
         if fails & self.verdicts.keys():
             failed = EXPECTATION_FAILED
         else:
@@ -58,13 +58,13 @@ class CaseResult:
 
 @dataclass
 class Case:
-    """Scenario that is given on the command line.
+    """Scenario given on the command line.
 
     Attributes:
-        source: name or path as the user typed it.
+        source: name or path as typed by the user.
         scenario: loaded scenario, or None if it is invalid.
         folder: output folder.
-        result: result of the run, or None if the run is not complete.
+        result: result of the run, or None if the run is incomplete.
         in_folder: whether the user gave a folder that contains the scenario.
     """
 

@@ -16,7 +16,7 @@ from srs_twin.extensions import SCHEMAS, installed, load, plugins, reading
 
 _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _DEFAULT_KINDS = _KINDS[:-1]
-"""Keys that `list --json` prints without an argument, which are a public interface."""
+"""Kinds that `list --json` prints without an argument. They are a public interface."""
 
 _PRINTED_KINDS = ("scenarios", "robots", "sweeps", "studies", "controllers")
 """Kinds that `list` prints without an argument."""
@@ -31,7 +31,7 @@ _BEGINNING = {
     "module_step_direct": "control the bend of one module",
     "sensor_up": "read a curvature sensor",
 }
-"""Scenarios for new users with descriptions, at most one scenario per group."""
+"""Scenarios for new users, with descriptions. Each group has at most one."""
 
 _GROUPS = {
     "crawl": r"(gen\d|skin)_(straight|climb)",
@@ -43,7 +43,7 @@ _GROUPS = {
     "touch and move objects": "(pegs|push|grasp)_.*",
     "three dimensions": "spatial_.*",
 }
-"""Pattern of the scenario names in each group, keyed by the title of the group."""
+"""Pattern of scenario names in each group, keyed by group title."""
 
 _FILE_KINDS = {
     "scenarios": "scenario",
@@ -79,8 +79,8 @@ def list_(
             _print_rows(name.capitalize(), rows)
     if kind is None:
         hint = (
-            "`srs-twin list metrics` lists the metrics, `srs-twin show NAME` the values"
-            " of a file."
+            "`srs-twin list metrics` lists the metrics, and `srs-twin show NAME` shows"
+            " the values in a file."
         )
         print(as_started(hint))
 
@@ -97,7 +97,7 @@ def _print_scenarios(rows: Sequence[Mapping[str, str]]) -> None:
 def scenario_groups(
     rows: Iterable[Mapping[str, str]],
 ) -> dict[str, list[Mapping[str, str]]]:
-    """Return the scenarios of each group, by the title of the group."""
+    """Return the scenarios of each group, keyed by group title."""
     groups: dict[str, list[Mapping[str, str]]] = {}
     for row in rows:
         titles = (
@@ -150,14 +150,14 @@ def show(
     name: Annotated[str, argument("NAME", shipped=["scenario", "robot"])],
     as_json: JsonOption = False,
 ) -> None:
-    """Show a scenario, a robot or a page of the documentation.
+    """Show a scenario, a robot or a documentation page.
 
-    The values of a scenario or robot are printed with their units and sources,
-    including the default values.
+    The values of a scenario or robot are printed with units and sources, including
+    default values.
 
     Options:
         name: Name of a shipped scenario or robot, path of a scenario or robot file, or
-            a page of the documentation such as docs/planar-models.md.
+            a documentation page such as docs/planar-models.md.
     """
     page = name.partition("#")[0]
     if page.endswith(".md"):
@@ -205,7 +205,7 @@ def _resolved(name: str) -> dict[str, Any]:
 
 
 def is_robot(name: str) -> bool:
-    """Return whether a name or path refers to a robot rather than to a scenario.
+    """Return whether a name or path refers to a robot rather than a scenario.
 
     Raises:
         InputError: no shipped file has this name, or the file does not exist.
@@ -230,9 +230,9 @@ def is_robot(name: str) -> bool:
 def _leaves(
     data: Any, loc: tuple[str | int, ...] = ()
 ) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """Yield the path and the value of each leaf of nested data.
+    """Yield path and value of each leaf in nested data.
 
-    A value that has a unit and a source counts as one leaf.
+    A value with unit and source counts as a single leaf.
     """
     is_block = isinstance(data, Mapping) and "unit" not in data
     if is_block or (
@@ -256,8 +256,7 @@ def schema(
     """Print the JSON Schema of an input file or output document.
 
     Options:
-        kind: Kind of document whose schema is printed: scenario, sweep, study, setup or
-            inspect.
+        kind: Kind of document: scenario, sweep, study, setup or inspect.
     """
     schemas = {"scenario": "srs_twin.scenario:scenario_json_schema"} | installed(
         SCHEMAS

@@ -34,11 +34,11 @@ _HINT = re.compile(r"(`(?:\w+=\w+ )?)(srs-twin )")
 
 
 def launcher() -> str:
-    """Return the prefix "uv run " or "uvx " with which the user started `srs-twin`."""
+    """Return the prefix with which the user started `srs-twin`: "uv run ", "uvx " or ""."""
     if "UV_RUN_RECURSION_DEPTH" in os.environ:  # set by `uv run`
         return "uv run "
     # `uvx` sets only the variable UV, which a user may also set. The environments of
-    # `uvx` are in the archive folder of uv.
+    # `uvx` are in uv's archive folder.
     if "UV" in os.environ and "archive-v" in sys.prefix:
         return "uvx "
     return ""
@@ -47,9 +47,9 @@ def launcher() -> str:
 def as_started(text: str) -> str:
     """Adapt the commands in a message to the way in which the program was started.
 
-    Commands in backticks get the prefix "uv run " or "uvx " if the user typed this
-    prefix. In an installed wheel, the name of a documentation page is replaced by the
-    command that prints the page.
+    Commands in backticks get the prefix "uv run " or "uvx " if the user typed it. In an
+    installed wheel, names of documentation pages are replaced by commands that print
+    the pages.
     """
     if data_root().name == "_data":
         text = _PAGE.sub(r"`srs-twin show \g<0>`", text)
@@ -57,7 +57,7 @@ def as_started(text: str) -> str:
 
 
 def say(*lines: str, quiet: bool = False) -> None:
-    """Adapt lines with `as_started` and print them on stderr unless `quiet` is set."""
+    """Print lines, adapted by `as_started`, on stderr unless `quiet` is set."""
     for line in () if quiet else lines:
         print(
             escape_unprintable(as_started(line), keep="\n\t"),
@@ -69,7 +69,7 @@ def say(*lines: str, quiet: bool = False) -> None:
 def handle_signals(
     handler: Callable[[int, FrameType | None], object], *signals: int
 ) -> None:
-    """Install a handler for signals, except for signals that the caller ignores."""
+    """Install a signal handler, except for signals that the parent process ignores."""
     for number in signals:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, handler)
@@ -77,9 +77,9 @@ def handle_signals(
 
 @contextmanager
 def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
-    """Exit with code `INTERRUPTED` on Ctrl-C or SIGTERM, after printing a message."""
-    # CI pipelines cancel jobs with SIGTERM. A signal that the caller ignores remains
-    # ignored.
+    """On Ctrl-C or SIGTERM, print a message and exit with code `INTERRUPTED`."""
+    # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
+    # remains ignored.
     handled = threading.current_thread() is threading.main_thread()
     handled = handled and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     if handled:
@@ -119,8 +119,7 @@ def new_table(
 ) -> Table:
     """Return an empty table whose columns do not wrap.
 
-    The columns with the indices `left` are left-aligned, and all other columns are
-    right-aligned.
+    Columns whose index is in `left` are left-aligned, all others right-aligned.
     """
     from rich import box
     from rich.table import Table
@@ -145,14 +144,14 @@ def show_traceback(error: Exception) -> None:
 
 
 DISPLAY_DELAY_S = 2.0
-"""Duration of a task after which the progress is displayed, s."""
+"""Delay before the progress of a task is displayed, s."""
 
 LINE_INTERVAL_S = 10.0
 """Interval between two progress lines if stderr is not a terminal, s."""
 
 
 class Display(ABC):
-    """Context manager that displays the progress of a task.
+    """Context manager that shows the progress of a task.
 
     Attributes:
         title: name of the task.
@@ -191,11 +190,11 @@ class Display(ABC):
 
     @abstractmethod
     def _line(self) -> str:
-        """Return the progress as one line of text."""
+        """Return the progress as a line of text."""
 
     @abstractmethod
     def _bar(self) -> tuple[str, float | None, str]:
-        """Return the title, the completed fraction and the status of the bar."""
+        """Return title, completed fraction and status text for the progress bar."""
 
     def _draw(self) -> None:
         # Importing rich takes as long as a short run.
@@ -220,7 +219,7 @@ class Display(ABC):
 
 
 class RunCounter(Display):
-    """Progress of several runs. The object is called after each completed run."""
+    """Progress of several runs. Call the object after each completed run."""
 
     def __init__(
         self,
@@ -245,7 +244,7 @@ class RunCounter(Display):
         self._show()
 
     def count(self, done: int, total: int) -> None:
-        """Count a completed run, and set the total number of runs."""
+        """Count a completed run and set the total number of runs."""
         self.total = total
         self(failed=False)
 
@@ -260,7 +259,7 @@ class RunCounter(Display):
 
     @contextmanager
     def hidden(self) -> Iterator[None]:
-        """Hide the bar while the block prints to the terminal."""
+        """Hide the bar while the `with` block prints to the terminal."""
         if self._progress is not None:
             self._progress.stop()
         yield
@@ -268,7 +267,7 @@ class RunCounter(Display):
             self._progress.start()
 
     def _rate(self) -> float:
-        """Return the runs per second, without the start-up time of the workers."""
+        """Return the runs per second, excluding the start-up time of the workers."""
         if self._done < 2:
             return self._done / max(self._elapsed(), 1e-3)
         return (self._done - 1) / max(self._elapsed() - self._first_done_s, 1e-3)
@@ -319,7 +318,7 @@ class ScenarioProgress(Display):
     ) -> None:
         """Update the completed fraction (0 to 1) of a stage.
 
-        The start of a stage is displayed at once if the stage is expected to take long.
+        If a stage is expected to take long, its start is displayed immediately.
         """
         is_new = stage != self._stage
         self._stage = stage

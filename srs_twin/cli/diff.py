@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from srs_twin.comparison.diff import ChangedValue, Difference, Leaf, Tolerances
 
 EXIT_DIFFERENT = 1
-"""Exit code if the difference of a value exceeds the tolerance."""
+"""Exit code if a difference exceeds the tolerance."""
 
 _MAX_ROWS = 40
-"""Maximum number of rows in all printed tables together."""
+"""Maximum total number of rows in the printed tables."""
 
 
 def diff(
@@ -34,9 +34,9 @@ def diff(
 ) -> None:
     """Compare two sets of results value by value.
 
-    The exit code is 1 if a value differs by more than its tolerance. A and B are
-    results of `run`, `compare`, `replay`, `sweep` or `reproduce`. Each is a file
-    (metrics.json, results.parquet or reproduce.json) or a folder of such files.
+    The exit code is 1 if a difference exceeds the tolerance. A and B are results of
+    `run`, `compare`, `replay`, `sweep` or `reproduce`, given as a file (metrics.json,
+    results.parquet or reproduce.json) or as a folder of such files.
 
     Options:
         a: Folder or file with the reference results.
@@ -62,7 +62,7 @@ def diff(
         allowed = load_tolerances(tolerances) if tolerances else Tolerances()
         difference = compare_results(a, b, _with_options(allowed, rel=rel, abs=abs_))
     except InputError as error:
-        # The report of an earlier comparison must not remain.
+        # The error replaces the report of an earlier comparison.
         if report is not None:
             text = str(error)
             kind = type(error).__name__
@@ -88,7 +88,7 @@ def _with_options(allowed: Tolerances, **options: float | None) -> Tolerances:
     for name, value in given.items():
         if not 0 <= value < float("inf"):
             raise InputError(
-                f"--{name} {value:g} is not allowed; it must be finite and at least 0"
+                f"--{name} {value:g} is not allowed; give a finite number of at least 0"
             )
     return allowed.model_copy(update=given)
 
@@ -106,14 +106,14 @@ def _show(difference: Difference) -> None:
     for table in tables.values():
         console().print(table)
     if len(difference.moved) > _MAX_ROWS:
-        print(f"and {len(difference.moved) - _MAX_ROWS} more; --json lists all of them")
+        print(f"and {len(difference.moved) - _MAX_ROWS} more; list all with --json")
     print(f"{len(difference.moved)} different, {difference.same} equal")
 
 
 def _cells(change: ChangedValue) -> list[str]:
-    """Return a, b, b − a, and (b − a)/|a| in per cent.
+    """Format a, b, b − a, and (b − a)/|a| in per cent.
 
-    The values a and b are printed with enough digits to show the difference.
+    The values a and b get enough digits to show the difference.
     """
     from srs_twin.comparison.diff import tolerance_names
     from srs_twin.comparison.sampling import is_near_zero, split_unit

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from srs_twin.scenario.expectation import ExpectationRow
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
-# XML 1.0 excludes control characters and surrogates. In Python, surrogates represent
-# bytes of file names that are not UTF-8.
+# XML 1.0 excludes control characters and surrogates. Python uses surrogates for bytes in
+# file names that are not UTF-8.
 _INVALID_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def report_path(name: str) -> Path:
-    """Return the path of a report.
+    """Return the path of a report after checking the suffix.
 
     The suffix must be .xml, so that a mistyped command cannot overwrite a scenario
     file.
@@ -35,20 +35,20 @@ def report_path(name: str) -> Path:
     path = Path(name)
     if path.suffix.lower() != ".xml":
         raise InputError(
-            f"--junit {name} is not allowed; the name of a report must end in .xml"
+            f"--junit {name} is not allowed; the file name of a report must end in .xml"
         )
     return path
 
 
 class TestCase(NamedTuple):
-    """Test case of a report.
+    """Test case in a report.
 
     Attributes:
         classname: group of the test case, for example the scenario.
         name: name of the test case.
         wall_s: wall time, s.
         outcome: "failure", "error" or "skipped", or an empty string if the test passed.
-        message: reason for the outcome.
+        message: one-line reason for the outcome.
         kind: type of the failure.
         text: full description of the outcome.
     """
@@ -100,10 +100,10 @@ def write_junit(
 ) -> None:
     """Write a report with one suite per scenario.
 
-    A suite contains one test case ``runs`` for the simulation and one test case for
-    each expectation. A divergence, invalid input or the death of a worker process is an
-    error of ``runs``. A test case is skipped if the expectation cannot be judged or is
-    missed for a known reason.
+    A suite contains a test case ``runs`` for the simulation and one test case per
+    expectation. If the simulation diverges, the input is invalid or a worker process
+    dies, ``runs`` has an error. A test case is skipped if the expectation cannot be
+    judged or is missed for a known reason.
 
     Args:
         path: path of the report.
@@ -134,7 +134,7 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
     rows: list[ExpectationRow] = [
         {"of": each.subject, "metric": each.metric} for each in expected
     ]
-    # The metrics contain no expectations about plants that did not run.
+    # metrics.json contains no expectations about plants that did not run.
     rows = result.metrics.get("expectations", rows)
     counts: Counter[str] = Counter()
     for row in rows:
@@ -146,7 +146,7 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
         if result.metrics:
             yield _add_outcome(test, row, fails)
         else:
-            yield test._replace(outcome="skipped", message="the run is not complete")
+            yield test._replace(outcome="skipped", message="the run is incomplete")
 
 
 def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCase:

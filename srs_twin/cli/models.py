@@ -30,8 +30,7 @@ def export(
 ) -> None:
     """Write MJCF models of robots, one folder per robot.
 
-    For each robot, the command prints on stderr what the MJCF files omit or
-    approximate.
+    For each robot, a message on stderr states what the MJCF files omit or approximate.
 
     Options:
         names: Names of shipped robots with wheels, or paths of robot files. [default:
@@ -39,11 +38,11 @@ def export(
         --out DIR: Output folder, in which each robot gets a subfolder.
         --contact NAME: Contact model of the wheels. MJCF files support only
             `preloaded`.
-        --pressure KPA: Maximum pressure of the actuator controls in kPa. The limit is
-            never lower than the pressure limit of the robot. [default: the pressure
-            limit of the robot]
+        --pressure KPA: Maximum pressure of the actuator controls in kPa. Values below
+            the robot's pressure limit have no effect. [default: the pressure limit of
+            the robot]
         --linear: Export a robot with a dead zone as a model with linear actuators. You
-            must then convert the pressures to controls (models/README.md).
+            must then convert pressures to controls (models/README.md).
     """
     from srs_twin.cli.console import say
     from srs_twin.io.files import check_output_folder, escape_unprintable
@@ -58,9 +57,9 @@ def export(
 
     if as_contact(contact).name != "preloaded":
         raise InputError(
-            "--contact loaded is not allowed. The program itself computes the"
-            " friction of this contact, so an MJCF file would contain no friction and"
-            " the snake would slide freely; use --contact preloaded"
+            "--contact loaded is not allowed, because srs-twin itself computes the"
+            " friction of this contact and an exported snake would slide freely; use"
+            " --contact preloaded"
         )
     robots = {
         robot.name: robot
@@ -86,14 +85,14 @@ _ANY_ARGUMENTS = {"allow_extra_args": True, "ignore_unknown_options": True}
 def check() -> None:
     """Report that this command was removed."""
     raise InputError(
-        "`models check` was retired; `python -m mujoco.viewer --mjcf=FILE` opens an"
-        " MJCF or URDF file and shows its faults, and `srs-twin models export` writes"
-        " the models of the robots again"
+        "`models check` was retired; to check an MJCF or URDF file, open it with"
+        " `python -m mujoco.viewer --mjcf=FILE`, and to write the robot models again,"
+        " use `srs-twin models export`"
     )
 
 
 def _exportable_robots() -> list[str]:
-    """Return the shipped robots with wheels, because MJCF does not support skin."""
+    """Return the shipped robots with wheels. MJCF files do not support skin."""
     from srs_twin.io.files import shipped_names
     from srs_twin.robot.file import load_robot
 

@@ -28,7 +28,7 @@ app = typer.Typer(
 
 NameArgument = Annotated[
     str,
-    argument("NAME", "Name of the new file, made of lower-case letters, digits and _."),
+    argument("NAME", "Name of the new file: lower-case letters, digits and _."),
 ]
 OutOption = Annotated[
     str | None,
@@ -38,14 +38,14 @@ OutOption = Annotated[
     ),
 ]
 
-# Values of generation 2. The values of new robots are scaled from these values.
+# Values of generation 2, from which the values of new robots are scaled.
 _PITCH_M = 0.055
 """Distance between connectors, m."""
 
 _MASS_KG = 0.15
 _PRESSURE_KPA = 48.3
 _AIR_ML = 45.0
-"""Increase of the volume of a chamber from the straight to the full bend, ml."""
+"""Increase of the chamber volume from the straight segment to full bend, ml."""
 
 _BEND_RAD = 1.57
 """Default bend of a segment at the supply pressure, rad."""
@@ -54,17 +54,15 @@ _SERVO_BEND_RAD = 0.6
 """Default maximum angle of a servo joint, rad."""
 
 _JOINT_FRACTION = 1 / 15
-"""Length of a servo joint as a fraction of the distance between joints.
-
-The remaining length is a rigid link.
+"""Length of a servo joint as a fraction of the joint distance. The rest is a rigid link.
 """
 
 _SERVO_PLANE_RATIO = 0.1
-"""Default stiffness of a servo joint in pitch and roll, divided by the product of
-weight and body length, dimensionless."""
+"""Default pitch and roll stiffness of a servo joint, divided by weight times body
+length, dimensionless."""
 
 _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
-"""Suffix of the written file for each suffix of a template."""
+"""Suffix of the written file for each template suffix."""
 
 
 @dataclass(frozen=True)
@@ -73,13 +71,13 @@ class NewRobotOptions:
 
     Options:
         --length M: Body length in metres. [default: 0.22]
-        --mass KG: Mass of the whole robot in kg. [default: mass of the robot gen2,
-            scaled to this size]
+        --mass KG: Mass of the whole robot in kg. [default: mass of gen2, scaled to this
+            size]
         --segments N: Number of bending segments. [default: 4]
         --pressure KPA: Supply pressure (gauge) in kPa. [default: 48.3]
         --bend RAD: Bend of one segment at the supply pressure, or maximum angle of a
             servo joint, in rad. [default: 1.57, or 0.6 with --servo]
-        --skin: Write a robot without wheels, which slides on its belly.
+        --skin: Write a robot that slides on its belly instead of rolling on wheels.
         --servo: Write a robot with rigid links and servo joints instead of air
             chambers.
     """
@@ -93,22 +91,22 @@ class NewRobotOptions:
     servo: bool = False
 
     def ask(self) -> RobotSize:
-        """Return the size of the robot, and prompt for values that no option sets.
+        """Return the size of the robot and prompt for values not set by options.
 
         Raises:
-            InputError: a value is not positive, or a supply pressure is given for a
-                robot with servos.
+            InputError: a value is not positive, or a servo robot is given a supply
+                pressure.
         """
         count = int(_answer("number of segments", self.segments, 4))
         length = _answer("body length, m", self.length, 4 * _PITCH_M)
         mass = _answer("mass of the robot, kg", self.mass, _default_mass(count, length))
         if not self.servo:
             supply = _answer("supply pressure, kPa", self.pressure, _PRESSURE_KPA)
-            question = "bend of one segment at that pressure, rad"
+            question = "bend of one segment at this pressure, rad"
             bend = _answer(question, self.bend, _BEND_RAD)
         elif self.pressure is None:
             supply = _PRESSURE_KPA
-            bend = _answer("largest angle of a joint, rad", self.bend, _SERVO_BEND_RAD)
+            bend = _answer("maximum joint angle, rad", self.bend, _SERVO_BEND_RAD)
         else:
             raise InputError(
                 "a robot with servos has no supply pressure; remove --pressure or"
@@ -124,7 +122,7 @@ class NewRobotOptions:
 
 
 class RobotSize(NamedTuple):
-    """Size of a robot. The attributes are named after the options of the command.
+    """Size of a robot. The attributes have the names of the command's options.
 
     Attributes:
         segments: number of segments.
@@ -141,10 +139,9 @@ class RobotSize(NamedTuple):
     bend: float
 
     def doubts(self) -> list[str]:
-        """Return a message for each value that was probably given in a wrong unit.
+        """Return a message for each value that is probably in a wrong unit.
 
-        Each value is compared with the value of generation 2 scaled to the size of the
-        robot.
+        Each value is compared with the generation 2 value, scaled to the robot's size.
         """
         from srs_twin.robot.plausibility import likely_unit
 
@@ -175,8 +172,8 @@ _PLAUSIBLE = {
     "pressure": ("kPa", 1 / 6, 20.0),
     "bend": ("rad", 0.0, 4.0),
 }
-"""Unit of each option, and plausible range of the value divided by the scaled value of
-generation 2."""
+"""Unit of each option, and plausible range of the ratio to the scaled generation 2 value.
+"""
 
 
 def _default_mass(segments: int, length: float) -> float:
@@ -193,7 +190,7 @@ def robot(
     """Write a robot file for a robot of a given size.
 
     The values of the shipped robot gen2 are scaled to this size. On a terminal, the
-    command asks for each value that no option sets.
+    command asks for values that are not set by options.
     """
     size = options.ask()
     from srs_twin.robot.file import load_robot
@@ -230,7 +227,7 @@ _SERVO_SOURCES = {
     "plane_interval": "assumption",
     "plane_damping": "assumption",
 }
-"""Sources of the values of a robot with servo joints."""
+"""Sources of values that differ in a robot with servo joints."""
 
 
 def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, object]:
@@ -283,7 +280,7 @@ def scenario(
 
     Options:
         --robot -r ROBOT: Name of a shipped robot, or path of a robot file.
-        --frequency HZ: Frequency of the gait in Hz.
+        --frequency HZ: Gait frequency in Hz.
         --duration S: Simulated time in seconds.
     """
     title = f"{name}: straight at {frequency:g} Hz"
@@ -348,7 +345,7 @@ for _command in (robot, scenario, controller, study):
 
 
 def _answer(question: str, value: float | None, default: float) -> float:
-    """Return the value of an option or the answer of the user.
+    """Return the value of an option, or ask the user on a terminal.
 
     Without a terminal, the default is returned.
     """
@@ -368,19 +365,19 @@ def _write(
     doubts: Sequence[str] = (),
     **values: Any,
 ) -> Path:
-    """Write a file from a template, and remove the file if the check fails.
+    """Write a file from a template and remove it if the check fails.
 
-    The error message contains the `doubts`, which are the likely cause of the failure.
+    The error message includes `doubts`, the probable causes of the failure.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(
-            f"the name {name!r} is not allowed; use lower-case letters, digits and _,"
-            " and begin with a letter"
+            f"the name {name!r} is not allowed; begin with a lower-case letter and"
+            " use only lower-case letters, digits and _"
         )
     path = Path(out or f"{name}{_SUFFIXES[Path(template).suffix]}")
     if path.exists():
         raise InputError(
-            f"{path} already exists; use another name, or another file with --out"
+            f"{path} already exists; choose another name, or another path with --out"
         )
     from srs_twin.io.files import write_text
 
@@ -390,7 +387,7 @@ def _write(
     except BaseException as error:
         path.unlink(missing_ok=True)
         if isinstance(error, InputFileError):
-            # The file was removed, so positions in the file would be meaningless.
+            # Line numbers would be meaningless, because the file was removed.
             place = re.compile(rf"{re.escape(str(path))}[\d:]*: ")
             raise InputError(
                 "\n".join(doubts or [place.sub("", line) for line in error.lines])

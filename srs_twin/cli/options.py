@@ -1,4 +1,4 @@
-"""Options that several commands share, and groups of options as dataclasses."""
+"""Options shared by several commands, and option groups as dataclasses."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
 
 
 def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
-    """Return an option of a command.
+    """Define a command option.
 
     Args:
         declaration: flags and name of the value, such as "--robot -r ROBOT".
-        text: help text. By default, `expand_option_groups` reads the help text from a
+        text: help text. By default, `expand_option_groups` takes the help text from a
             docstring.
         settings: additional arguments of `typer.Option`.
     """
@@ -34,9 +34,9 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
 
 
 class OptionRange(NamedTuple):
-    """Minimum and maximum of an option whose help text is in a docstring.
+    """Minimum and maximum of an option that is documented in a docstring.
 
-    The values are evaluated by `expand_option_groups`.
+    `expand_option_groups` evaluates the values.
     """
 
     min: float | None = None
@@ -46,12 +46,12 @@ class OptionRange(NamedTuple):
 def argument(
     metavar: str, text: str | None = None, *, shipped: Sequence[str] = ()
 ) -> Any:
-    """Return an argument of a command.
+    """Define a command argument.
 
     Args:
-        metavar: name of the argument in the help.
-        text: help text, by default from a docstring.
-        shipped: kinds of shipped files whose names the shell offers as completions.
+        metavar: argument name shown in the help.
+        text: help text. By default, it is taken from a docstring.
+        shipped: kinds of shipped files whose names are offered as shell completions.
     """
 
     def complete(incomplete: str) -> list[str]:
@@ -69,11 +69,11 @@ def argument(
 
 
 def workers_option(declaration: str) -> Any:
-    """Return the option for the number of parallel runs."""
+    """Define the option that sets the number of parallel runs."""
     return option(
         declaration,
-        "Number of runs that are executed in parallel. With 1, they run one after"
-        " another. [default: one per processor]",
+        "Number of parallel runs. With 1, runs are executed one after another."
+        " [default: one per processor]",
         min=1,
         max=4096,
     )
@@ -100,8 +100,8 @@ OneOutOption = Annotated[
 _CHECK = "Exit with code 1 if a result lies outside its expected range."
 CheckOption = Annotated[bool, option("--check", _CHECK)]
 _STRICT = (
-    "Like --check, but also exit with code 1 if an expectation cannot be judged or is"
-    " marked with `expected_failure`."
+    "Like --check, but expectations that cannot be judged or are marked with"
+    " `expected_failure` also cause exit code 1."
 )
 StrictOption = Annotated[bool, option("--strict", _STRICT)]
 QuietOption = Annotated[
@@ -112,8 +112,8 @@ JsonOption = Annotated[
     bool, option("--json", "Print the result as a JSON document instead of tables.")
 ]
 _PLUGIN = (
-    "Python file with classes that the input files use, such as a controller. Can be"
-    f" repeated. The environment variable {PLUGINS} can list such files instead."
+    "Python file with classes used by the input files, such as a controller. Can be"
+    f" repeated. Alternatively, list files in the environment variable {PLUGINS}."
 )
 PluginOption = Annotated[list[str] | None, option("--plugin FILE.py", _PLUGIN)]
 OverwriteOption = Annotated[
@@ -130,11 +130,11 @@ FloorOption = Annotated[str | None, option("--friction-law NAME", _FRICTION)]
 
 
 def print_json(document: Any) -> None:
-    """Print a JSON document on stdout. NumPy arrays are printed as lists."""
+    """Print a JSON document on stdout. NumPy arrays become lists."""
     import json
 
-    # The output is ASCII, because names in files may contain control characters that a
-    # terminal would execute.
+    # The output is ASCII, because file names may contain control characters, which a
+    # terminal would interpret.
     typer.echo(
         json.dumps(
             document, indent=2, allow_nan=False, default=lambda value: value.tolist()
@@ -143,7 +143,7 @@ def print_json(document: Any) -> None:
 
 
 def parse_plants(text: str | None) -> list[str] | None:
-    """Return the plants in the option `--plants`, or None without this option."""
+    """Parse the value of `--plants`. Without this option, return None."""
     plants = ("analytical", "twin")
     names = [name.strip() for name in text.split(",")] if text else []
     for name in names:
@@ -156,10 +156,10 @@ class ChangeOptions:
     """Options that override fields of a scenario.
 
     Options:
-        --set FIELD=VALUE: Override one field of the scenario, for example
+        --set FIELD=VALUE: Override a field of the scenario, for example
             controller.frequency_hz=1.5. Can be repeated.
-        --duration S: Override the duration of the simulation, in seconds.
-        --seed N: Override the seed of the random number generator.
+        --duration S: Override the simulated duration, in seconds.
+        --seed N: Override the random seed.
     """
 
     set: list[str] | None = None
@@ -193,14 +193,14 @@ NO_CHANGES = ChangeOptions()
 def expand_option_groups(
     command: Callable[..., None], *, plugins: bool = False
 ) -> Callable[..., None]:
-    """Return a command in the form that typer expects, with options and help texts.
+    """Convert a command with option groups and documented options for Typer.
 
-    Typer supports neither groups of options nor options in docstrings. This function
-    replaces a parameter whose type is a dataclass by the fields of the dataclass. The
-    section "Options:" in the docstring of the command or dataclass declares the
-    options, for example "--out DIR: Output folder." for the parameter `out`. If a
-    parameter has its own annotation, the section contains only the name and the help
-    text.
+    Typer supports neither option groups nor options in docstrings. This function
+    replaces a parameter whose type is a dataclass by the fields of the dataclass.
+    Options are declared in the section "Options:" in the docstring of the command or
+    dataclass, for example "--out DIR: Output folder." for the parameter `out`. For a
+    parameter annotated with `option` or `argument`, the section contains only the name
+    and the help text.
     """
     description, options = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)
@@ -256,8 +256,7 @@ def _with_option(annotation: object, declaration: str, text: str) -> object:
 def _parse_docstring(documented: object) -> tuple[str, dict[str, tuple[str, str]]]:
     """Split a docstring into the description and the section "Options:".
 
-    The section is returned as a dictionary that maps each parameter to its declaration
-    and help text.
+    The section is returned as a mapping from parameters to declarations and help texts.
     """
     description, _, section = (inspect.getdoc(documented) or "").partition(
         "\n\nOptions:\n"

@@ -49,11 +49,11 @@ RUNS_FOLDER = Path("runs")
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Options for the reports of runs and for the exit code.
+    """Options for reports and for the exit code.
 
     Options:
-        --junit FILE.xml: Write the results of runs and expectations to this file as a
-            JUnit XML report.
+        --junit FILE.xml: Write a JUnit XML report with the results of runs and
+            expectations to this file.
     """
 
     check: CheckOption = False
@@ -64,7 +64,7 @@ class ReportOptions:
 
     @property
     def fails(self) -> frozenset[str]:
-        """States of expectations that set the exit code to 1."""
+        """Expectation states that set the exit code to 1."""
         if self.strict:
             return frozenset({"missed", "expected_failure", "holds", "not_judged"})
         if self.check:
@@ -109,8 +109,8 @@ def run_case(
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.failed_attributions)
     for failure in errors:
-        # The trajectories are already stored in files, and sending them from a worker
-        # process would be slow.
+        # Sending trajectories from a worker process is slow, and they are already stored
+        # in files.
         failure.trajectory = failure.history = None
     result = replace(result, trajectories={}, diverged=(), failed_attributions=())
     return CaseResult(result, errors, time.perf_counter() - start)
@@ -133,9 +133,9 @@ def run_all(
 
     Args:
         cases: scenarios, which are loaded if necessary.
-        report: options for the reports and the exit code.
-        out: output folder. Each of several scenarios has a subfolder, and so has each
-            scenario of a folder that the user gave.
+        report: options for reports and the exit code.
+        out: output folder. If there are several scenarios, or if a folder of scenarios
+            is given, each scenario has a subfolder.
         workers: number of worker processes, by default one per processor. With one worker,
             the scenarios run in this process.
         plants: plants to run, by default the plants of each scenario.
@@ -159,8 +159,8 @@ def run_all(
             from srs_twin.cli.junit import report_path, write_junit
 
             write = partial(write_junit, report_path(report.junit), cases, fails)
-            # The report is written before the simulation in order to detect an unusable
-            # path and to replace the report of an earlier run.
+            # Writing the report before the simulation reveals an unusable path and
+            # replaces the report of an earlier run.
             write()
             stack.callback(write)
         valid = _load(cases, out, report.quiet, changes, plants)
@@ -196,13 +196,13 @@ def _print_tally(results: Sequence[CaseResult]) -> None:
 
 
 def make_cases(names: Sequence[str]) -> list[Case]:
-    """Return one case per scenario from names, files, or folders of files."""
+    """Return one case per scenario, given names, scenario files or folders."""
     from srs_twin.io.files import shipped_names
 
     in_folder: dict[str, bool] = {}
     for name in names:
-        # A shipped scenario takes precedence over a folder with the same name. For a
-        # name that is too long, `glob` would raise an error, but `isdir` returns False.
+        # A shipped scenario takes precedence over a folder of the same name. If a name is
+        # too long, `glob` would raise an error, but `isdir` returns False.
         is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
         files: list[str] = []
         if is_folder:
@@ -219,7 +219,7 @@ def _load(
     changes: Sequence[Override],
     plants: Sequence[str] | None,
 ) -> list[Case]:
-    """Load and check scenarios, print errors, and return the cases without errors."""
+    """Load and check scenarios, print errors and return the valid cases."""
     from srs_twin.experiment import check_run
     from srs_twin.io.files import check_output_folder
     from srs_twin.scenario.loading import load_scenario
@@ -237,13 +237,13 @@ def _load(
             if case.folder in folders:
                 raise InputError(
                     f"{case.source}: another scenario is also named"
-                    f" '{scenario.name}' and would use the same folder {case.folder};"
-                    " rename one of them"
+                    f" '{scenario.name}' and would be written to the same folder"
+                    f" {case.folder}; rename one of the scenarios"
                 )
             folders.add(case.folder)
     valid = [case for case in cases if case.result is None]
     if len(valid) > 1:
-        # An unusable folder is reported once instead of once per scenario.
+        # An unusable folder is reported only once, not for every scenario.
         check_output_folder(base)
     for case in valid:
         with _record_input_errors(case):
@@ -272,7 +272,7 @@ def _run(
     *,
     quiet: bool,
 ) -> Generator[Case, None, None]:
-    """Run cases, and yield each case in order as soon as it is complete."""
+    """Run cases and yield them in order as soon as they are complete."""
     from srs_twin.compute.workers import processor_count, run_tasks
 
     workers = min(workers or processor_count(), len(cases))
@@ -328,7 +328,7 @@ def _print_result(
 
 
 def _viewing_hint(folder: Path) -> str:
-    """Return the command that shows a run, or why the run has no recording."""
+    """Return how to view a run, or why there is no recording."""
     from srs_twin.experiment import RECORDING
 
     if (folder / RECORDING).is_file():
@@ -364,7 +364,7 @@ def compare(
     """Simulate a scenario with both models and compare the results.
 
     Options:
-        --explain: Also compute how much each modelling assumption contributes to the
+        --explain: Also compute the contribution of each modelling assumption to the
             difference between the models.
     """
     run_all(
@@ -385,15 +385,15 @@ def run(
     plants: str | None = None,
     changed: ChangeOptions = NO_CHANGES,
 ) -> None:
-    """Simulate scenarios with the models that they select.
+    """Simulate one or more scenarios.
 
     Options:
-        scenarios: Names of shipped scenarios, or paths of scenario files or of folders
-            with such files.
-        --out DIR: Output folder. Each of several scenarios gets a subfolder, and so does
-            each scenario of a folder. [default: runs/SCENARIO]
+        scenarios: Names of shipped scenarios, paths of scenario files, or folders that
+            contain scenario files.
+        --out DIR: Output folder. Several scenarios, or scenarios in a given folder, are
+            written to subfolders. [default: runs/SCENARIO]
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
-            [default: the models that the scenario names]
+            [default: models selected in the scenario]
     """
     run_all(
         make_cases(scenarios),

@@ -1,4 +1,4 @@
-"""Printed results of a run, with metrics, events and expectations."""
+"""Printed results of a run: metrics, events and expectations."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ STATE_LABELS = {
     "holds": "HOLDS",
     "not_judged": "not judged",
 }
-"""Label of each state of an expectation, which begins the printed line."""
+"""Label of each expectation state at the start of a printed line."""
 
 _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
 """Differences that `compare --explain` attributes to assumptions."""
 
 _ZERO = 5e-5
-"""Absolute difference below which 0 is printed, in m, m/s, rad or rad/s."""
+"""Absolute difference (m, m/s, rad or rad/s) below which 0 is printed."""
 
 
 def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
-    """Return the rows of the table of metrics.
+    """Return the rows of the metrics table.
 
-    The columns are the metric, the unit, the value for each plant, the difference, the
-    difference in per cent, and the published value.
+    The columns are metric, unit, the value for each plant, difference, difference in
+    per cent, and published value.
     """
     plants = metrics["plants"]
     published_values = published(metrics["expectations"])
@@ -65,7 +65,7 @@ def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
 
 
 def show(result: RunResult) -> None:
-    """Print the metrics, the events and the expectations of a run on stdout."""
+    """Print metrics, events and expectations of a run on stdout."""
     terminal = console()
     print(*textwrap.wrap(headline(result.metrics), terminal.width), "", sep="\n")
     lines = rows(result.metrics)
@@ -106,11 +106,11 @@ def show(result: RunResult) -> None:
 def _attribution_table(attribution: Mapping[str, Any]) -> Table:
     """Return a table with the contribution of each assumption to the difference.
 
-    If a contribution depends on the order in which the assumptions are switched, the
-    table contains the average, minimum and maximum over all orders.
+    If a contribution depends on the order in which assumptions are switched, average,
+    minimum and maximum over all orders are shown.
     """
     measures = [MEASURES[measure] for measure in attribution["measures"]]
-    # Headings with several lines leave space for the names of the assumptions.
+    # Multi-line headings leave space for the names of the assumptions.
     headings = [title.replace(" ", "\n", 1) + f"\n{unit}" for title, unit in measures]
     title = "attribution: twin − analytical, and the contribution of each assumption"
     if (window := attribution["window_s"]) is not None:
@@ -151,8 +151,8 @@ def event_lines(metrics: Mapping[str, Any]) -> list[str]:
         f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
         for plant, events in metrics.get("events", {}).items()
         for event in events
-        # A run may have many contacts. The headline names the first contact, and the
-        # table contains the number and the duration of contacts.
+        # A run may have many contacts. The headline states the first contact, and the
+        # table states the number and total duration.
         if event["kind"] not in CONTACT_EVENTS
     ]
 

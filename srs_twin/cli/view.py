@@ -45,9 +45,7 @@ def view(
     """
     recordings = [find_recording(run) for run in runs]
     if port is not None and not web:
-        raise InputError(
-            "--port is allowed only together with --web; add --web or remove --port"
-        )
+        raise InputError("--port requires --web; add --web or remove --port")
     with tempfile.TemporaryDirectory(prefix="srs-twin-view-") as folder:
         recording = recordings[0]
         if len(recordings) > 1:
@@ -75,7 +73,7 @@ def _serve(recording: Path, port: int) -> None:
             typer.echo(address)
             sys.stdout.flush()
             print(
-                "open this address in a browser, and press Ctrl-C to end",
+                "open this address in a browser; press Ctrl-C to stop",
                 file=sys.stderr,
                 flush=True,
             )
@@ -85,7 +83,7 @@ def _serve(recording: Path, port: int) -> None:
 
 
 def find_recording(run: str) -> Path:
-    """Return the path of a recording for a path, a run folder or the name of a run.
+    """Return the path of a recording, given its path, a run folder or a run name.
 
     Raises:
         InputError: no recording was found.
@@ -105,15 +103,15 @@ def find_recording(run: str) -> Path:
             return path
     searched = ", ".join(str(path) for path in candidates[1:])
     raise InputError(
-        f"{run}: no recording exists there (looked for {searched}); `srs-twin run"
-        " SCENARIO` writes one"
+        f"{run}: no recording was found (looked for {searched}); run `srs-twin run"
+        " SCENARIO` to write a recording"
     )
 
 
 def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
     """Return the recordings, keyed by unique names.
 
-    A name consists of the last parts of the path, and has as few parts as possible.
+    Each name consists of as few trailing parts of the path as possible.
 
     Raises:
         InputError: a recording is given twice.
@@ -137,12 +135,12 @@ def play(
     name: Annotated[str, argument("SCENARIO|ROBOT", shipped=["scenario", "robot"])],
     set_: list[str] | None = None,
 ) -> None:
-    """Play a scenario or steer a robot by keyboard in MuJoCo.
+    """Play a scenario, or steer a robot by keyboard, in MuJoCo's viewer.
 
-    The left and right keys change the steering offset of the gait, and home resets it.
-    Up and down change the gait frequency, page up and page down the supply pressure.
-    Space pauses the simulation, and backspace restarts it. The controller of a scenario
-    acts until you change the offset, the frequency or the pressure.
+    The left and right keys change the steering offset of the gait, and home resets the
+    offset. Up and down change the gait frequency, page up and page down the supply
+    pressure. Space pauses the simulation, and backspace restarts it. A scenario's
+    controller acts until you change the offset, the frequency or the pressure.
 
     Options:
         name: Name of a shipped scenario or robot, or path of a scenario or robot file.
@@ -166,7 +164,7 @@ def play(
     require_display()
     from srs_twin.viewing.mujoco.live import LiveSnake, steer
 
-    # The font of MuJoCo's viewer contains only ASCII characters.
+    # MuJoCo's viewer displays only ASCII characters.
     snake = LiveSnake(
         robot, scenario=scenario, modified=changes_text(changes).replace("→", "to")
     )
@@ -185,8 +183,8 @@ def _changed_robot(
     for override in overrides:
         if override.loc[0] != "robot":
             raise InputError(
-                f"{override.label}: only fields of the robot can be set, because no"
-                " scenario is given; write the field as `robot.FIELD`"
+                f"{override.label}: without a scenario, only fields of the robot can"
+                " be set; write the field as `robot.FIELD`"
             )
         document.apply(override)
     robot_file = robot_in(document, "robot")
@@ -200,10 +198,10 @@ def _changed_robot(
 VIDEO_SUFFIX = ".mp4"
 IMAGE_SUFFIX = ".png"
 _GHOST = "analytical"
-"""Plant that `--ghost` draws translucently."""
+"""Plant that `--ghost` draws translucent."""
 
 _MIN_SAMPLES = 2
-"""Minimum number of samples of a video or strobe image."""
+"""Minimum number of samples in a video or strobe image."""
 
 _MIN_SIDE_PX = 64
 """Minimum width and height of an image, pixels."""
@@ -214,14 +212,13 @@ _MAX_SIDE_PX = 4096
 
 @dataclass(frozen=True)
 class PictureOptions:
-    """Options for the kind, the contents and the files of rendered pictures.
+    """Options for kind, content and output file of rendered pictures.
 
     Options:
-        --video FILE.mp4: Render a video to this file, or to this folder if there are
-            several runs.
-        --image t=2.5: Render one image of the run at this time in seconds.
-        --strobe: Render one image from above that shows the robot at several times.
-        --ghost: Also draw the robot of the analytical model as a translucent body.
+        --video FILE.mp4: Render a video to this file. With several runs, give a folder.
+        --image t=2.5: Render an image of the run at this time in seconds.
+        --strobe: Render an image from above that shows the robot at several times.
+        --ghost: Also draw the analytical model as a translucent body.
         --out FILE.png: Image file, or folder for the images of several runs. [default:
             the run's folder]
         --size WxH: Width and height of the picture in pixels. With --strobe, only the
@@ -250,29 +247,27 @@ class PictureOptions:
         """Raise an `InputError` if the options contradict each other."""
         if sum((self.video is not None, self.image is not None, self.strobe)) != 1:
             raise InputError(
-                "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is"
-                " needed; give one of them"
+                "give exactly one of the options --video FILE.mp4, --image t=2.5 and"
+                " --strobe"
             )
         if self.video is not None and self.out is not None:
             raise InputError(
-                "--out sets the output of images, and --video the output of a video;"
-                " remove --out"
+                "--out sets the output of images, but --video already names the output"
+                " of the video; remove --out"
             )
         if self.ghost and self.strobe:
-            raise InputError(
-                "--ghost is possible only with --video or --image; remove --ghost"
-            )
+            raise InputError("--ghost requires --video or --image; remove --ghost")
         if self.image is not None and (self.from_, self.to) != (None, None):
             raise InputError(
-                "--from and --to select an interval for --video or --strobe; --image"
-                " shows a single time, so remove them"
+                "--from and --to apply only to --video and --strobe, because --image"
+                " shows a single time; remove --from and --to"
             )
 
     def drawing(self) -> tuple[str, Callable[..., object]]:
-        """Return the suffix of the file name and the function that writes the file.
+        """Return the file suffix and the function that writes the file.
 
         Raises:
-            InputError: the size or the time is not valid.
+            InputError: the size or the time is invalid.
         """
         from srs_twin.viewing.mujoco.render import (
             write_image,
@@ -307,14 +302,14 @@ class PictureOptions:
         target = Path(output)
         if target.suffix == suffix and runs > 1:
             raise InputError(
-                f"{target}: {runs} runs cannot share one file; give a folder"
+                f"{target}: {runs} runs cannot be written to one file; give a folder"
             )
         if target.suffix not in ("", suffix):
             raise InputError(f"{target}: the name of the file must end in {suffix}")
         return target
 
     def part(self, run: FinishedRun) -> Trajectory:
-        """Return the samples of the twin in the selected interval.
+        """Return the twin's samples in the selected interval.
 
         Raises:
             InputError: the run lacks a required plant, or has fewer than two samples in
@@ -322,8 +317,8 @@ class PictureOptions:
         """
         if "twin" not in run.trajectories:
             raise InputError(
-                f"{display_path(run.folder)}: the run contains no twin, and MuJoCo"
-                " renders only the twin; `srs-twin view` shows the analytical model"
+                f"{display_path(run.folder)}: the run contains no twin, but MuJoCo"
+                " renders only the twin; use `srs-twin view` for the analytical model"
             )
         if self.ghost and _GHOST not in run.trajectories:
             raise InputError(
@@ -338,8 +333,8 @@ class PictureOptions:
         part = whole.between(low, high)
         if len(part) < _MIN_SAMPLES:
             raise InputError(
-                f"the interval --from {low:g} --to {high:g} is outside the run, which"
-                f" lasts from {first:g} to {last:g} s"
+                f"the interval --from {low:g} --to {high:g} is outside the run; choose"
+                f" times from {first:g} to {last:g} s"
             )
         return part
 
@@ -349,7 +344,7 @@ def render(
     picture: PictureOptions,
     quiet: QuietOption = False,
 ) -> None:
-    """Render a video or image of finished runs with MuJoCo.
+    """Render videos or images of finished runs with MuJoCo.
 
     Options:
         runs: Folders of runs, or names of folders in runs/.
@@ -357,8 +352,8 @@ def render(
     picture.check()
     from srs_twin.viewing.mujoco.opengl import usable_opengl
 
-    # OpenGL is checked before MuJoCo is imported, because the import fails if
-    # MUJOCO_GL has an unknown value.
+    # The OpenGL check must precede the import of MuJoCo, which fails if MUJOCO_GL has an
+    # unknown value.
     usable_opengl()
     from srs_twin.experiment import load_run
     from srs_twin.io.files import check_output_folder

@@ -1,8 +1,8 @@
 """Centre line and sides of the body, computed from recorded connector poses.
 
-Between two connectors, a segment consists of an arc of constant curvature and of a
-straight half of the rigid gap at each end (Fig. 35). Each straight half has the heading
-of the adjacent connector.
+Between two connectors, a segment consists of an arc of constant curvature with half of
+the rigid gap at each end (Fig. 35). Each half gap is straight and has the heading of
+the adjacent connector.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 _MIN_OVERLAP = 0.25
-"""Minimum overlap of two parts of the body that is reported, in body widths.
+"""Minimum overlap between two parts of the body that is reported, in body widths.
 
-Smaller overlaps may be artefacts. The collision geoms of the twin are chords, which lie
-up to 3 mm inside the arcs, and contacts are not perfectly rigid.
+Smaller overlaps may be artefacts, because the twin's collision geoms are chords that
+lie up to 3 mm inside the arcs, and because contacts are not perfectly rigid.
 """
 _MAX_SAMPLES = 200
-"""Maximum number of samples that are searched for overlaps."""
+"""Maximum number of samples searched for overlaps."""
 
 
 def centre_lines(
@@ -29,10 +29,10 @@ def centre_lines(
 ) -> Array:
     """Return the centre line of every segment, ordered from the front.
 
-    The points are the front connector, points on the arc, and the rear connector. The
-    twin bends in a few hinges instead of an exact arc, so that the computed rear end
-    deviates from the recorded rear connector. The deviation is distributed evenly along
-    the segment, so that both ends have their recorded positions.
+    A centre line consists of the front connector, points on the arc, and the rear
+    connector. The twin bends in a few hinges instead of an exact arc, so the computed
+    rear end deviates from the recorded rear connector. The deviation is distributed
+    evenly along the segment, so that both ends keep their recorded positions.
 
     Args:
         trajectory: recorded connector poses.
@@ -60,18 +60,17 @@ def centre_lines(
 
 
 def line_height(geometry: Geometry) -> float:
-    """Return the height of the centre line in pictures, m.
+    """Return the height at which the centre line is drawn, m.
 
-    The height is at least half the width, so that the body does not penetrate the
-    floor.
+    It is at least half the body width, so that the body does not penetrate the floor.
     """
     return max(geometry.com_height, geometry.width / 2)
 
 
 def connector_size(geometry: Geometry) -> tuple[float, float, float]:
-    """Return length, width and height of a connector in pictures, m.
+    """Return length, width and height with which a connector is drawn, m.
 
-    A connector is visible even if the robot has no rigid gap.
+    Connectors are visible even if the robot has no rigid gap.
     """
     track = geometry.half_track
     height = 0.7 * geometry.width
@@ -83,7 +82,7 @@ def connector_size(geometry: Geometry) -> tuple[float, float, float]:
 
 
 def connector_places(trajectory: Trajectory, geometry: Geometry) -> Array:
-    """Return the centres of the connectors in pictures, shape (samples, N, 3), m."""
+    """Return the points at which connectors are drawn, shape (samples, N, 3), m."""
     height = np.full_like(trajectory.stack("x"), line_height(geometry))
     if trajectory.has("z"):
         height = trajectory.stack("z") + (line_height(geometry) - geometry.com_height)
@@ -91,7 +90,7 @@ def connector_places(trajectory: Trajectory, geometry: Geometry) -> Array:
 
 
 def connector_orientations(trajectory: Trajectory) -> Array:
-    """Return the quaternions x, y, z, w of the connectors, shape (samples, N, 4)."""
+    """Return connector orientations as quaternions xyzw, shape (samples, N, 4)."""
     if trajectory.has("quaternion_w"):
         parts = [trajectory.stack(f"quaternion_{axis}") for axis in "xyzw"]
         return np.stack(parts, axis=-1)
@@ -105,8 +104,8 @@ def spatial_centre_lines(
 ) -> Array:
     """Return the centre line of every segment in space.
 
-    The centre lines of a spatial snake are cubic curves between the connectors. At each
-    end, the curve is tangent to the axis of the connector.
+    The centre lines are cubic curves between the connectors. At each end, the curve is
+    tangent to the axis of the connector.
 
     Args:
         trajectory: recorded connector poses.
@@ -151,7 +150,7 @@ def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -
 
 
 def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
-    """Return points offset to the left, followed by the points offset to the right.
+    """Return points offset to the left, followed by points offset to the right.
 
     Args:
         points: points, shape (…, k, 2), m.
@@ -163,13 +162,13 @@ def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
 
 
 def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
-    """Return the maximum overlap of two parts of a planar body, m.
+    """Return the maximum overlap between two parts of a planar body, m.
 
-    Contacts between parts of the body are simulated only by the twin in a world with
-    objects. At most 200 samples are searched. Samples in which the headings of the body
-    span less than π are skipped, because such a body cannot touch itself. Two points
-    are compared if their distance along the body exceeds twice the body width. An
-    overlap of less than a quarter of the width is returned as 0.
+    Self-contacts are simulated only by the twin in a world with objects. At most 200
+    samples are searched. Samples in which the connector headings span less than π are
+    skipped, because such a body cannot touch itself. Points are compared if their
+    distance along the body exceeds twice the body width. An overlap below a quarter of
+    the width is returned as 0.
     """
     curled = np.flatnonzero(
         np.ptp(trajectory.stack("connector_heading"), axis=1) > np.pi

@@ -1,7 +1,7 @@
 """Differences between two runs, or between a run and a recording.
 
-An `Attribution` divides the difference between the plants into contributions of the
-assumptions in which the plants differ.
+An `Attribution` divides the difference between the plants into contributions of their
+different assumptions.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult, Trajectory
 
 _TIME_ROUNDING_S = 1e-9
-"""Difference below which two times are considered equal, s."""
+"""Maximum difference between times that are considered equal, s."""
 
 
 @dataclass(frozen=True)
@@ -38,19 +38,19 @@ class Comparison(HtmlResult):
     A metric is None if a plant has no gait metrics or a denominator is close to zero.
 
     Attributes:
-        metrics: values of `COMPARISON_UNITS`. The metric ``com_speed_rel`` is
-            (candidate − reference) / reference, where the reference speed is multiplied
-            by ``gap_factor``, by default 1. For ``shape_rms_m``, both bodies are
+        metrics: metrics listed in `COMPARISON_UNITS`. ``com_speed_rel`` is (candidate −
+            reference) / reference, where the reference speed is multiplied by
+            ``gap_factor`` (by default 1). For ``shape_rms_m``, both bodies are
             transformed to their centre-of-mass frames at zero mean heading (Section
-            3.4.1). The metric ``shape_rms_body`` is ``shape_rms_m`` divided by the body
-            length of the reference. Spatial snakes also have the metrics of
+            3.4.1). ``shape_rms_body`` is ``shape_rms_m`` divided by the body length of
+            the reference. Spatial snakes also have the metrics computed by
             `gait.spatial_differences`.
         time: sample times of the reference, shape (T,), s.
         shape_error: RMS distance between corresponding connectors, shape (T,), m.
         path_error: distance between the centres of mass, shape (T,), m.
         bend_error: candidate − reference, shape (T, segments), rad.
-        heading_error: candidate − reference, shape (T,), rad. Whole turns between the
-            initial headings are subtracted.
+        heading_error: candidate − reference, shape (T,), rad, without whole turns
+            between the initial headings.
     """
 
     page: ClassVar[str] = "comparison"
@@ -68,14 +68,14 @@ def compare(
 ) -> Comparison:
     """Compare two runs at equal times.
 
-    If the sample times differ, the candidate is interpolated at the sample times of the
-    reference in the common interval.
+    If the sample times differ, the candidate is interpolated at the reference's sample
+    times within the common interval.
 
     Args:
         reference: run of the analytical model.
         candidate: run of the twin.
-        gap_factor: whether to multiply the reference speed by (l + L_o)/l of the
-            candidate, because the model of the dissertation has no rigid gaps (Section
+        gap_factor: whether to multiply the reference speed by the candidate's
+            (l + L_o)/l, because the dissertation's model has no rigid gaps (Section
             3.4.2).
 
     Raises:
@@ -91,7 +91,7 @@ def compare(
         (com, heading, position, bend),
     ) = (_sampled(run, time) for run in (reference, candidate))
 
-    # Unwrapped headings may differ by whole turns even if the snakes are parallel.
+    # Unwrapped headings of parallel snakes may differ by whole turns.
     heading_error = heading - reference_heading
     heading_error -= 2 * np.pi * np.round(heading_error[0] / (2 * np.pi))
     shape = in_body_frame(position, com, heading)
@@ -123,8 +123,8 @@ def in_body_frame(
 
     Args:
         position: positions of the connectors, shape (…, N, 2), m.
-        com: centre of mass, m.
-        heading: mean heading, rad.
+        com: centres of mass, shape (…, 2), m.
+        heading: mean headings, shape (…), rad.
     """
     x, y = np.moveaxis(position - com[..., None, :], -1, 0)
     cos = np.cos(heading)[..., None]
@@ -148,8 +148,8 @@ def _check_connectors(reference: Trajectory, candidate: Trajectory) -> None:
         if not x == y == bend + 1:
             raise InputError(
                 f"{label(run)} has {x} columns x_1…, {y} columns y_1… and {bend}"
-                " columns bend_1…, which is not possible; a snake with N connectors"
-                " has N columns x, N columns y and N − 1 columns bend"
+                " columns bend_1…; a snake with N connectors must have N columns x, N"
+                " columns y and N − 1 columns bend"
             )
         counts.append(x)
     if counts[0] != counts[1]:
@@ -215,7 +215,7 @@ def _ratio(numerator: float, denominator: float) -> float | None:
 
 
 _MAX_INTERVALS = 50
-"""Maximum number of intervals in `MeasuredDifference.document`."""
+"""Maximum number of time intervals in `MeasuredDifference.document`."""
 
 
 @dataclass(frozen=True)
@@ -224,9 +224,9 @@ class MeasuredDifference:
 
     Attributes:
         comparison: plant minus measurement.
-        only_bends: whether only bends were measured. The body position is then computed
-            from the bends.
-        clamped: whether the heads of plant and robot were clamped and could not move.
+        only_bends: whether only bends were measured. The measured body position is then
+            computed from the bends.
+        clamped: whether the heads of plant and robot were clamped.
     """
 
     comparison: Comparison
@@ -235,7 +235,7 @@ class MeasuredDifference:
 
     @classmethod
     def between(cls, measured: Trajectory, run: Trajectory) -> MeasuredDifference:
-        """Compare the run of a plant with a measurement.
+        """Compare a run with a measured trajectory.
 
         Raises:
             InputError: the runs cannot be compared.
@@ -247,7 +247,7 @@ class MeasuredDifference:
 
     @property
     def metrics(self) -> dict[str, float | None]:
-        """Values of `MEASURED_UNITS`. Quantities that were not measured are None."""
+        """Metrics listed in `MEASURED_UNITS`, or None if a quantity was not measured."""
         measured = set(MEASURED_UNITS)
         if self.only_bends:
             measured = {"measured_bend_rms_rad"}
@@ -259,7 +259,7 @@ class MeasuredDifference:
         return metrics
 
     def signals(self) -> dict[str, np.ndarray]:
-        """Return differences of shape, path (m), heading and bends (rad) over time."""
+        """Return shape and path differences (m), heading and bends (rad) over time."""
         bends = {
             f"bend_{j}_rad": error
             for j, error in enumerate(self.comparison.bend_error.T, start=1)
@@ -275,7 +275,7 @@ class MeasuredDifference:
 
     @property
     def bend_rms(self) -> np.ndarray:
-        """RMS of the bend differences over the segments, shape (T,), rad."""
+        """RMS bend difference over all segments, shape (T,), rad."""
         return np.asarray(np.sqrt((self.comparison.bend_error**2).mean(axis=1)))
 
     def document(self) -> dict[str, object]:
@@ -303,10 +303,9 @@ MEASURES = {
     "mean_bend_amplitude_rad": ("bend amplitude", "rad"),
     "shape_rms_m": ("body shape, RMS", "m"),
 }
-"""Measures that an attribution divides into contributions, with title and unit.
+"""Measures divided by an attribution, with title and unit.
 
-The measures are the shape distance and the difference (twin − analytical) of three
-metrics.
+Three are differences (twin − analytical) of metrics, and one is the shape distance.
 """
 
 
@@ -318,8 +317,8 @@ class AssumptionShare:
         name: short name.
         title: one-line description.
         value: contribution to each of `MEASURES`, in the order of `MEASURES`.
-        low: minimum contribution over all orders of switching the assumptions.
-        high: maximum contribution over all orders of switching the assumptions.
+        low: minimum contribution over all orders in which assumptions are switched.
+        high: maximum contribution over all orders in which assumptions are switched.
         how: "averaged" over all orders, "first" if the assumption is switched first, or
             "refined" if only one plant makes the assumption.
     """
@@ -334,7 +333,7 @@ class AssumptionShare:
 
 @dataclass(frozen=True)
 class Attribution:
-    """Division of the difference between twin and analytical model into contributions.
+    """Contributions of assumptions to the difference between twin and analytical model.
 
     The contributions and the remainder add up to the difference.
 
@@ -343,14 +342,14 @@ class Attribution:
             the analytical model is 0.
         gap: twin − analytical.
         remainder: unexplained part of the difference.
-        matched: difference between plants with stiff bends and equal friction at the
-            same points.
-        same: assumptions in which the plants agree.
+        matched: difference between the plants if both have stiff bends and equal
+            friction at the same points.
+        same: assumptions that both plants share.
         shares: contributions of the assumptions.
-        window_s: duration of the attributed part from the start of the runs, s, or None
-            if the whole runs are attributed.
-        damping: change of `gap` at each end of the 95 % interval of the twin's damping
-            time, keyed by name.
+        window_s: duration of the attributed part, counted from the start of the runs,
+            s, or None if the whole runs are attributed.
+        damping: change of `gap` if the twin's damping time is at a bound of its 95 %
+            interval, keyed by bound.
     """
 
     reference: tuple[float, ...]
@@ -364,18 +363,18 @@ class Attribution:
 
     @property
     def extent(self) -> str:
-        """Text about the attributed part of the runs, which is empty for whole runs."""
+        """Attributed part of the runs as text, or an empty string for whole runs."""
         if self.window_s is None:
             return ""
         return f"first {self.window_s:g} s of the runs"
 
     def document(self) -> dict[str, object]:
-        """Return the attribution as an entry of metrics.json."""
+        """Return the attribution as it is stored in metrics.json."""
         return {"measures": tuple(MEASURES), **asdict(self)}
 
 
 def gap_between(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
-    """Return candidate − reference in `MEASURES`, shape (4,).
+    """Return candidate − reference for each of `MEASURES`, shape (4,).
 
     Raises:
         InputError: the runs cannot be compared.

@@ -1,6 +1,6 @@
-"""Contacts of a run with obstacles and objects, and motion of objects.
+"""Contacts with obstacles and objects, and object displacements.
 
-In most analytical models the body passes through obstacles. For such a plant, overlaps
+In most analytical models, the body passes through obstacles. For these models, overlaps
 between body and obstacles are reported instead of contacts.
 """
 
@@ -17,25 +17,25 @@ from srs_twin.plants.clearance import TOUCHING_M
 from srs_twin.trajectory import Event, Trajectory
 
 CONTACT_MEANINGS = meanings_of("""
-contacts: number of contacts with obstacles and objects, or of overlaps on a plant that ignores them
+contacts: number of contacts with obstacles and objects, or of overlaps if the plant ignores obstacles
 contact_time_s: total time of these contacts or overlaps
-clearance_m: smallest distance of the body from obstacles and objects; negative for an overlap
+clearance_m: minimum distance between the body and obstacles or objects; negative for an overlap
 """)
 CONTACT_UNITS = units_of(CONTACT_MEANINGS)
 OBJECT_MEANINGS = meanings_of("""
-object_moved_m: distance of an object at the end from its place at the start, the largest of all objects
+object_moved_m: distance between initial and final position of an object, maximum over all objects
 """)
 OBJECT_UNITS = units_of(OBJECT_MEANINGS)
 
 CONTACT = "contact"
 OVERLAP = "overlap"
 CONTACT_EVENTS = (CONTACT, OVERLAP)
-"""Kinds of events: contacts, and overlaps if the plant ignores obstacles."""
+"""Event kinds: contacts, or overlaps if the plant ignores obstacles."""
 
 TOUCH_N = 1e-3
 """Minimum contact force, N. Smaller forces are numerical errors."""
 _MAX_INTERRUPTION_S = 0.1
-"""Maximum interruption after which two contacts count as one contact, s."""
+"""Maximum gap between two contacts that count as one contact, s."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,7 @@ class ContactInterval:
         begin: start time, s.
         end: end time, s.
         force: maximum force, N.
-        connector: number of the connector with the maximum force, counted from 1 at the
-            head.
+        connector: connector with the maximum force, counted from 1 at the head.
     """
 
     begin: float
@@ -76,7 +75,7 @@ def contact_events(trajectory: Trajectory) -> list[Event]:
     """Return contacts as events, or overlaps if the plant ignores obstacles."""
     events = []
     for touch in touches(trajectory):
-        text = f"connector {touch.connector}, at most {touch.force:.2g} N"
+        text = f"connector {touch.connector}, up to {touch.force:.2g} N"
         text += _duration(touch.begin, touch.end)
         events.append(Event(touch.begin, CONTACT, text))
     for group in _spells(trajectory) if ignores_obstacles(trajectory) else ():
@@ -89,19 +88,18 @@ def contact_events(trajectory: Trajectory) -> list[Event]:
 
 
 def _duration(begin: float, end: float) -> str:
-    # The duration of a contact that occurs in a single sample is unknown.
+    # If a contact lasts for a single sample, the duration is unknown.
     if end > begin:
         return f", for {end - begin:.2g} s"
     return ""
 
 
 def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics in `CONTACT_UNITS`.
+    """Return the metrics in `CONTACT_UNITS`, or None in a world without obstacles.
 
-    The metrics are None in a world without obstacles. The clearance is the minimum
-    distance between the collision geoms of the body and the obstacles and objects at
-    the samples (`plants.clearance`). After a contact the clearance is at most 0, even
-    if the contact occurred between two samples.
+    The clearance is the minimum distance, over all samples, between the body's
+    collision geoms and obstacles or objects (`plants.clearance`). If there was a
+    contact, the clearance is at most 0, even if the contact fell between two samples.
     """
     metrics: dict[str, float | None] = dict.fromkeys(CONTACT_UNITS)
     touching = _touching(trajectory)
@@ -111,7 +109,7 @@ def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         metrics["contact_time_s"] = float(steps[touching].sum())
     if trajectory.has("clearance"):
         least = float(trajectory["clearance"].min())
-        # A contact between two samples affects the force but not the clearance.
+        # A contact between two samples shows only in the force.
         if metrics["contacts"]:
             least = min(least, 0.0)
         metrics["clearance_m"] = least
@@ -124,16 +122,16 @@ def ignores_obstacles(trajectory: Trajectory) -> bool:
 
 
 def contact_free_s(runs: Iterable[Trajectory]) -> float:
-    """Return the time of the last sample before the first contact of any run, s.
+    """Return the time of the last sample before the first contact in any run, s.
 
-    The time is infinite if there are no contacts. Overlaps do not count as contacts,
-    because they do not affect the motion.
+    The time is infinite if there are no contacts. Overlaps are ignored, because they do
+    not affect the motion.
     """
     end = math.inf
     for run in runs:
         for touch in touches(run)[:1]:
-            # The force at a sample is a mean since the previous sample, so the
-            # contact began after the previous sample.
+            # A sample contains the mean force since the previous sample, so the contact
+            # began after the previous sample.
             before = max(int(np.searchsorted(run.time, touch.begin)) - 1, 0)
             end = min(end, float(run.time[before]))
     return end
@@ -159,7 +157,7 @@ def _spells(trajectory: Trajectory) -> list[np.ndarray]:
 
 
 def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
-    """Return the obstacle force on each connector, shape (samples, N), N, or None."""
+    """Return obstacle forces on the connectors, shape (samples, N), N, or None."""
     if not trajectory.has("obstacle_force_x"):
         return None
     return np.hypot(

@@ -1,7 +1,7 @@
-"""Comparison of two sets of results, for example of two commits, machines or settings.
+"""Comparison of two sets of results, for example from two commits, machines or settings.
 
 Two numbers are equal if |a − b| ≤ max(abs, rel · max(|a|, |b|)). Other values, such as
-verdicts, must be identical. A number that only one set contains counts as a difference.
+verdicts, must be identical. A number contained in only one set counts as a difference.
 Two single runs are compared even if their scenarios have different names. Wall times
 are not compared.
 """
@@ -25,7 +25,7 @@ from srs_twin.io.untrusted import parse_json, read_json, read_table
 from srs_twin.io.validation import StrictModel, load_model
 
 REL = 1e-6
-"""Default relative tolerance, which covers differences between types of processors."""
+"""Default relative tolerance, which covers differences between processor types."""
 ABS = 1e-9
 """Default absolute tolerance, in the unit of the number."""
 
@@ -36,7 +36,7 @@ _NUMBERED = re.compile(r"(_(plus|minus))?(_\d+)?(_period_\d+)?(\[\d+\])*$")
 
 Leaf = bool | int | float | str | None
 ValueKey = tuple[str, str]
-"""Pair of a scenario, sweep point or reproduction row, and a metric."""
+"""Scenario, sweep point or reproduction row, followed by the metric."""
 
 
 class Tolerance(StrictModel):
@@ -58,16 +58,16 @@ class Tolerance(StrictModel):
     ] = ABS
 
     def allows(self, a: Leaf, b: Leaf) -> bool:
-        """Return whether two values are equal within the tolerance."""
+        """Return whether the tolerance allows the difference between two values."""
         if _is_number(a) and _is_number(b):
             if math.isnan(a) and math.isnan(b):  # type: ignore[arg-type]
-                return True  # the number is undefined in both sets
+                return True  # undefined in both sets
             return math.isclose(a, b, rel_tol=self.rel, abs_tol=self.abs)  # type: ignore[arg-type]
         return a == b and _is_number(a) == _is_number(b)
 
 
 class Tolerances(Tolerance):
-    """Tolerances file with default tolerances and tolerances for single metrics."""
+    """Tolerances file, with default tolerances and tolerances of individual metrics."""
 
     metrics: Annotated[
         dict[str, Tolerance],
@@ -77,9 +77,8 @@ class Tolerances(Tolerance):
     def for_metric(self, metric: str) -> Tolerance:
         """Return the tolerance for a metric.
 
-        A tolerance for the full name of the metric takes precedence over a tolerance
-        for the name without the plant. The default tolerance applies to all other
-        metrics.
+        A tolerance for the full metric name takes precedence over a tolerance for the
+        name without the plant. All other metrics have the default tolerance.
         """
         names = (name for name in tolerance_names(metric) if name in self.metrics)
         return next(map(self.metrics.__getitem__, names), self)
@@ -106,7 +105,7 @@ class ChangedValue:
 
     @property
     def rel(self) -> float | None:
-        """Relative change (b − a)/|a|, or None if the quotient is not finite."""
+        """Relative change (b − a)/|a|, or None if it is not finite."""
         if not (_is_number(self.a) and _is_number(self.b)) or self.a == 0:
             return None
         change = (self.b - self.a) / abs(self.a)  # type: ignore[operator, arg-type]
@@ -117,7 +116,7 @@ class ChangedValue:
 
 @dataclass(frozen=True)
 class Results:
-    """Results of one or more runs as a flat table."""
+    """Results of one or more runs as a flat table, with package versions."""
 
     values: Mapping[ValueKey, Leaf]
     versions: Mapping[str, str]
@@ -128,10 +127,10 @@ class Difference:
     """Differences between two sets of results A and B.
 
     Attributes:
-        moved: changed values.
+        moved: values that differ.
         same: number of equal values.
-        wheres: scenarios, sweep points and reproduction rows of the results.
-        versions: package versions that differ.
+        wheres: names of the compared scenarios, sweep points and reproduction rows.
+        versions: package versions that differ, keyed by package.
     """
 
     moved: tuple[ChangedValue, ...]
@@ -140,7 +139,7 @@ class Difference:
     versions: Mapping[str, tuple[str, str]]
 
     def document(self) -> dict[str, object]:
-        """Return JSON values, with "NaN", "Infinity" and "-Infinity" as strings."""
+        """Return JSON data. Non-finite numbers become "NaN", "Infinity" or "-Infinity"."""
         moved = [asdict(change) | {"rel": change.rel} for change in self.moved]
         return {
             "moved": [
@@ -169,14 +168,14 @@ def diff(
     """Compare two sets of results, like `srs-twin diff`.
 
     Args:
-        a: reference results, or a path to results (see `read_results`).
-        b: results to compare, or a path to results.
-        tolerances: allowed differences. By default, differences between types of
-            processors are allowed.
+        a: reference results, or the path of results (see `read_results`).
+        b: results to compare, or the path of results.
+        tolerances: allowed differences. The defaults allow for differences between
+            processor types.
 
     Raises:
         InputError: there are no results, or a file does not contain results.
-        UnknownNameError: neither set of results contains the metric of a tolerance.
+        UnknownNameError: a tolerance names a metric that neither set contains.
     """
     a, b = (
         given if isinstance(given, Results) else read_results(given) for given in (a, b)
@@ -213,7 +212,7 @@ def diff(
 
 
 def tolerance_names(metric: str) -> tuple[str, str, str]:
-    """Return the full name of a metric, the name without plant, and without numbers."""
+    """Return a metric name, the name without plant, and the name without numbers."""
     without_plant = _OWNER.sub("", metric)
     return metric, without_plant, _NUMBERED.sub("", without_plant)
 
@@ -222,8 +221,8 @@ def read_results(path: StrPath) -> Results:
     """Read the results of `run`, `compare`, `replay`, `sweep` or `reproduce`.
 
     Args:
-        path: metrics.json, results.parquet or reproduce.json, or a folder. Folders are
-            searched recursively.
+        path: metrics.json, results.parquet or reproduce.json, or a folder to search
+            recursively.
 
     Raises:
         InputError: the results are missing or invalid.
@@ -248,9 +247,9 @@ def read_results(path: StrPath) -> Results:
 
 
 def _result_files(folder: Path) -> Iterator[Path]:
-    """Yield the result files in a folder. Links to folders are ignored."""
+    """Yield the result files in a folder without following links to folders."""
     pending = [os.fspath(folder)]
-    # A list replaces recursion, because nested folders could exhaust the stack.
+    # Recursion could exhaust the stack in deeply nested folders.
     while pending:
         current = pending.pop()
         try:
@@ -261,7 +260,7 @@ def _result_files(folder: Path) -> Iterator[Path]:
                     f"{display_path(folder)}: cannot be read ({error.strerror})"
                 ) from error
             continue
-        # Hidden folders may contain incomplete files of an interrupted process.
+        # Hidden folders may contain incomplete files from an interrupted process.
         entries = [entry for entry in entries if not entry.name.startswith(".")]
         pending += [
             entry.path for entry in entries if entry.is_dir(follow_symlinks=False)
@@ -325,12 +324,12 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Leaf]]:
 def _read_sweep(path: Path) -> tuple[list[tuple[ValueKey, Leaf]], dict[str, str]]:
     def check(schema: Any) -> None:
         if b"srs_twin.sweep" not in (schema.metadata or {}):
-            raise ValueError("the Parquet file is not the result of a sweep")
+            raise ValueError("the Parquet file was not written by a sweep")
 
     try:
         table = read_table(path, "the results of a sweep", check)
     except InputError as error:
-        raise ValueError("the file is not the result of a sweep") from error
+        raise ValueError("the file was not written by a sweep") from error
     metadata = parse_json(
         table.schema.metadata[b"srs_twin.sweep"].decode(), display_path(path)
     )

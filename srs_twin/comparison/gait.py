@@ -1,6 +1,6 @@
-"""Metrics of a gait, such as speed, turning radius, power and cost of transport.
+"""Gait metrics, such as speed, turning radius, power and cost of transport.
 
-All means are computed over whole gait periods (`GaitWindow`).
+All means are taken over whole gait periods (`GaitWindow`).
 """
 
 from __future__ import annotations
@@ -23,34 +23,34 @@ from srs_twin.robot.spec import GRAVITY
 from srs_twin.trajectory import Trajectory
 
 WARM_UP_PERIODS = 2
-"""Number of gait periods at the start of a run that are excluded from means."""
+"""Number of initial gait periods excluded from means."""
 MIN_PERIODS = 3
-"""Minimum number of whole gait periods that a run needs for gait metrics."""
+"""Minimum number of whole gait periods required for gait metrics."""
 _MIN_SAMPLES_PER_PERIOD = 4
-"""Minimum number of samples per gait period at which gait metrics are computed."""
+"""Minimum number of samples per gait period required for gait metrics."""
 _MIN_TIMES_PER_PERIOD = 64
-"""Minimum number of times per gait period at which signals are evaluated."""
+"""Minimum number of evaluation times per gait period."""
 _PERIOD_ROUNDING = 1e-6
-"""Tolerance for comparing times, as a fraction of a gait period."""
+"""Tolerance when comparing times, as a fraction of a gait period."""
 
 
 @dataclass(frozen=True)
 class GaitWindow:
-    r"""Whole gait periods after the warm-up, over which means are computed.
+    r"""Time window of whole gait periods after the warm-up, used to compute means.
 
-    The running mean of a signal x over one period T, and its exact derivative, are
+    The running mean of a signal x over one period T and its exact derivative are
 
     $$\bar x(t) = \frac{1}{T} \int_t^{t+T} x\,ds, \qquad \dot{\bar x}(t) = \frac{x(t+T) - x(t)}{T},$$
 
-    where t lies between the start of the window and one period before the end of the
-    window. The signal x is interpolated by a cubic spline. Therefore T need not be a
-    multiple of the sample period, and the window need not begin at a sample.
+    where t ranges from the start of the window to one period before the end. The signal
+    x is interpolated by a cubic spline. Therefore T need not be a multiple of the
+    sample period, and the window need not begin at a sample.
 
     Attributes:
         start: start time, s.
         period: period T, s.
         periods: number of periods, K ≥ 2.
-        times_per_period: number of times per period at which signals are evaluated.
+        times_per_period: number of evaluation times per period.
     """
 
     start: float
@@ -62,9 +62,9 @@ class GaitWindow:
     def from_trajectory(cls, trajectory: Trajectory) -> GaitWindow | None:
         """Return the window of all whole periods after a warm-up of two periods.
 
-        A run of exactly three whole periods has a warm-up of only one period, so that
-        two periods remain for the means. The result is None if the run has no gait
-        frequency, fewer than three whole periods, or too few samples per period.
+        If a run has exactly three whole periods, the warm-up is one period, so that two
+        periods remain for the means. Return None if the run has no gait frequency,
+        fewer than three whole periods, or too few samples per period.
 
         Raises:
             InputError: the gait frequency in the metadata is not a positive number.
@@ -75,7 +75,7 @@ class GaitWindow:
         time = trajectory.time
         whole, samples = _extent(trajectory, frequency)
         warm_up = min(WARM_UP_PERIODS, whole - 2)
-        # Four evaluation times per sample period resolve the spline between samples.
+        # Four evaluation times per sample interval resolve the spline.
         times = max(_MIN_TIMES_PER_PERIOD, int(np.ceil(4 * samples)))
         return cls(
             float(time[0]) + warm_up / frequency,
@@ -86,7 +86,7 @@ class GaitWindow:
 
     @classmethod
     def missing_reason(cls, trajectory: Trajectory) -> str:
-        """Return the reason why a run has no window, or an empty string."""
+        """Return why a run has no window, or an empty string if there is a window."""
         frequency = positive_number(trajectory, "gait_frequency_hz")
         if frequency is None:
             return "the run has no gait frequency"
@@ -103,9 +103,10 @@ class GaitWindow:
     def ending_at(
         cls, trajectory: Trajectory, period: float, end: float, periods: int
     ) -> GaitWindow | None:
-        """Return a window of several periods (s) that ends at a given time (s).
+        """Return a window of several periods that ends at a given time (s).
 
-        The result is None if the window would begin before the run.
+        The gait period is in seconds. Return None if the window would begin before the
+        run.
         """
         start = end - periods * period
         step = float(np.median(np.diff(trajectory.time)))
@@ -123,8 +124,7 @@ class GaitWindow:
         """Return equally spaced times (s) over the first periods of the window.
 
         The times are midpoints of equal intervals. For a smooth periodic signal, the
-        mean of the values at the midpoints equals the mean over whole periods to
-        rounding accuracy.
+        mean over these times equals the mean over whole periods up to rounding.
         """
         step = self.period / self.times_per_period
         return self.start + step * (np.arange(periods * self.times_per_period) + 0.5)
@@ -132,10 +132,10 @@ class GaitWindow:
     def running_mean(
         self, trajectory: Trajectory, values: Array
     ) -> tuple[Array, Array]:
-        """Return the running mean of a signal over one period, and its derivative.
+        """Return the running mean of a signal over one period and its derivative.
 
-        Mean and derivative are evaluated at equally spaced times over K − 1 periods.
-        The signal has the shape (samples, …).
+        Both are evaluated at equally spaced times over K − 1 periods. The signal has
+        shape (samples, …).
         """
         signal = interpolant(trajectory, values)
         integral = signal.antiderivative()
@@ -153,9 +153,9 @@ class GaitWindow:
         return mean
 
     def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
-        """Return the mean amplitude of a signal over all periods.
+        """Return the amplitude of a signal, averaged over all periods.
 
-        The amplitude in a period is half the range of the signal in this period.
+        The amplitude in a period is half the signal's range in this period.
         """
         signal = interpolant(trajectory, values)(self.times(self.periods))
         by_period = signal.reshape(
@@ -166,9 +166,9 @@ class GaitWindow:
 
 
 def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
-    """Return the number of whole gait periods, and the number of samples per period."""
+    """Return the number of whole gait periods and the number of samples per period."""
     time = trajectory.time
-    # The tolerance keeps the last period of a run that ends with a whole period.
+    # The tolerance keeps the last period if the run ends with a whole period.
     whole = int(np.floor((time[-1] - time[0]) * frequency + 1e-6))
     if len(time) < 2:
         return whole, 0.0
@@ -176,7 +176,7 @@ def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
 
 
 MIN_TRAVEL_BODY_LENGTHS = 1e-3
-"""Minimum distance per gait period of a snake that travels, in body lengths."""
+"""Distance per gait period above which a snake counts as travelling, in body lengths."""
 
 
 def displacement_per_period(
@@ -184,9 +184,9 @@ def displacement_per_period(
 ) -> tuple[Array, Array]:
     """Return chord (m, negative for backward motion) and turn (rad) of each period.
 
-    The start of a period varies over one gait period, and chord and turn are averaged
-    over all starts. With a single start, the lateral oscillation of the body would
-    change the turning radius. A window of K periods gives K − 1 chords and K − 1 turns.
+    Chord and turn are averaged over all gait phases at which a period may start. With a
+    single phase, the lateral oscillation of the body would distort the turning radius.
+    A window of K periods yields K − 1 chords and K − 1 turns.
     """
     speed, turn_rate = running_rates(trajectory, window)
     shape = (window.periods - 1, window.times_per_period)
@@ -196,10 +196,10 @@ def displacement_per_period(
 
 
 def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Array]:
-    """Return the speed along the period-averaged path and the mean yaw rate.
+    """Return the speed along the period-averaged path (m/s) and the yaw rate (rad/s).
 
-    The speed (m/s) is negative if the mean motion is opposite to the heading. The yaw
-    rate (rad/s) is positive to the left.
+    The speed is negative if the mean motion is opposite to the heading. The yaw rate is
+    positive to the left.
     """
     heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
     _, velocity = window.running_mean(trajectory, trajectory.com)
@@ -211,13 +211,13 @@ def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Ar
 STRAIGHT_BODY_LENGTHS = 100.0
 """Turning radius above which a path counts as straight, in body lengths.
 
-For generation 2 this radius is about 20 m. A path of 2 m then deviates from its tangent
-by 0.1 m.
+For generation 2, this radius is about 20 m. At this radius, a path of 2 m deviates from
+its tangent by 0.1 m.
 """
 STRAIGHT_TURN_RAD = 1e-3
 """Turn per gait period below which a path counts as straight, rad.
 
-Contact creep causes turns of about 0.06° in a snake that does not move forward.
+Due to contact creep, a snake that does not move forward turns by about 0.06°.
 """
 
 
@@ -226,10 +226,10 @@ def turning_radius(
 ) -> float | None:
     """Return the signed turning radius (m), or None for a straight path.
 
-    The radius is positive to the left. The turning radius is computed from the chord
-    (speed · period) and the turn (yaw_rate · period) of the body in one period. The
-    quotient of speed and yaw rate is the radius of the averaged path, which is smaller
-    by 1 % if the body turns by half a radian per period.
+    The radius is positive to the left. It is computed from the chord (speed · period)
+    and the turn (yaw_rate · period) in one period. The quotient of speed and yaw rate
+    would give the radius of the averaged path, which is smaller by 1 % if the body
+    turns by half a radian per period.
 
     Args:
         speed: forward speed, m/s.
@@ -247,15 +247,15 @@ def turning_radius(
 
 
 def path_curvature(chord: float, turn: float) -> float:
-    """Return the curvature (1/m) of a circular arc with a chord (m) and turn (rad)."""
+    """Return the curvature (1/m) of an arc with a given chord (m) and turn (rad)."""
     return 2 * math.sin(turn / 2) / chord
 
 
 ENERGY_MEANINGS = meanings_of("""
-mechanical_power_w: mean power of the torques of the segments
-internal_power_w: mean power dissipated by relative motion of the hinges of a segment
+mechanical_power_w: mean power delivered by the segment torques
+internal_power_w: mean power dissipated by relative motion between the hinges of a segment
 cost_of_transport: mechanical power divided by weight and speed
-pneumatic_power_w: mean power of the air that the chambers draw
+pneumatic_power_w: mean power of the air drawn by the chambers
 pneumatic_cost_of_transport: pneumatic power divided by weight and speed
 """)
 """Power and cost of transport of a gait."""
@@ -264,12 +264,11 @@ pneumatic_cost_of_transport: pneumatic power divided by weight and speed
 def energy_metrics(
     trajectory: Trajectory, window: GaitWindow, speed: float
 ) -> dict[str, Any]:
-    """Compute the power and cost of transport of a gait (`ENERGY_MEANINGS`).
+    """Compute power and cost of transport (`ENERGY_MEANINGS`) at a mean speed (m/s).
 
-    The mechanical power is the power that friction and segments dissipate. The
+    The mechanical power is the power dissipated by friction and in the segments. The
     pneumatic power is the supply pressure times the volume flow of consumed air at the
-    supply pressure. A metric is None if the run does not record the required columns.
-    The argument `speed` is the mean speed in m/s.
+    supply pressure. A metric is None if the run lacks the required columns.
     """
     mass = positive_number(trajectory, "mass_kg")
     metrics: dict[str, Any] = dict.fromkeys(ENERGY_MEANINGS)
@@ -296,17 +295,17 @@ def _mean_rate(trajectory: Trajectory, window: GaitWindow, name: str) -> float:
 SPATIAL_MEANINGS = meanings_of("""
 travel_speed_m_s: speed of a spatial snake in any direction, mean over whole gait periods
 travel_direction_rad: direction of travel relative to the mean heading; positive to the left
-body_height_m: largest height of a connector of a spatial snake
+body_height_m: maximum height of a connector of a spatial snake
 contact_fraction: mean fraction of connectors that press on the floor
 supports: mean number of separate parts of the body that press on the floor
-roll_turns: turns of the body about its axis over the whole run, mean over the connectors
+roll_turns: rotation of the body about its axis over the whole run in turns, mean over the connectors
 """)
 SPATIAL_UNITS = units_of(SPATIAL_MEANINGS)
-"""Units of the metrics of a spatial snake, each of which is a number or None."""
+"""Units of the spatial metrics, each of which is a number or None."""
 
 SPATIAL_DIFFERENCE_MEANINGS = meanings_of("""
-travel_speed_rel: travel speed of the twin minus that of the analytical model, divided by the latter
-travel_direction_abs: magnitude of the difference of the directions of travel
+travel_speed_rel: travel speed difference (twin minus analytical) divided by the analytical travel speed
+travel_direction_abs: magnitude of the difference between the travel directions
 contact_agreement: fraction of samples in which a connector touches the floor on both plants or on neither
 """)
 SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {
@@ -318,10 +317,9 @@ SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {
 def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Compute the metrics of a spatial snake (`SPATIAL_MEANINGS`).
 
-    A sidewinder travels across the direction of its body, so that the forward speed is
-    smaller than the travel speed. A body with two separate supports can roll over.
-    Speed and direction of travel are None without a gait of at least three whole
-    periods.
+    A sidewinder travels across its body axis, so the forward speed is smaller than the
+    travel speed. A body with two separate supports can roll over. Speed and direction
+    of travel are None if the run has fewer than three whole gait periods.
     """
     if not trajectory.has("z"):
         return {}
@@ -345,7 +343,7 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         (np.diff(touches, axis=1, prepend=False) & touches).sum(axis=1).mean()
     )
     w, x, y, z = (trajectory.stack(f"quaternion_{axis}") for axis in "wxyz")
-    # The arguments of arctan2 are the heights of the tips of the left and upper axes.
+    # The heights of the left and upper axis tips determine the roll angle.
     roll = np.unwrap(np.arctan2(2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)), axis=0)
     metrics["roll_turns"] = float(abs(roll[-1] - roll[0]).mean() / (2 * math.pi))
     return metrics
@@ -356,8 +354,8 @@ def spatial_differences(
 ) -> dict[str, float | None]:
     """Compare two runs of a spatial snake (`SPATIAL_DIFFERENCE_MEANINGS`).
 
-    If the runs have whole gait periods, contacts are compared over whole periods. The
-    runs are compared at the times `time` (s).
+    The runs are compared at the times `time` (s). If they have whole gait periods,
+    contacts are compared over whole periods.
     """
     if not (reference.has("z") and candidate.has("z")):
         return {}

@@ -1,8 +1,8 @@
-"""Metrics of iterative learning: amplitudes, duty cycles, convergence, and the path.
+"""Metrics of iterative learning: amplitudes, duty cycles, convergence and path.
 
-Amplitudes are computed from the sensor readings in the periods of each chamber
-(`control.duties`). The path of the centre of mass is measured over the last periods of
-a run. The lateral extent of the body is measured from the path (Fig. 58, Table 8).
+Amplitudes are computed from the sensor readings in each chamber period
+(`control.duties`). The centre-of-mass path is evaluated over the last periods of a run.
+The lateral extent of the body is measured from this path (Fig. 58, Table 8).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
 _PERIOD_ROUNDING = 1e-6
-"""Tolerance for comparing times, as a fraction of a gait period."""
+"""Tolerance when comparing times, as a fraction of a gait period."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +59,10 @@ class PeriodAmplitudes:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory) -> PeriodAmplitudes:
-        """Divide a run into the periods of each chamber.
+        """Divide a run into chamber periods.
 
         Raises:
-            InputError: the metadata lack the start times of filling or the gait
-                frequency.
+            InputError: the metadata lack the fill times or the gait frequency.
         """
         measured_bend = trajectory.stack("measured_bend")
         period, fill_starts = _chamber_periods(trajectory, measured_bend.shape[-1])
@@ -95,7 +94,7 @@ class PeriodAmplitudes:
 
 
 def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Array]:
-    """Return the gait period and the time at which each chamber is first filled, s."""
+    """Return the gait period and the time when each chamber is first filled, s."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
     fill_starts = np.array(listed if isinstance(listed, list) else [], dtype=float)
@@ -112,9 +111,9 @@ def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Arra
 
 
 _STRAIGHT_PATH_TURN = 1e-4
-"""Turn along the whole path below which a line is fitted instead of a circle, rad.
+"""Total turn of a path below which a line is fitted instead of a circle, rad.
 
-A circle fitted to such a path would have an arbitrary radius.
+A circle fitted to a nearly straight path would have an arbitrary radius.
 """
 
 
@@ -124,9 +123,9 @@ class PathFit:
 
     Attributes:
         centre: centre of the circle, or any point on the line, shape (2,), m.
-        radius: radius, m, or None for a line. The radius is positive if the centre lies
-            to the left of the heading.
-        direction: unit vector along the line, or along the heading in the middle of the
+        radius: radius, m, positive if the centre lies to the left of the heading, or
+            None for a line.
+        direction: unit vector along the line, or the heading in the middle of the
             circular path, shape (2,).
     """
 
@@ -179,7 +178,7 @@ class PathFit:
 def box_edges(
     trajectory: Trajectory, window: GaitWindow, path: PathFit
 ) -> tuple[float, float]:
-    """Return the left (negative) and right edge of the area that the body covers, m.
+    """Return the left (negative) and right edge of the area covered by the body, m.
 
     If the metadata contain the body width (``body_width_m``), half the width is added
     on both sides of each connector.
@@ -195,10 +194,10 @@ def box_edges(
 
 
 LEARNING_MEANINGS = meanings_of("""
-amplitude_growth_rel: mean amplitude of the last period before a duty changes, divided by that of the first
+amplitude_growth_rel: mean amplitude in the last period before a duty changes, divided by that in the first
 periods_to_converge: first period from which all amplitudes stay within 5 % of their targets
 amplitude_error_end_rad: largest amplitude error in the last period
-amplitude_error_end_rel: largest amplitude error in the last period, divided by its target
+amplitude_error_end_rel: largest amplitude error in the last period, divided by the target
 amplitude_error_rad: amplitude error of each chamber in each period
 duty: learnt duty of each chamber in each period
 duty_lowest: smallest duty in the last period
@@ -210,35 +209,35 @@ path_bend_before_per_m: magnitude of the curvature before learning
 path_bend_per_m: magnitude of the curvature in the last five periods
 path_bend_left_rel: fraction of the magnitude of the curvature that remains after learning
 path_radius_m: radius of the path in the last five periods
-path_radius_spread_rel: range of the radii of these periods, divided by their mean
-heading_drift_rad: turn of the heading per period, mean over the last five
+path_radius_spread_rel: range of the path radii in the last five periods, divided by their mean
+heading_drift_rad: turn of the heading per period, mean over the last five periods
 heading_drift_by_period_rad: turn of the heading in each period
-extent_left_m: extent of the body to the left of its path
-extent_right_m: extent of the body to the right of its path
+extent_left_m: extent of the body to the left of the path
+extent_right_m: extent of the body to the right of the path
 """)
 LEARNING_LIST_UNITS = units_of(
     ["amplitude_error_rad", "duty", "heading_drift_by_period_rad"]
 )
-"""Units of metrics that have one entry per period.
+"""Units of metrics with one entry per period.
 
-Each entry is a nested list over segments and chambers, or one number for the heading.
+Each entry is a nested list over segments and chambers, or a single number for heading.
 """
 LEARNING_UNITS = units_of(
     name for name in LEARNING_MEANINGS if name not in LEARNING_LIST_UNITS
 )
-"""Units of the metrics of iterative learning, each of which is a number or None."""
+"""Units of the learning metrics, each of which is a number or None."""
 
 CONVERGENCE_TOLERANCE = 0.05
-"""Maximum relative amplitude error of a converged chamber."""
+"""Maximum relative amplitude error of a chamber that counts as converged."""
 LAST_PERIODS = 5
-"""Number of periods at the end of a run over which the path is measured."""
+"""Number of final periods over which the path is evaluated."""
 
 _MIN_CURVATURE = 1e-3
-"""Minimum curvature before learning for a relative change of curvature, 1/m."""
+"""Curvature before learning below which no relative change is computed, 1/m."""
 
 
 def is_learning(trajectory: Trajectory) -> bool:
-    """Return whether a run has iterative learning."""
+    """Return whether a run uses iterative learning."""
     return all(
         trajectory.has(name) for name in ("measured_bend", "duty_plus", "target_plus")
     )
@@ -248,18 +247,17 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     """Compute the metrics of a run with iterative learning (`LEARNING_MEANINGS`).
 
     A metric that is not applicable is None. Amplitudes refer to the periods of each
-    chamber. The first period may begin before time 0. Modules with a fault have no
-    target and are excluded. Amplitude errors are target minus amplitude. The metric
+    chamber, the first of which may begin before time 0. Modules with a fault have no
+    target and are excluded. Amplitude errors are target minus amplitude.
     ``amplitude_growth_rel`` is 1 if the chambers have their final pressures from the
     start.
 
-    In each period, the centre of mass moves along a chord, and the body turns. Chord
-    and turn are averaged over the gait phase, so that five periods give four values.
+    In each period, the centre of mass moves along a chord while the body turns. Chord
+    and turn are averaged over the gait phase, so that five periods yield four values.
     The curvature is 2 sin(turn/2)/chord. The curvature before learning is the mean over
-    the two periods before the first update of a duty cycle. This curvature is None if
-    the two periods begin less than half a period after the start. The metrics
-    ``extent_left_m`` and ``extent_right_m`` are measured from the circle or line that
-    is fitted to the path of the last five periods.
+    the two periods before the first update of a duty cycle, or None if they begin less
+    than half a period after the start. ``extent_left_m`` and ``extent_right_m`` are
+    measured from the circle or line fitted to the path of the last five periods.
 
     Raises:
         InputError: columns or metadata are missing or unusable.
@@ -289,8 +287,8 @@ def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
     target = by_period.target[:, working]
     converged = np.all(error <= CONVERGENCE_TOLERANCE * target, axis=1)
     outside = np.flatnonzero(~converged)
-    # The last period outside the tolerance has the index `outside[-1]`. Periods are
-    # numbered from 1, so the first converged period has the number `outside[-1] + 2`.
+    # `outside[-1]` is the index of the last period outside the tolerance. Periods are
+    # numbered from 1, so the first converged period is number `outside[-1] + 2`.
     first = int(outside[-1]) + 2 if len(outside) else 1
     duty = by_period.duty[-1, working]
     metrics: dict[str, float | None] = {

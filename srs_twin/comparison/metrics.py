@@ -1,4 +1,4 @@
-"""Metrics of single runs, with their descriptions and the texts of summaries."""
+"""Metrics of single runs, metric descriptions, and summaries of results."""
 
 from __future__ import annotations
 
@@ -101,18 +101,18 @@ RELATIVE = {
 }
 """Metrics whose difference is also printed in per cent of the analytical value.
 
-Each group of metrics has an additional set of such metrics.
+Metric groups define further metrics of this kind (`MetricGroup.relative`).
 """
 
 _TENTH = 0.05
-"""Relative difference below which one significant digit is printed, per cent."""
+"""Relative difference (per cent) below which only one significant digit is printed."""
 
 _NOT_COMPARED = ("wall_s", "realtime_factor")
-"""Metrics whose difference is not shown, because they do not depend on the plant."""
+"""Metrics whose difference is not shown because it says nothing about the plants."""
 
 
 def _per_cent(metric: str, reference: float, value: float) -> str:
-    """Return (value − reference)/reference in per cent as text.
+    """Format (value − reference)/reference in per cent.
 
     The text is empty if the signs differ or the reference is close to zero.
     """
@@ -129,7 +129,7 @@ def _per_cent(metric: str, reference: float, value: float) -> str:
 def published(
     expectations: Sequence[Mapping[str, Any]],
 ) -> dict[str, tuple[float, str]]:
-    """Return the published value of each metric, and the source of the value."""
+    """Return the published value of each metric with the source."""
     return {
         row["metric"]: (row["near"], row["source"])
         for row in expectations
@@ -140,12 +140,12 @@ def published(
 
 
 METRICS_LISTED = "`srs-twin list metrics`"
-"""Command that lists all metrics, for messages."""
+"""Command that lists all metrics, as quoted in messages."""
 
 _PLANT_MEANINGS = meanings_of("""
 com_speed_m_s: forward speed of the centre of mass, mean over whole gait periods after the first two
 path_length_m: length of the path of the centre of mass over the whole run
-yaw_rate_rad_s: mean rate of the heading over the same periods; positive to the left
+yaw_rate_rad_s: mean yaw rate over the periods used for com_speed_m_s; positive to the left
 turning_radius_m: radius of the path; none for a straight path
 mean_bend_amplitude_rad: half the range of the bend, mean over the segments
 bend_amplitude_rad: half the range of the bend of each segment, head first
@@ -154,10 +154,10 @@ valve_switches: openings of the + and − valve of each segment, head first
 """)
 _BENCH_MEANINGS = {"final_bend_rad": "bend of the first segment at the end"}
 _MEASURED_MEANINGS = meanings_of("""
-measured_com_speed_rel: speed minus that of the recorded robot, divided by the latter
-measured_yaw_rate_abs: magnitude of the difference of the yaw rates
-measured_shape_rms_m: RMS distance of the connectors from the recorded ones, with centre and heading aligned
-measured_path_rms_m: RMS distance of the centres of mass
+measured_com_speed_rel: difference from the speed of the recorded robot, divided by the recorded speed
+measured_yaw_rate_abs: magnitude of the yaw rate difference
+measured_shape_rms_m: RMS distance between simulated and recorded connectors, with centre and heading aligned
+measured_path_rms_m: RMS distance between the centres of mass
 measured_bend_rms_rad: RMS difference of the bends
 measured_heading_rms_rad: RMS difference of the headings
 """)
@@ -166,12 +166,12 @@ wall_s: computing time of the simulation
 realtime_factor: simulated time divided by computing time
 """)
 _COMPARISON_MEANINGS = meanings_of("""
-com_speed_rel: speed of the twin minus that of the analytical model, divided by the latter
+com_speed_rel: speed difference (twin minus analytical) divided by the analytical speed
 gap_factor: factor by which the analytical speed was multiplied for the comparison, 1 unless requested
-yaw_rate_abs: magnitude of the difference of the yaw rates
-shape_rms_m: RMS distance of corresponding connectors, with centre and heading aligned
-shape_rms_body: RMS distance of corresponding connectors divided by the body length
-path_rms_m: RMS distance of the centres of mass at equal times
+yaw_rate_abs: magnitude of the yaw rate difference
+shape_rms_m: RMS distance between corresponding connectors, with centre and heading aligned
+shape_rms_body: RMS distance between corresponding connectors divided by the body length
+path_rms_m: RMS distance between the centres of mass at equal times
 bend_rms_rad: RMS difference of the bends
 bend_rms_rel: RMS difference of the bends divided by the RMS bend of the analytical model
 heading_rms_rad: RMS difference of the headings
@@ -191,16 +191,15 @@ MEANINGS = (
     _COMPARISON_MEANINGS,
     SPATIAL_DIFFERENCE_MEANINGS,
 )
-"""Descriptions of the metrics of each topic, in the order of `srs-twin list
-metrics`."""
+"""Metric descriptions by topic, in the order of `srs-twin list metrics`."""
 
 LIST_METRIC_UNITS = (
     units_of(("bend_amplitude_rad", "bend_bias_rad", "valve_switches"))
     | LEARNING_LIST_UNITS
 )
-"""Units of metrics that are lists over the segments, ordered from the head.
+"""Units of metrics with one value per segment, ordered from the head.
 
-Metrics of iterative learning have one list for each period.
+Learning metrics have one such list per period.
 """
 
 MEASURED_UNITS = units_of(_MEASURED_MEANINGS) | {"measured_yaw_rate_abs": "rad/s"}
@@ -221,19 +220,19 @@ METRIC_UNITS = {
     **MEASURED_UNITS,
     **units_of(_TIME_MEANINGS),
 }
-"""Units of the scalar metrics of a plant, without metrics of plug-ins."""
+"""Units of the scalar metrics of a plant, without plug-in metrics."""
 
 COMPARISON_UNITS = (
     units_of(_COMPARISON_MEANINGS) | {"yaw_rate_abs": "rad/s"} | SPATIAL_DIFFERENCES
 )
-"""Units of the metrics of `compare`, each of which is one number.
+"""Units of the scalar metrics computed by `compare`.
 
-The units are defined here, so that commands can list them without importing `compare`.
+They are defined here so that commands can list them without importing `compare`.
 """
 
 
 def metric_units() -> dict[str, str]:
-    """Return the units of all scalar metrics of a plant, including plug-ins."""
+    """Return the units of all scalar metrics of a plant, including plug-in metrics."""
     return METRIC_UNITS | {
         name: unit for group in metric_groups() for name, unit in group.units.items()
     }
@@ -250,10 +249,10 @@ def is_yes_no(metric: str) -> bool:
 
 
 def metric_name(name: str) -> str:
-    """Return the name under which results store a metric, and import its module.
+    """Import the module of a metric and return the metric's name in results.
 
-    For an unknown name, the registered metrics of all distributions are imported. A
-    metric of a plug-in or distribution is written as ``module:metric``.
+    A metric of a plug-in or distribution is written as ``module:metric``. For an
+    unknown name, the registered metrics of all distributions are imported.
 
     Raises:
         ValueError: the module is not allowed.
@@ -273,7 +272,7 @@ def metric_name(name: str) -> str:
 
 
 def written_name(metric: str) -> str:
-    """Return the name of a metric as written in files, with the module of a plug-in."""
+    """Return the name of a metric as written in files, ``module:metric`` for plug-ins."""
     for module, group in plugin_parts(MetricGroup):
         if metric in group.meanings:
             return f"{module}:{metric}"
@@ -287,11 +286,11 @@ def meanings() -> dict[str, str]:
 
 
 VALIDATION = (
-    "Both plants are simulations. They are compared with hardware only by the values"
-    " that the dissertation publishes and by replayed recordings; all other differences"
-    " are between the two plants."
+    "Both plants are simulations. Only values published in the dissertation and"
+    " replayed recordings compare them with hardware. All other differences are between"
+    " the two plants."
 )
-"""Statement on validation that every report contains."""
+"""Statement on validation in every report."""
 
 _SAME_RATIO = 0.01
 """Relative difference below which the plants are said to agree."""
@@ -306,23 +305,23 @@ _OVERLAP = (
 _COMPLIANCE = (
     "Compliance: the segments of the twin yield to loads, those of the model do not."
 )
-"""Explanation of compliance, which is the most frequent cause in headlines."""
+"""Explanation of compliance, the most frequent cause named in headlines."""
 _MIN_CAUSE_RATIO = 0.25
-"""Minimum fraction of a difference that a cause must explain to be mentioned."""
+"""Fraction of a difference that a cause must explain to be mentioned."""
 
 _LEARNT = (
     "Learning brought the amplitudes to their targets. It does not control the path,"
     " whose curvature changed from {:.2g} to {:.2g} 1/m (docs/module.md)."
 )
-"""Sentence about a run with iterative learning whose amplitudes have converged."""
+"""Sentence about a learning run whose amplitudes have converged."""
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
-    """Return a summary of the results in a few sentences.
+    """Summarise the results in a few sentences.
 
-    The summary begins with a contact with obstacles, if there is one. The summary then
-    states the difference over the whole run, the difference before the contact, and the
-    cause of the difference. The last sentences explain terms and limitations.
+    The summary first mentions contacts with obstacles, if any. Then follow the
+    differences over the whole run and before the contact, and the main cause. The last
+    sentences explain terms and limitations.
     """
     text = _summary(metrics)
     sentences = [*_contacts(metrics), text]
@@ -488,10 +487,10 @@ def _arrives(plant: Mapping[str, Any]) -> str:
 def _compared(
     metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, unit: str
 ) -> str:
-    """Compare a metric of the twin with the model, and name the main cause.
+    """Compare a metric of the twin with the model and name the main cause.
 
-    The argument `part` contains the values to compare, either from the whole run or
-    from the time before a contact.
+    `part` contains the values to compare, either for the whole run or for the time
+    before a contact.
     """
     reference, value = (
         part["plants"][plant][metric] for plant in ("analytical", "twin")
@@ -518,10 +517,10 @@ def _main_cause(
     *,
     alone: bool,
 ) -> str:
-    """Return a text with the main cause of a relative difference, in per cent.
+    """Describe the main cause of a relative difference (per cent).
 
     The text contains "would" if the effect was computed by switching only this cause.
-    The text is empty if no cause acts in the direction of the difference.
+    It is empty if no cause acts in the direction of the difference.
     """
     whole = round(100 * relative)
     for name, change in causes:
@@ -572,7 +571,7 @@ _GAIT = f"""
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
 """.split()
-# Short table for a run on a bench, or for a run with a bend reference.
+# Metrics in the short table of a run on a bench or with a bend reference.
 _BENCH = f"""
     final_bend_rad {_MEASURED} rise_time_s overshoot_rel settling_5_s settling_2_s steady_error_rad
     steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
@@ -583,7 +582,7 @@ _COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad", *SPATIAL_DIFFERENCES
 
 
 def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
-    """Return the names of the metrics in the short table, which depend on the run."""
+    """Return the metrics in the short table, which depend on the kind of run."""
 
     def measured(*names: str) -> bool:
         return any(
@@ -604,9 +603,9 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
 
 
 def tidy(metric: str, value: Any) -> Any:
-    """Convert a metric for display.
+    """Convert a metric value for display.
 
-    Booleans become "yes" or "no", and negligible rates become 0.
+    Booleans become "yes" or "no", and negligible rates and differences become 0.
     """
     if is_yes_no(metric) and value is not None:
         return "yes" if value else "no"
@@ -617,7 +616,7 @@ def tidy(metric: str, value: Any) -> Any:
 
 
 class ResultRow(NamedTuple):
-    """Row of a table of results, in which every value is text."""
+    """Row of a results table, with all values as text."""
 
     metric: str
     unit: str
@@ -629,7 +628,7 @@ class ResultRow(NamedTuple):
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[ResultRow]:
-    """Yield the rows of a table of results. Metrics without values are omitted."""
+    """Yield the rows of a results table. Metrics without a value are omitted."""
     units = all_units()
     plants = metrics["plants"]
     for name in names:
@@ -649,9 +648,9 @@ def result_rows(
 def _differences(
     metrics: Mapping[str, Any], metric: str, text: Callable[[Any], str]
 ) -> tuple[str, str]:
-    """Return twin − analytical as text, in the unit of the metric and in per cent.
+    """Format twin − analytical in the unit of the metric and in per cent.
 
-    The difference is 0 if the two values are printed as the same text.
+    The difference is 0 if both values are printed as the same text.
     """
     model, twin = (
         tidy(metric, metrics["plants"].get(p, {}).get(metric))
@@ -684,7 +683,7 @@ _GAIT_METRICS = (
     "mean_bend_amplitude_rad",
     *ENERGY_MEANINGS,
 )
-"""Metrics of a run that has whole gait periods."""
+"""Metrics that require whole gait periods."""
 
 
 def plant_metrics(
@@ -696,23 +695,22 @@ def plant_metrics(
     (`GaitWindow`). All gait metrics are None if the run is not periodic or has fewer
     than three whole periods:
 
-    - ``com_speed_m_s``: length of the period-averaged path of the centre of mass
-      divided by its duration. The speed is negative if the path is opposite to the mean
-      heading.
-    - ``yaw_rate_rad_s``: derivative of the period-mean heading, positive to the left.
+    - ``com_speed_m_s``: length of the period-averaged centre-of-mass path divided by
+      the duration. The speed is negative if the motion is opposite to the mean heading.
+    - ``yaw_rate_rad_s``: derivative of the period-averaged heading, positive to the
+      left.
     - ``turning_radius_m``: radius of the circle on which the centre of mass moves from
-      period to period, positive to the left. The radius is None for a straight path
+      period to period, positive to the left. It is None for a straight path
       (`gait.turning_radius`).
     - ``bend_amplitude_rad``: half the peak-to-peak range in a period, averaged over all
       periods.
 
-    The functions `gait.energy_metrics`, `tracking.tracking_metrics`,
-    `learning.learning_metrics` and `reading.reading_metrics` describe further metrics.
-    A run on a bench without a reference has ``final_bend_rad``, the final bend of the
-    first segment. Extensions add groups of metrics (`extensions.METRICS`). Differences
-    from a recording (``measured_…``) are set to None and computed by
-    `compare.MeasuredDifference`. The number of valve openings is None if the plant does
-    not count openings.
+    Further metrics are described in `gait.energy_metrics`, `tracking.tracking_metrics`,
+    `learning.learning_metrics` and `tracking.reading_metrics`. Bench runs without a
+    reference have ``final_bend_rad``, the final bend of the first segment. Extensions
+    add metric groups (`extensions.METRICS`). Differences from a recording
+    (``measured_…``) are None here and computed by `compare.MeasuredDifference`. The
+    number of valve openings is None if the plant does not count openings.
 
     Args:
         trajectory: run with ``body_length_m`` and ``gait_frequency_hz`` in its

@@ -1,4 +1,4 @@
-"""Metric units and groups, checks of trajectories, and interpolation of samples."""
+"""Metric units, metric groups, trajectory checks and interpolation."""
 
 from __future__ import annotations
 
@@ -18,55 +18,55 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 
-# Names of metrics have more unit suffixes than keys of files. Longer suffixes come
-# first, because the first matching suffix is used.
+# Metric names have more unit suffixes than file keys. Longer suffixes come first,
+# because the first matching suffix is used.
 _UNITS = {"_rad_s": "rad/s", "_per_m": "1/m", "_w": "W", "_t": "T", **UNITS}
 
 
 def split_unit(metric: str) -> tuple[str, str]:
-    """Split a metric into its name and unit. The default unit is "1"."""
+    """Split a metric into name and unit. Without a unit suffix, the unit is "1"."""
     suffix = next((suffix for suffix in _UNITS if metric.endswith(suffix)), "")
     return metric.removesuffix(suffix), _UNITS.get(suffix, "1")
 
 
 def units_of(names: Iterable[str]) -> dict[str, str]:
-    """Return the unit of each metric, which is a suffix of its name."""
+    """Return the unit of each metric, given by the suffix of the name."""
     return {name: split_unit(name)[1] for name in names}
 
 
 def meanings_of(lines: str) -> dict[str, str]:
-    """Parse lines of the form ``metric: meaning``."""
+    """Parse lines of the form ``metric: description``."""
     return dict(line.split(": ", 1) for line in lines.strip().splitlines())
 
 
 STRAIGHT_RAD_S = 0.05
 """Yaw rate below which a run counts as straight, rad/s.
 
-Contact creep and the start of a run cause smaller yaw rates.
+Contact creep and start-up transients cause smaller yaw rates.
 """
 ZERO = 5e-5
 """Magnitude below which a length (m), speed (m/s) or angle (rad) counts as zero."""
 _RESOLUTION = {"m": ZERO, "m/s": ZERO, "rad": ZERO, "rad/s": STRAIGHT_RAD_S}
 _MAX_CHANGE = 10.0
-"""Maximum change that is printed in per cent, as a multiple of the reference.
+"""Maximum change printed in per cent, as a multiple of the reference.
 
 A larger change usually means that the reference is close to zero.
 """
 
 
 def is_near_zero(reference: float, value: float, unit: str) -> bool:
-    """Return whether a reference is too close to zero for a change in per cent."""
+    """Return whether a reference is too close to zero for a relative change."""
     least = max(_RESOLUTION.get(unit, 0.0), abs(value - reference) / _MAX_CHANGE)
     return abs(reference) <= least
 
 
 def rms(values: np.ndarray) -> float:
-    """Return the root mean square of all values."""
+    """Return the root mean square of an array."""
     return float(np.sqrt(np.square(values).mean()))
 
 
 def label(trajectory: Trajectory) -> str:
-    """Return the name of a trajectory's plant for messages, or "trajectory"."""
+    """Return the plant name of a trajectory, used in messages, or "trajectory"."""
     return str(trajectory.metadata.get("plant", "trajectory"))
 
 
@@ -75,11 +75,11 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
 
     Args:
         trajectory: trajectory to check.
-        names: names of the required columns. The name ``"x"`` stands for ``x_1…``.
+        names: required columns. The name ``"x"`` stands for the columns ``x_1…``.
 
     Raises:
-        InputError: a column is missing or not finite, there is no sample, or the time
-            does not increase between samples.
+        InputError: a column is missing or not finite, there are no samples, or the
+            times are not increasing.
     """
     run = label(trajectory)
     missing = [name for name in ("time", *names) if not trajectory.has(name)]
@@ -118,8 +118,8 @@ def positive_number(trajectory: Trajectory, name: str) -> float | None:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not 0 < value < np.inf:
         raise InputError(
-            f"{label(trajectory)}: the metadata `{name}` is {value!r}, which is not"
-            " allowed; it must be a positive number or null"
+            f"{label(trajectory)}: the metadata entry `{name}` is {value!r}, but must"
+            " be a positive number or null"
         )
     return float(value)
 
@@ -151,14 +151,14 @@ def body_length(trajectory: Trajectory) -> float:
     if length is None:
         raise InputError(
             f"{label(trajectory)}: the metadata lack `body_length_m`, by which"
-            " distances are divided; add it"
+            " distances are divided; add this entry"
         )
     return length
 
 
 def interpolant(trajectory: Trajectory, values: np.ndarray) -> CubicSpline:
     """Return the cubic spline through all samples."""
-    # Importing scipy takes half a second, which commands that list metrics avoid.
+    # The import takes half a second, which commands that only list metrics avoid.
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(trajectory.time, values)
@@ -172,20 +172,20 @@ def _no_reason(metric: str, trajectory: Trajectory) -> str:
 class MetricGroup:
     """Metrics of one topic.
 
-    Each metric is one number per run, and its name ends with its unit.
+    Each metric is a single number per run. The name of a metric ends with the unit.
 
     Attributes:
         meanings: one-line description of each metric.
-        measure: function that computes the metrics of a run. An undefined metric is
+        measure: function that computes the metrics of a run. Undefined metrics are
             None.
-        why_undefined: function that returns the reason why a metric is undefined. The
-            reason is an empty string if the missing value is a result of the run.
+        why_undefined: function that returns why a metric is undefined, or an empty
+            string if the missing value is itself a result of the run.
         relative: metrics whose difference between the plants is also printed in per
             cent.
-        main: metric that only runs of this topic have. The short table of such a run is
+        main: metric that identifies runs of this topic, whose short table is then
             `short_table`. If `main` is an empty string, `short_table` is appended to
             the short table of every run.
-        short_table: metrics of the short table.
+        short_table: metrics in the short table.
         yes_no: boolean metrics.
     """
 
@@ -205,10 +205,10 @@ class MetricGroup:
 
 @cache
 def extension_groups() -> tuple[MetricGroup, ...]:
-    """Return the groups of metrics of installed extensions."""
+    """Return the metric groups of installed extensions."""
     return tuple(group for _, group in objects(METRICS))
 
 
 def metric_groups() -> tuple[MetricGroup, ...]:
-    """Return the groups of metrics of installed extensions and plug-ins."""
+    """Return the metric groups of installed extensions and plug-ins."""
     return (*extension_groups(), *(group for _, group in plugin_parts(MetricGroup)))

@@ -1,14 +1,14 @@
-r"""Metrics of a module on a bench, for the tracking of a reference and for the sensor.
+r"""Metrics of a single module on a bench: reference tracking and sensor.
 
 The tracking metrics are defined in Chapter 4 of the dissertation, and the sensor
-metrics in Fig. 13 and 14. Sines are fitted to recorded signals by least squares, at the
-frequency of the reference:
+metrics in Figs. 13 and 14. Sines are fitted to recorded signals by least squares, at
+the frequency of the reference:
 
 $$ x(t) \approx \bar x + A \sin(2\pi f t + \varphi). $$
 
-The bends of a run are not distributed evenly, and single readings contain noise.
-Readings and bends are therefore averaged over bins of 1° of bend. Each bin with samples
-has equal weight, as in a calibration at evenly spaced angles.
+The bends in a run are unevenly distributed, and single readings contain noise. Readings
+and bends are therefore averaged in bins of 1° of bend. All bins that contain samples
+have equal weight, as in a calibration at evenly spaced angles.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from srs_twin.comparison.sampling import check_columns, meanings_of, rms, units_
 from srs_twin.trajectory import Trajectory
 
 _MAX_SINE_RESIDUAL = 1e-4
-"""Maximum RMS residual of a fitted sine at which a signal counts as a sine, divided by
-the amplitude."""
+"""Maximum RMS residual of a sine fit, as a fraction of the amplitude, for a signal to
+count as a sine."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class SineFit:
 
 
 def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
-    """Return the least-squares fit of a sine with a given frequency (Hz)."""
+    """Fit a sine with a given frequency (Hz) by least squares."""
     angle = 2 * np.pi * frequency * time
     basis = np.stack([np.sin(angle), np.cos(angle), np.ones_like(angle)], axis=-1)
     (sine, cosine, offset), *_ = np.linalg.lstsq(basis, values, rcond=None)
@@ -60,12 +60,12 @@ def fit_sine(time: np.ndarray, values: np.ndarray, frequency: float) -> SineFit:
 
 
 def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
-    """Return the frequency (Hz) of a sine without noise, or None for any other signal.
+    """Return the frequency (Hz) of a noise-free sine, or None for any other signal.
 
     Samples of a sine satisfy x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Adjacent
     samples give a first estimate of f. Samples about a quarter period apart give the
-    final estimate, because the cosine then has the steepest slope. The samples must be
-    equally spaced, with the exception of the last sample.
+    final estimate, because the slope of the cosine is then steepest. All samples except
+    the last must be equally spaced.
     """
     values = values[:-1]
     time = time[:-1]
@@ -87,7 +87,7 @@ def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
 
 
 def _phase_step(values: np.ndarray, spacing: int) -> float | None:
-    """Return the phase difference (0 to π) between samples of a sine."""
+    """Return the phase difference (0 to π) between samples `spacing` apart."""
     middle = values[spacing:-spacing]
     sums = values[2 * spacing :] + values[: -2 * spacing]
     middle = middle - middle.mean()
@@ -101,9 +101,9 @@ def _phase_step(values: np.ndarray, spacing: int) -> float | None:
 def step_response(
     time: np.ndarray, bend: np.ndarray, before: float, after: float
 ) -> dict[str, float | None]:
-    """Return the metrics of a step response.
+    """Compute the metrics of a step response.
 
-    Bends are interpolated linearly. A metric is None if the bend does not reach the
+    The bend is interpolated linearly. A metric is None if the bend does not reach the
     required level before the end of the run.
 
     Args:
@@ -165,14 +165,14 @@ overshoot_rel: overshoot divided by the step
 overshoot_rad: overshoot as an angle
 settling_2_s: time until the bend stays within 2 % of the step
 settling_5_s: time until the bend stays within 5 % of the step
-steady_error_rad: mean error in the second half of the time in which the reference is constant
-steady_rms_rad: RMS error in that time
-ripple_pp_rad: peak-to-peak of the bend in that time
-ripple_rms_rad: RMS of the bend about its mean in that time
-measured_ripple_pp_rad: peak-to-peak of the sensor reading in that time
+steady_error_rad: mean error at rest (second half of the time in which the reference is constant)
+steady_rms_rad: RMS error at rest
+ripple_pp_rad: peak-to-peak bend at rest
+ripple_rms_rad: RMS deviation of the bend from its mean at rest
+measured_ripple_pp_rad: peak-to-peak sensor reading at rest
 error_rms_rad: RMS of reference minus bend over the run
 amplitude_rel: amplitude of the bend divided by that of a sine reference
-amplitude_spread_rel: standard deviation of that ratio between periods
+amplitude_spread_rel: standard deviation of this amplitude ratio between periods
 phase_lag_rad: phase lag of the bend behind a sine reference
 phase_lag_spread_rad: standard deviation of the phase lag between periods
 fit_residual_rad: RMS residual of the sine fitted to the bend
@@ -180,7 +180,7 @@ inlet_openings: openings per inlet valve
 outlet_openings: openings per outlet valve
 """)
 TRACKING_UNITS = units_of(TRACKING_MEANINGS)
-"""Units of the metrics of a run with a reference, each of which is a number or None."""
+"""Units of the tracking metrics, each of which is a number or None."""
 
 _MIN_STEP = 1e-3
 """Minimum change of the reference that counts as a step, rad."""
@@ -194,9 +194,8 @@ def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     Steady-state metrics cover the second half of the time after the last change of the
     reference. Sine metrics cover whole periods after a warm-up of two periods, or of
     one period if the run has two or three periods. A sine is fitted to each period, and
-    standard deviations are computed across the periods. The phase lag lies between −π
-    and π. Outlet openings are counted for separate outlet valves if the run is recorded
-    in every tick.
+    standard deviations are taken across periods. The phase lag lies between −π and π.
+    Openings of separate outlet valves are counted only if every tick is recorded.
 
     Returns:
         Metrics in `TRACKING_UNITS`.
@@ -219,7 +218,7 @@ def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
 
 def _step_metrics(trajectory: Trajectory, begin: int) -> dict[str, float | None]:
-    """Return the metrics of the step at sample `begin`, and steady-state metrics."""
+    """Return steady-state metrics and the metrics of the step at sample `begin`."""
     reference = trajectory["reference_1"]
     bend = trajectory["bend_1"]
     target = float(reference[-1])
@@ -247,7 +246,7 @@ def _sine_metrics(
 ) -> dict[str, float | None]:
     """Return the metrics of a sine reference, or {} for less than two whole periods."""
     start = time[0]
-    # The tolerance keeps the last period of a run that ends with a whole period.
+    # The tolerance keeps the last period if the run ends with a whole period.
     whole = int(np.floor((time[-1] - start) * frequency + 1e-6))
     if whole < 2:
         return {}
@@ -285,7 +284,7 @@ def _lag(reference: SineFit, bend: SineFit) -> float:
 def _openings(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the openings per inlet valve and per outlet valve.
 
-    The plant counts the openings of inlets. Openings of outlets are counted in the
+    Inlet openings are counted by the plant. Outlet openings are counted from the
     samples.
     """
     metrics: dict[str, float | None] = {}
@@ -309,17 +308,17 @@ READING_MEANINGS = meanings_of("""
 reading_r_squared: R² of a linear relation between sensor readings and bends
 reading_error_rad: largest difference between mean reading and mean bend
 reading_backstep_rad: largest decrease of the reading with increasing bend
-reading_backstep_at_rad: bend in the middle of that decrease
+reading_backstep_at_rad: bend at the middle of the largest decrease of the reading
 reading_range_t: range of the magnetic field at the sensor
 """)
 READING_UNITS = units_of(READING_MEANINGS)
-"""Units of the metrics of a non-ideal sensor, each of which is a number or None."""
+"""Units of the sensor metrics, each of which is a number or None."""
 
 BIN_RAD = math.radians(1.0)
-"""Width of a bin of bends, rad, which is a common step of calibrations."""
+"""Width of a bend bin, rad, which is a common calibration step."""
 
 _MIN_BINS = 3
-"""Minimum number of bins, because a line passes through any two points."""
+"""Minimum number of bins for a linear fit. A line passes through any two points."""
 
 
 @dataclass(frozen=True)
@@ -348,7 +347,7 @@ class ReadingCurve:
         read = np.isfinite(trajectory["measured_bend_1"])
         bend = trajectory["bend_1"][read]
         measured_bend = trajectory["measured_bend_1"][read]
-        # One bin is centred at 0, so that bends to both sides are treated equally.
+        # One bin is centred at 0, so that both bending directions are treated equally.
         _, bins, samples = np.unique(
             np.round(bend / BIN_RAD), return_inverse=True, return_counts=True
         )
@@ -359,16 +358,16 @@ class ReadingCurve:
 
     @property
     def r_squared(self) -> float | None:
-        """Coefficient of determination of a linear fit of the reading to the bend."""
+        """R² of a linear fit of the reading against the bend."""
         if len(self.bend) < _MIN_BINS or np.ptp(self.reading) == 0:
             return None
         return float(np.corrcoef(self.bend, self.reading)[0, 1] ** 2)
 
     @property
     def backstep(self) -> tuple[float, float | None]:
-        """Maximum decrease of the reading with increasing bend, and this bend, rad.
+        """Maximum decrease of the reading with increasing bend, and the bend there, rad.
 
-        For a monotonic reading, the decrease is 0 and the bend is None.
+        If the reading never decreases, the decrease is 0 and the bend is None.
         """
         decrease = np.maximum.accumulate(self.reading) - self.reading
         low = int(decrease.argmax())
@@ -383,7 +382,7 @@ def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
     All metrics are None if the sensor is ideal. Averaging removes noise from
     ``reading_error_rad``. Without noise, ``reading_backstep_rad`` is 0 if each reading
-    corresponds to a single bend. The metrics depend on the bends that occur in the run.
+    corresponds to a single bend. The metrics depend on the range of bends in the run.
 
     Raises:
         InputError: columns are missing or unusable.
@@ -407,7 +406,7 @@ def _sensor(trajectory: Trajectory) -> Mapping[str, object]:
 
 
 def _field_per_rad(sensor: Mapping[str, object]) -> float | None:
-    """Return the field change at the Hall element per measured bend, T/rad, or None."""
+    """Return the change of the magnetic field per measured bend, T/rad, or None."""
     hall = _mapping(sensor.get("hall"))
     line = _mapping(sensor.get("calibration"))
     values = (

@@ -1,9 +1,9 @@
 """Reasons why a metric of a run is undefined.
 
 A metric may be undefined because the run lacks data, such as whole gait periods, a
-reference or a recording. An expectation about such a metric cannot be judged. In other
-cases, the fact that a metric is undefined is itself a result. For example, a straight
-path has no turning radius, and a plan that was not found has no length.
+reference or a recording. Expectations about such a metric cannot be judged. In other
+cases, a missing value is itself a result: a straight path has no turning radius, and a
+planner that finds no plan yields no plan length.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _ABSENT = {
     **dict.fromkeys(CONTACT_UNITS, "the world has no obstacles"),
     "final_bend_rad": "only a run on a bench or with a reference has this metric",
 }
-"""Reasons why some robots and worlds have no value of a metric, keyed by metric."""
+"""Reasons why some metrics are undefined for a robot or world, keyed by metric."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class Undefined:
 
     Attributes:
         reason: explanation.
-        beyond: lower bound of the value, in the unit of the metric, or −inf. For
-            example, a bend that has not settled by the end of a run may settle later.
+        beyond: lower bound on the value, in the unit of the metric, or −inf. For
+            example, a bend that has not settled within a run may settle later.
     """
 
     reason: str
@@ -83,8 +83,8 @@ def why_undefined(
 ) -> Undefined | None:
     """Return the reason why a metric of a run is undefined.
 
-    The function returns None if the metric has a value, or if the undefined metric is
-    itself a result of the run.
+    Return None if the metric has a value, or if the missing value is itself a result of
+    the run.
     """
     owners = metrics["plants"] | {"comparison": metrics["comparison"]}
     values = owners.get(subject) or {}
@@ -151,7 +151,7 @@ def _tracking(
         changes = np.flatnonzero(np.diff(run["reference_1"])) + 1
         passed = float(run.time[-1] - run.time[changes[0] if len(changes) else 0])
         return Undefined(
-            f"it is not reached within the {passed:.4g} s after the step", passed
+            f"the level is not reached within {passed:.4g} s after the step", passed
         )
     if metric in _SINE:
         return Undefined(
@@ -179,7 +179,7 @@ def _learning(
         )
     if not metric.startswith(("path_", "extent_", "heading_")):
         return Undefined(
-            f"the learning periods of the run ({periods}) do not define this metric"
+            f"the metric is undefined for the {periods} learning periods of the run"
         )
     if turns and not is_curved:
         return None
@@ -187,7 +187,9 @@ def _learning(
         return None
     if not turns:
         return Undefined(f"the run has fewer than {LAST_PERIODS} whole periods")
-    return Undefined("no two whole periods before the duties change have a curved path")
+    return Undefined(
+        "before the duties change, no two whole periods have a curved path"
+    )
 
 
 def _other(metric: str, run: Trajectory) -> str:
@@ -203,5 +205,5 @@ def _other(metric: str, run: Trajectory) -> str:
 
 def _no_reading(metric: str, run: Trajectory) -> str:
     if ReadingCurve.from_trajectory(run) is None:
-        return "the run has no sensor, or an ideal one"
+        return "the run has no sensor, or an ideal sensor"
     return "the sensor has no Hall element" if metric == "reading_range_t" else ""

@@ -1,1 +1,1 @@
-"""Parameters of robots, and robot files in which every number has a source."""
+"""Robot parameters, and robot files in which every number has a source."""

@@ -1,8 +1,8 @@
 """Robot files, which contain the parameters of a snake with units, status and sources.
 
-A robot is given by its name, by the path of its file, or by overriding another robot.
-The published robots are stored in calibration/robots. The module `sections` defines the
-sections of a robot file.
+A robot is specified by name, by the path of a robot file, or by overriding parameters
+of another robot. The published robots are stored in `calibration/robots`. The module
+`sections` defines the sections of a robot file.
 """
 
 from __future__ import annotations
@@ -59,36 +59,36 @@ from srs_twin.robot.spec import (
 )
 
 _SUSPICIOUS_RATIO = 300.0
-"""Ratio of an override to the overridden number above which the user probably wrote the
-number in a wrong unit, such as mm or Pa."""
+"""Ratio of an override to the overridden number above which the override is probably
+written in a wrong unit, such as mm or Pa."""
 
 PA_PER_KPA = 1000.0
 M3_PER_ML = 1e-6
 
 
 SERVO_PRESSURE_KPA = 100.0
-"""Pressure that represents the full command of a servo, kPa. A servo needs a pressure
-because the commands of all robots are valve states."""
+"""Pressure that represents the full command of a servo, kPa. Servos need such a
+pressure because all robots are commanded by valve states."""
 
 _SERVO_VOLUME_M3 = 1e-12
-"""Volume of the fictitious chambers of a servo, m³. Chambers of this volume consume a
-negligible amount of air."""
+"""Volume of a servo's fictitious chambers, m³, so small that they consume hardly any
+air."""
 
 _ROUND_TRACK = 1e-3
-"""Half the distance between paired contact points, divided by the body width. The ratio
-is small because a round body touches the floor almost below its axis."""
+"""Half the distance between paired contact points of a round body, divided by the body
+width. The ratio is small because a round body touches the floor almost below its axis.
+"""
 
 _ROUNDNESS = 0.01
-"""Relative difference of width and height up to which a cross-section counts as round.
-"""
+"""Maximum relative difference between width and height of a round cross-section."""
 
 _TWIST_RATIO = 2 / 3
 """Ratio GJ/EI of a solid, incompressible, round cross-section, for which J = 2 I and
 G = E/3."""
 
 _RIGID_RATIO = 1000.0
-"""Stiffness of a servo joint divided by weight times body length. At this stiffness,
-floor loads bend the joint by less than 1 mrad."""
+"""Stiffness of a servo joint, divided by weight times body length. Floor loads bend such
+a joint by less than 1 mrad."""
 
 
 _KEY_OF: dict[str, tuple[str, ...]] = {
@@ -100,7 +100,7 @@ _KEY_OF: dict[str, tuple[str, ...]] = {
     "wheel": ("mass", "wheel_kg"),
     "com": ("tail", "com_m"),
 }
-"""Path in a robot file of the parameter that a violation names (`rules`)."""
+"""Path in a robot file of each parameter named by a violation (see `rules`)."""
 
 
 class _Body(NamedTuple):
@@ -122,7 +122,7 @@ class _Drive(NamedTuple):
 
 
 class RobotFile(StrictModel):
-    """Parameters of one robot, as stored in a file."""
+    """Parameters of one robot as stored in a file."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=40)
     """Short name."""
@@ -137,10 +137,9 @@ class RobotFile(StrictModel):
     bending: BendingFile
     actuator: ActuatorFile
     chamber: ChamberFile | None = None
-    """Air space of one chamber; only for the actuator kind pressure."""
+    """Air volume of one chamber; only for the actuator kind pressure."""
     supply: SupplySection | None = None
-    """Gauge pressures of the supply and their limits; only for the actuator kind
-    pressure."""
+    """Supply pressures (gauge) and limits; only for the actuator kind pressure."""
     gait: GaitSection
     modules: ModulesFile | None = None
     """Individual properties of the modules (default: identical nominal modules)."""
@@ -170,8 +169,8 @@ class RobotFile(StrictModel):
     def spec(self, seed: int = 0) -> RobotSpec:
         """Return the robot in SI units.
 
-        The argument `seed` is the random seed of the modules if the section `modules`
-        specifies no seed.
+        If the section `modules` contains no seed, `seed` is the random seed of the
+        differences between modules.
         """
         drive = self._servos() if self.has_servos else self._air()
         body = self._body_with_skin() if self.has_skin else self._body_on_wheels()
@@ -201,11 +200,10 @@ class RobotFile(StrictModel):
     def _body_with_skin(self) -> _Body:
         assert self.contact is not None, "a robot with skin has the section"
         geometry = self.geometry.to_si()
-        # The cross-section of a spatial robot is round and touches the floor along a
-        # line.
+        # A spatial robot has a round cross-section and touches the floor along a line.
         fraction = 1 / _ROUND_TRACK if self.is_spatial else 2 * math.sqrt(3)
         geometry["half_track"] = geometry["width"] / fraction
-        # The twin touches the floor with spheres around the centre of the body.
+        # The twin touches the floor with spheres around the body's centre line.
         geometry["wheel_radius"] = geometry["com_height"]
         return _Body(
             Geometry(**geometry),
@@ -251,11 +249,11 @@ class RobotFile(StrictModel):
         )
 
     def _servos(self) -> _Drive:
-        """Return the actuator parameters of a robot whose joints are turned by servos.
+        """Return the actuator parameters of a robot with servo joints.
 
-        Two equal time constants give a critically damped response. The stiffness k is
-        so high that loads hardly bend the joints. The damping k τ gives the joints of
-        the twin the same critically damped response.
+        Two equal time constants yield a critically damped response. The stiffness k is
+        so high that loads hardly bend the joints. With the damping k τ, the twin's
+        joints have the same critically damped response.
         """
         time = self.actuator.response_time_s
         assert time is not None, "`contradictions` reports a missing key"
@@ -308,7 +306,7 @@ class RobotFile(StrictModel):
 
     @property
     def has_servos(self) -> bool:
-        """Whether the joints are turned by servos instead of air pressure."""
+        """Whether servos instead of air pressure turn the joints."""
         return self.actuator.kind == "position"
 
     def _contradictions_of_kinds(self) -> Iterator[tuple[Loc, str]]:
@@ -339,7 +337,7 @@ class RobotFile(StrictModel):
             yield _KEY_OF[violation.parameter], violation.reason
 
     def doubts(self) -> Iterator[Doubt]:
-        """Yield the numbers that were probably written in a wrong unit."""
+        """Yield numbers that are probably written in a wrong unit."""
         return find_doubts(
             {path: record.value for path, record in self.records().items()},
             self.masses(),
@@ -382,15 +380,15 @@ class RobotFile(StrictModel):
             yield from direction_violations(self.chamber.directions_deg.value)
 
     def _contradictions_of_delay(self) -> Iterator[tuple[Loc, str]]:
-        """Yield the damping time if it is too long for the option `lead: false`."""
+        """Yield the damping time if it is too long for `lead: false`."""
         if self.bending.lead is not False:
             return
         numbers = self.bending.to_si() | self.actuator.to_si()
         longest = numbers["tau_mode"] + min(numbers["tau_fill"], numbers["tau_vent"])
         if not numbers["damping_time"] < longest:
             text = (
-                f"{numbers['damping_time']:g} s is not allowed together with `lead:"
-                f" false`; it must be below {longest:g} s"
+                f"{numbers['damping_time']:g} s is too long for `lead: false`; the"
+                f" damping time must be below {longest:g} s"
             )
             yield ("bending", "damping_time_s", "value"), text
 
@@ -412,8 +410,8 @@ class RobotFile(StrictModel):
         height = self.geometry.com_height_m.value
         if self.is_spatial and abs(width / (2 * height) - 1) > _ROUNDNESS:
             text = (
-                f"{width:g} m is not allowed, because a spatial robot has a round"
-                " cross-section; it must be twice `com_height_m`"
+                f"{width:g} m differs from twice `com_height_m`, but a spatial robot"
+                " has a round cross-section; set the width to twice `com_height_m`"
             )
             yield ("geometry", "width_m", "value"), text
 
@@ -449,18 +447,18 @@ def _prior_violations(
         lowest, highest = bounds
         if prior.low < lowest or prior.high > highest:
             yield (
-                f"the range from {prior.low:g} to {prior.high:g} is not allowed; it"
-                f" must lie between {lowest:g} and {highest:g}"
+                f"the range from {prior.low:g} to {prior.high:g} exceeds the allowed"
+                f" range from {lowest:g} to {highest:g}"
             )
         elif not prior.low <= value <= prior.high:
             yield (
-                f"the number {value:g} lies outside its own range from {prior.low:g}"
-                f" to {prior.high:g}; change the number or the range"
+                f"the number {value:g} lies outside the uniform range from"
+                f" {prior.low:g} to {prior.high:g}; change the number or the range"
             )
 
 
 _PLAIN_KEYS = ("seed", "kind", "law", "lead")
-"""Keys in sections of records whose values are plain, without unit and source."""
+"""Keys whose values are plain, without unit and source."""
 
 
 def _section_model(name: str) -> type[Records] | None:
@@ -482,7 +480,7 @@ def section_units(section: str) -> dict[str, str]:
 def load_robot_file(name_or_path: StrPath) -> RobotFile:
     """Load and validate a robot file.
 
-    A `UnitWarning` is issued for each number that was probably written in a wrong unit.
+    A `UnitWarning` is issued for each number that is probably in a wrong unit.
 
     Raises:
         InputError: the file was not found or cannot be read.
@@ -508,21 +506,20 @@ def _read_robot_file(name_or_path: StrPath) -> tuple[RobotFile, list[str]]:
 
 
 def _check_kind(document: Document) -> None:
-    """Refuse a scenario and an override of a robot with one message."""
+    """Report a scenario or a robot override with a single message."""
     if not isinstance(document.data, Mapping):
         return
     if {"robot", "controller"} <= document.data.keys():
         document.report(
             (),
-            "this is a scenario, not a robot file; `srs-twin run` writes its robot with"
-            " all values to scenario.resolved.yaml: save the lines below the key"
-            " `robot` as a file, and give this file",
+            "this is a scenario, not a robot file; run the scenario, save the block"
+            " `robot` of scenario.resolved.yaml as a file, and give this file",
         )
     elif "base" in document.data:
         document.report(
             ("base",),
-            "this key is allowed only in a scenario; a robot file is complete. Copy the"
-            " file of the base robot and change its numbers",
+            "this key is allowed only in a scenario, because a robot file must be"
+            " complete; copy the file of the base robot and change the numbers",
             at_key=True,
         )
     document.raise_problems()
@@ -530,13 +527,13 @@ def _check_kind(document: Document) -> None:
 
 @checked
 def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
-    """Load a robot by its shipped name (gen1 to gen4, gen4_module) or by a file path.
+    """Load a shipped robot by name (gen1 to gen4, gen4_module) or a robot file by path.
 
     A `RobotSpec` is returned unchanged.
 
     Raises:
-        InputError: the file was not found or cannot be read. If the file is not valid,
-            the error is an `InputFileError`.
+        InputError: the file was not found or cannot be read. If the contents are
+            invalid, the error is an `InputFileError`.
     """
     if isinstance(robot, RobotSpec):
         return robot
@@ -552,12 +549,12 @@ def resolve_robot(
 
     Args:
         document: document of the scenario.
-        robot: name or path of a robot, mapping with the key `base` that overrides
-            another robot, or mapping with all parameters.
+        robot: name or path of a robot, or a mapping. A mapping with the key `base`
+            overrides another robot. Any other mapping contains all parameters.
         prefix: path of `robot` in the document.
 
     Raises:
-        InputFileError: the robot file itself is not valid.
+        InputFileError: the robot file itself is invalid.
     """
     if isinstance(robot, Mapping):
         base = robot.get("base")
@@ -573,7 +570,7 @@ def resolve_robot(
         base_loc = prefix
     if not isinstance(base, str):
         document.report(
-            base_loc, "must be a robot's name, a path, or a block of keys with `base`"
+            base_loc, "must be a robot name, a path, or a block of keys with `base`"
         )
         return None
     try:
@@ -599,10 +596,10 @@ def resolve_robot(
 
 
 def robot_in(document: Document, *loc: str) -> RobotFile:
-    """Return the robot at a path of a document.
+    """Return the robot stored at a path in a document.
 
     Raises:
-        InputFileError: the robot is not valid.
+        InputFileError: the robot is invalid.
     """
     robot = resolve_robot(document, document.get(*loc), prefix=loc)
     document.raise_problems()
@@ -619,12 +616,12 @@ def _add_warnings(document: Document, prefix: Loc, mistakes: Mapping[str, str]) 
 def find_unit_mistakes(
     robot: RobotFile, base: RobotFile | None = None, override: Mapping[str, Any] = {}
 ) -> dict[str, str]:
-    """Return the reason and the likely unit of each implausible number, keyed by path.
+    """Return why each implausible number is doubtful and the likely unit, keyed by path.
 
     Args:
         robot: robot to check.
-        base: robot that was overridden. Implausible numbers of this robot are not
-            returned.
+        base: robot that was overridden. Numbers that are implausible in this robot too
+            are left out.
         override: overriding entries. An entry is implausible if it differs from the
             overridden number by a factor of more than 300.
     """
@@ -654,9 +651,9 @@ def find_unit_mistakes(
 def _merge_override(
     base: Mapping[str, Any], override: Mapping[str, Any], source: Callable[[Loc], str]
 ) -> dict[str, Any]:
-    """Return the data of a base robot with the entries of an override.
+    """Merge the entries of an override into the data of a base robot.
 
-    The function `source` returns the source text of a plain number at a path.
+    `source` returns the source text for a plain number at a given path.
     """
     merged = dict(base)
     if (
@@ -669,7 +666,7 @@ def _merge_override(
             continue
         section = base.get(name)
         if section is None and name in base and isinstance(value, Mapping):
-            section = {}  # the base robot does not have this optional section
+            section = {}  # optional section that the base robot lacks
         if not (isinstance(section, Mapping) and isinstance(value, Mapping)):
             merged[name] = value
             continue

@@ -1,26 +1,25 @@
-"""Friction laws of a connector on the floor, with forces and force derivatives.
+"""Floor friction laws of a connector: forces and force derivatives.
 
 The arguments of a friction law are the contact velocity along (t) and across (n) the
-heading, the wheel load N and two friction coefficients. A friction law returns ``(f_t,
-f_n, df_t/dv_t, df_t/dv_n, df_n/dv_t, df_n/dv_n)``, because the implicit integrator
-needs the derivatives. The sign function sgn v is regularised to v/√(v² + ε²) with a
-slip speed ε. All functions are elementwise and accept arrays of any shape. The
-functions also compile within numba kernels.
+heading, the wheel load N and two friction coefficients. Each law returns ``(f_t, f_n,
+df_t/dv_t, df_t/dv_n, df_n/dv_t, df_n/dv_n)``, because the implicit integrator needs the
+derivatives. The sign function sgn v is regularised to v/√(v² + ε²) with a slip speed ε.
+All functions are elementwise, accept arrays of any shape and compile in numba kernels.
 
 - `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn
   v_t, μ_n sgn v_n). The dissertation uses this law with one contact point.
-- `wheel`: rolling wheel on a floor with the friction coefficient μ_n. The axial force
+- `wheel`: rolling wheel on a floor with friction coefficient μ_n. The axial force
   f_t = −N min(μ_t, μ_n |v_t|/|v|) sgn v_t is limited by the axle drag μ_t and by the
-  friction cone. The remainder of the friction cone acts across the heading.
+  friction cone. The rest of the friction cone acts across the heading.
 - `ellipse`: sliding skid with maximum dissipation. The force lies in the ellipse
   (f_t/μ_t)² + (f_n/μ_n)² ≤ N² and maximises the dissipated power: f = −N
-  (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). The term μ² ε² with the
-  larger of the two coefficients is added under the root to regularise the force.
+  (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). To regularise the force, μ² ε² with the
+  larger of the two coefficients is added under the root.
 - `cosine`: sliding skin after Hu and Shelley (2012). Each component of the force is
   proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_n)/√(v_t² +
-  v_n²). The force has no potential, because df_t/dv_n ≠ df_n/dv_t. Its tip lies on the
-  same ellipse as the force of the law `ellipse`, but its direction is different.
-- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s, a law for
+  v_n²). The force has no potential, because df_t/dv_n ≠ df_n/dv_t. The force lies on the
+  ellipse of the law `ellipse`, but has a different direction.
+- `viscous`: linear drag f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s, intended for
   tests.
 """
 
@@ -32,7 +31,7 @@ import numpy as np
 
 FrictionLaw = Literal["axis", "wheel", "viscous", "ellipse", "cosine"]
 FRICTION_LAWS: tuple[FrictionLaw, ...] = get_args(FrictionLaw)
-"""Names of the friction laws, which are also the names of the functions below."""
+"""Names of the friction laws and of the functions that implement them."""
 
 TWO_POINT_LAWS = ("wheel", "ellipse", "cosine")
 """Laws with two contact points per connector, at ± half the track. The other laws have
@@ -40,8 +39,7 @@ one contact point at the centre."""
 
 SkinLaw = Literal["ellipse", "cosine"]
 SKIN_LAWS: tuple[SkinLaw, ...] = get_args(SkinLaw)
-"""Friction laws of a skin that slides in every direction. For a skin, μ_t differs
-between forward and backward slip."""
+"""Friction laws of a skin, for which μ_t differs between forward and backward slip."""
 
 _MIN_COEFFICIENT = 1e-12
 """Lower bound on μ under the root of `ellipse`, which avoids 0/0 without friction."""
@@ -74,17 +72,17 @@ def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def] 
 
 def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and derivatives (N·s/m) of the `wheel` law."""
-    # The direction cosines a_t and a_lat of the slip use the regularised speed 1/r.
+    # The slip direction cosines a_t and a_lat use the regularised speed 1/r.
     r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
     r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
     a_t = v_t * r
     a_lat = v_lat * r
     slide_t = mu_lat * a_t  # Axial friction coefficient of a locked wheel.
-    # A rolling wheel uses a part μ_t of the friction cone along the heading. The
-    # remaining friction coefficient across the heading is √(μ_n² − μ_t²).
+    # A rolling wheel uses the part μ_t of the friction cone along the heading, so that
+    # √(μ_n² − μ_t²) remains across the heading.
     rest = np.sqrt(np.maximum(mu_lat * mu_lat - mu_t * mu_t, 0.0))
     # A rolling wheel has the full axle drag along the heading, whereas a skidding wheel
-    # has the isotropic friction cone. Unlike np.where, this arithmetic also compiles for
+    # has an isotropic friction cone. Unlike np.where, arithmetic also compiles for
     # scalars.
     roll = 1.0 * (np.abs(slide_t) > mu_t)
     skid = 1.0 - roll

@@ -1,17 +1,16 @@
 r"""Constant-curvature geometry of a segment and of the body.
 
-A segment of length l with the bend q is an arc. The chord of the arc is parallel to the
-mean heading of the two ends. The rigid gap L_o adds a straight piece of length L_o/2 at
-each end and does not change the direction of the chord. The distance between the
-connectors is
+A segment of length l and bend q is an arc, whose chord is parallel to the mean heading
+of the two ends. The rigid gap L_o adds a straight piece of length L_o/2 at each end and
+does not change the direction of the chord. The distance between the connectors is
 
 $$ L(q) = l\,\frac{\sin(q/2)}{q/2} + L_o \cos(q/2). $$
 
 Connectors are numbered from the head, and a bend q_j = θ_j − θ_{j+1} > 0 turns the head
-end to the left. The bend is defined by Eq. 2 and 3 with the signs of E9 and E20, and
-the chord by Eq. 7. All functions are elementwise and accept arrays with any leading
-axes. The functions `pair_heading`, `measured_bend` and `arc_between` implement
-Algorithms 1 and 2 of Section 3.4.1, which compute curvature and shape from markers.
+end to the left. The bend is defined by Eqs. 2 and 3 with the signs of E9 and E20, the
+chord by Eq. 7. All functions are elementwise and accept arrays with any leading axes.
+The functions `pair_heading`, `measured_bend` and `arc_between` implement Algorithms 1
+and 2 of Section 3.4.1, which compute curvature and shape from markers.
 """
 
 from __future__ import annotations
@@ -34,14 +33,14 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
     $$ a(2x) = \tfrac14\,(a + A b), \qquad b(2x) = \tfrac12\,A^2, \qquad
        \tfrac{dA}{dx} = x\,(a - b), \qquad \tfrac{d^2A}{dx^2} = -A - 2\,(a - b). $$
 
-    The series of a and b are evaluated at x/4, and the argument is doubled twice. This
-    is faster than computing a sine, a cosine and their quotients. The result is exact
-    to rounding for |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
+    The series of a and b are evaluated at x/4, and the argument is doubled twice, which
+    is faster than computing sine, cosine and quotients. The result is exact up to
+    rounding for |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
 
     The bend q (rad) may be an array of any shape, or a scalar in compiled code.
     """
     x = bend / 2
-    # In terms of p = (x/4)², the truncated series are exact to rounding for |x/4| ≤ π/4.
+    # The truncated series in p = (x/4)² are exact up to rounding for |x/4| ≤ π/4.
     p = x * x / 16
     a = (
         1
@@ -55,7 +54,7 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
         / 12
         * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))
     ) / 2
-    # The variable `arc` is A. Two doublings of the argument lead from x/4 to x.
+    # `arc` is A. Doubling the argument twice leads from x/4 to x.
     arc = 1 - p * a
     a = (a + arc * b) / 4
     b = arc * arc / 2
@@ -73,7 +72,7 @@ def chord_from_half_angle(
     """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) from `half_angle_terms`.
 
     Args:
-        terms: the terms cos x, sin x, A, dA/dq and d²A/dq² of `half_angle_terms`.
+        terms: cos x, sin x, A, dA/dq and d²A/dq² as returned by `half_angle_terms`.
         length: segment length l, m.
         gap: rigid gap L_o, m.
     """
@@ -104,7 +103,7 @@ def chord(bend: Array, length: float, gap: float) -> Array:
 
 
 def relative_headings(bend: Array) -> Array:
-    """Return headings (…, N) relative to their mean from bends (…, N − 1), rad."""
+    """Compute headings (…, N) relative to the mean heading from bends (…, N − 1), rad."""
     from_head = np.concatenate(
         [np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1
     )
@@ -154,8 +153,8 @@ def measured_bend(front: Array, rear: Array) -> Array:
     The curvature κ is the bend divided by the segment length l.
 
     Args:
-        front: heading θ_A of the end of the segment towards the head, rad.
-        rear: heading θ_B of the end of the segment towards the tail, rad.
+        front: heading θ_A of the front end of the segment, rad.
+        rear: heading θ_B of the rear end of the segment, rad.
     """
     return np.asarray((front - rear + np.pi) % (2 * np.pi) - np.pi)
 
@@ -163,16 +162,16 @@ def measured_bend(front: Array, rear: Array) -> Array:
 def arc_between(front: Array, rear: Array, curvature: Array, points: int = 21) -> Array:
     r"""Return points on an arc between two ends (Algorithm 2 with E10 and E23).
 
-    The distance between the ends is d. The direction from the rear end to the front end
-    is α. The points of the arc are
+    With the distance d between the ends and the direction α from the rear to the front
+    end, the points on the arc are
 
     $$ \sin\beta = \kappa d / 2, \qquad
        P(s) = P_A - d\,s\,\frac{\operatorname{sinc} \beta s}{\operatorname{sinc}
        \beta}\, (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s), $$
 
-    These equations need no centre of the arc and no special case for κ = 0. Noise can
-    make |κ d / 2| larger than 1, which is impossible for an arc. If |κ d / 2| is larger
-    than 1, the function returns a half circle with β = ±π/2.
+    These equations need no arc centre and no special case for κ = 0. Due to noise,
+    |κ d / 2| may exceed 1, which is impossible for an arc. The function then returns a
+    half circle with β = ±π/2.
 
     Args:
         front: front end P_A, shape (…, 2), m.

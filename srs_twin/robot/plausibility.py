@@ -1,11 +1,10 @@
-"""Detection of robot parameters that were probably written in a wrong unit.
+"""Detection of robot parameters that are probably written in a wrong unit.
 
-The lengths of a robot are compared with each other. Times, pressures and stiffnesses
-are compared in the same way. A robot that is scaled as a whole therefore remains
-plausible. Each number divided by its typical ratio to the robot's size is an estimate
-of the size. The median of these estimates is robust against a single mistake. A number
-is implausible if the quotient of its estimate and the median is outside the limits
-`below` and `above`.
+The lengths of a robot are compared with each other, and so are times, pressures and
+stiffnesses. A robot that is scaled as a whole therefore remains plausible. Each number
+yields an estimate of the robot's size, after division by a typical ratio. The median of
+the estimates is robust against a single mistake. A number is implausible if the ratio
+of the estimate to the median exceeds `above` or is less than 1/`below`.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from typing import Any, NamedTuple
 
 from srs_twin.robot.spec import GRAVITY
 
-# Units that users may confuse with the unit of a key, and their conversion factors.
+# Units that users may confuse with the unit of a key, with conversion factors.
 _OTHER_UNITS = {
     "m": {"cm": 0.01, "mm": 0.001, "": 0.1},
     "kg": {"g": 0.001},
@@ -29,15 +28,14 @@ _OTHER_UNITS = {
 
 
 class _Quantity(NamedTuple):
-    """Numbers of one physical quantity.
+    """Parameters of one physical quantity.
 
     Attributes:
-        name: plural name of the quantity for messages.
+        name: plural name of the quantity, used in messages.
         unit: unit of the keys.
         below: maximum plausible ratio of the median size to a size estimate.
         above: maximum plausible ratio of a size estimate to the median size.
-        usual: typical ratio of each number to the robot's size, keyed by section and
-            key.
+        usual: typical ratio of each parameter to the robot's size, keyed by path.
     """
 
     name: str
@@ -89,18 +87,18 @@ _QUANTITIES = (
 )
 
 _CERTAIN = 100.0
-"""Factor beyond the plausible range at which a number is certainly wrong."""
+"""Factor outside the plausible range above which a number is certainly wrong."""
 
 _DENSITY = 500.0
-"""Typical density of a connector with its part of the body, kg/m³."""
+"""Typical density of a connector including the adjacent half segments, kg/m³."""
 
 _DENSITY_RATIO = 50.0
-"""Maximum plausible ratio of a density to `_DENSITY`. A density beyond 4 times this
-ratio is certainly wrong, because osmium has 22 600 kg/m³."""
+"""Maximum plausible ratio of a density to `_DENSITY`. Four times this ratio is certainly
+wrong, because osmium has 22 600 kg/m³."""
 
 
 class Doubt(NamedTuple):
-    """Number that was probably written in a wrong unit."""
+    """Number that is probably written in a wrong unit."""
 
     path: str
     text: str
@@ -114,25 +112,24 @@ def likely_unit(value: float, unit: str, expected: float) -> str:
         factors, key=lambda name: abs(math.log(factors[name] * value / expected))
     )
     if other == unit:
-        return "check its unit"
+        return "check the unit"
     given = f"{value:g} {other}" if other else "a tenth of it"
     return f"{given} would be {factors[other] * value:.4g} {unit}"
 
 
 def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[Doubt]:
-    """Yield the numbers of a robot that do not fit its other numbers.
+    """Yield the numbers of a robot that do not fit the other numbers.
 
     Args:
-        values: value of each record of the robot file, keyed by section and key.
-        masses: mass of each connector, or of each segment of a robot with skin, kg.
+        values: values in the robot file, keyed by path.
+        masses: connector masses, or segment masses of a robot with skin, kg.
     """
     pitch = values["geometry.segment_length_m"] + values["geometry.rigid_gap_m"]
     stiffnesses = {
         "weight times body length": GRAVITY * sum(masses) * pitch * len(masses)
     }
     if "chamber.air_volume_ml" in values and "actuator.at_pressure_kpa" in values:
-        # The moment of the pressure, p dV/dq, is in mJ, because pressures are in kPa
-        # and volumes in ml.
+        # With pressures in kPa and volumes in ml, the moment p dV/dq is in mJ.
         moment = (
             1e-3
             * values["actuator.at_pressure_kpa"]
@@ -189,7 +186,7 @@ def _wrong_masses(
         if excess > 1:
             text = (
                 f"{mass:g} kg is implausible for a part of {pitch:g} m by"
-                f" {width:g} m, because its density would be"
+                f" {width:g} m, because the density would be"
             )
             text += f" {mass / usual * _DENSITY:.2g} kg/m³"
             yield Doubt(path, f"{text}; {likely_unit(mass, 'kg', usual)}", excess > 4)

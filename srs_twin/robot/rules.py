@@ -1,7 +1,7 @@
 """Consistency rules between the parameters of a robot.
 
-A `RobotSpec` raises an error if a rule is violated. A robot file reports each violation
-at the key of the parameter.
+The constructor of `RobotSpec` raises an error if a rule is violated. When a robot file
+is loaded, each violation is reported at the key of the parameter.
 """
 
 from __future__ import annotations
@@ -14,43 +14,42 @@ import numpy as np
 from srs_twin.errors import InputError
 
 WHEEL_FRACTION = 0.9
-"""Maximum mass of a connector's two wheels, as a fraction of the connector's mass."""
+"""Maximum mass of the two wheels of a connector, as a fraction of the connector mass."""
 
 _MAX_GAP_DEG = 180.0 - 1e-6
 """Maximum angle between the directions of two neighbouring chambers, degrees."""
 
 
 class Violation(NamedTuple):
-    """Violation of a consistency rule by a parameter."""
+    """Parameter that violates a consistency rule."""
 
     parameter: str
     reason: str
 
 
 def raise_violations(violations: Iterable[Violation]) -> None:
-    """Raise an `InputError` with the reasons of all violations, if there are any."""
+    """Raise an `InputError` that lists the reasons of all violations, if any."""
     if reasons := [violation.reason for violation in violations]:
         raise InputError("; ".join(reasons))
 
 
 def spatial_refusal(robot: str, feature: str) -> str:
-    """Return a message that the feature is not available for a spatial robot."""
+    """Return a message that a feature does not support a spatial robot."""
     return (
-        f"{feature} does not support the spatial robot '{robot}', which has"
-        " `chamber.directions_deg`; use a robot whose chambers bend it only to the"
-        " left and right"
+        f"{feature} does not support the spatial robot '{robot}' (with"
+        " `chamber.directions_deg`); use a robot that bends only to the left and right"
     )
 
 
 def kind_violations(
     *, is_spatial: bool, has_skin: bool, has_tail: bool, extends: bool
 ) -> Iterator[Violation]:
-    """Yield contradictions between the kinds of chambers and of contact."""
+    """Yield contradictions between chamber directions and contact kind."""
     if is_spatial and not has_skin:
         yield Violation(
             "directions",
             "a robot that bends in two directions needs the contact `skin`, because"
-            " its wheels would leave the floor",
+            " wheels would leave the floor",
         )
     if extends and not is_spatial:
         yield Violation(
@@ -77,13 +76,13 @@ def mass_violations(
 
 
 def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Violation]:
-    """Yield a violation if the wheels are too heavy for the lightest connector (kg)."""
+    """Yield a violation if two wheels are too heavy for the lightest connector (kg)."""
     lightest = min(connectors)
     if 2 * wheel > WHEEL_FRACTION * lightest:
         yield Violation(
             "wheel",
-            f"two wheels of {wheel:g} kg are too heavy for the lightest connector,"
-            f" which has {lightest:g} kg; one wheel may have at most"
+            f"two wheels of {wheel:g} kg are too heavy for the lightest connector"
+            f" ({lightest:g} kg); the mass of a wheel must not exceed"
             f" {WHEEL_FRACTION * lightest / 2:g} kg",
         )
 
@@ -94,7 +93,7 @@ def tail_violations(com: float, axle: float) -> Iterator[Violation]:
         yield Violation(
             "com",
             f"the centre of mass at {com:g} m is behind the second axle at {axle:g} m,"
-            " so the tail would tip over; move it in front of this axle",
+            " so the tail would tip over; move the centre of mass in front of this axle",
         )
 
 
@@ -105,6 +104,6 @@ def direction_violations(directions_deg: Sequence[float]) -> Iterator[Violation]
     if largest > _MAX_GAP_DEG:
         yield Violation(
             "directions",
-            f"two neighbouring chambers are {largest:g} degrees apart; neighbours must"
-            " be less than 180 degrees apart",
+            f"two neighbouring chambers are {largest:g} degrees apart; neighbouring"
+            " chambers must be less than 180 degrees apart",
         )

@@ -1,8 +1,8 @@
-"""Sections of robot files, with the bounds of all numbers.
+"""Sections of robot files, with bounds on all numbers.
 
-A file may list individual properties of the modules, and standard deviations of random
-differences between the modules. Each quantity has its own random stream, so that a new
-standard deviation does not change the random numbers of other quantities. Random
+A file may list individual module properties, and standard deviations of random
+differences between modules. Each quantity has a separate random stream, so that adding
+a standard deviation does not change the random numbers of other quantities. Random
 numbers are truncated at three standard deviations. Random factors multiply the listed
 factors, and random biases are added to the listed biases.
 """
@@ -48,17 +48,17 @@ AngleStd = Record[Annotated[float, bounded(0.0, 0.5)], Literal["rad"]]
 _MAX_DEVIATIONS = 3.0
 """Truncation limit of the random numbers, in standard deviations."""
 
-# The bounds allow robots between 1/40 and 100 times the size of the shipped robots.
-# Lengths scale with s, masses with s³ and stiffness with s⁴.
+# The bounds allow robots from 1/40 to 100 times the size s of the shipped robots, where
+# lengths scale with s, masses with s³ and stiffnesses with s⁴.
 LENGTHS_M = (1e-5, 100.0)
-"""Minimum and maximum length of a robot, m."""
+"""Minimum and maximum of all lengths, m."""
 MASSES_KG = (1e-10, 1e6)
 """Minimum and maximum mass of a part, kg."""
 STIFFNESSES_NM_PER_RAD = (1e-10, 1e9)
 """Minimum and maximum stiffness of a segment, N·m/rad."""
 
-# Key of the standard deviation of each quantity. The position of a quantity is the
-# number of its random stream, so new quantities must be appended.
+# Key of the standard deviation of each quantity. The order determines which random
+# stream a quantity uses, so new quantities must be appended.
 SPREAD_KEYS = {
     "gain": "gain_spread",
     "tau_fill": "tau_spread",
@@ -87,9 +87,9 @@ class ModulesFile(Records):
     """Ratio of sensor reading to actual bend for each segment, 0.1 to 10, head first.
     """
     sensor_bias_rad: BendList | None = None
-    """Sensor reading of each segment when it is straight, rad, -1 to 1, head first."""
+    """Sensor reading of each segment at zero bend, rad, -1 to 1, head first."""
     gain_spread: RelativeStd | None = None
-    """Standard deviation of the relative gains of the chambers, 0 to 0.3."""
+    """Standard deviation of the relative chamber gains, 0 to 0.3."""
     tau_spread: RelativeStd | None = None
     """Standard deviation of the relative tau_fill and tau_vent of the chambers, 0 to
     0.3."""
@@ -100,13 +100,13 @@ class ModulesFile(Records):
     sensor_bias_spread_rad: AngleStd | None = None
     """Standard deviation of the sensor biases, rad, 0 to 0.5."""
     seed: Annotated[int, bounded(0, 2**32 - 1)] | None = None
-    """Random seed of the differences, 0 to 4294967295 (default: seed of the scenario).
-    """
+    """Random seed of the differences between modules, 0 to 4294967295 (default: seed of
+    the scenario)."""
 
     def draw(self, segments: int, seed: int, chambers: int = 2) -> Modules:
         """Return modules with the listed properties and random differences.
 
-        If the file specifies no seed, the argument `seed` is used.
+        `seed` is used if the file contains no seed.
         """
         seed = seed if self.seed is None else self.seed
         arrays = {}
@@ -131,7 +131,7 @@ class ModulesFile(Records):
         return Modules.from_arrays(**arrays)
 
     def contradictions(self, segments: int, chambers: int) -> Iterator[tuple[Loc, str]]:
-        """Yield lists whose length is not the number of segments or chambers."""
+        """Yield lists whose length differs from the number of segments or chambers."""
         for name, record in self:
             values = record.value if isinstance(record, Record) else None
             if name in PER_CHAMBER and isinstance(values, list):
@@ -145,7 +145,7 @@ class ModulesFile(Records):
             if isinstance(values, list) and len(values) != segments:
                 text = (
                     f"{len(values)} entries are given for {segments} segments; give"
-                    f" {segments} entries, beginning at the head"
+                    f" {segments} entries, head first"
                 )
                 yield ("modules", name, "value"), text
 
@@ -164,7 +164,7 @@ def _one_or_each(value: Any) -> Any:
     ]
 
 
-# A number is a record whose value is a float, an integer or a list (`number_field`).
+# A `Number` is a record whose value is a float, an integer or a list.
 Number = Record[Any, str]
 
 
@@ -176,9 +176,9 @@ class GeometryFile(Records):
     segment_length_m: Number = number_field(*LENGTHS_M)
     """Length of the bending part of a segment."""
     rigid_gap_m: Number = number_field(0.0, LENGTHS_M[1])
-    """Length of the straight part of a segment, half of it at each end."""
+    """Length of the straight part of a segment; half of this length is at each end."""
     half_track_m: Number | None = number_field(*LENGTHS_M, needed_by="wheels")
-    """Distance of a wheel from the centre line; wheels only."""
+    """Distance between a wheel and the centre line; wheels only."""
     wheel_radius_m: Number | None = number_field(*LENGTHS_M, needed_by="wheels")
     """Radius of a wheel; wheels only."""
     com_height_m: Number = number_field(*LENGTHS_M)
@@ -193,37 +193,33 @@ class MassFile(Records):
     connectors_kg: Number | None = number_field(
         *MASSES_KG, shape=_one_or_each, needed_by="wheels"
     )
-    """Mass of a connector with its wheels and its part of the body; one number for all
-    connectors or a list, head first. Wheels only."""
+    """Mass of a connector including the wheels and the adjacent half segments; one
+    number for all connectors or a list, head first. Wheels only."""
     wheel_kg: Number | None = number_field(*MASSES_KG, needed_by="wheels")
-    """Mass of one wheel, which is included in the mass of its connector; wheels only.
-    """
+    """Mass of one wheel, which is included in the connector mass; wheels only."""
     connector_gyration_m: Number | None = number_field(*LENGTHS_M, only_for="wheels")
-    """Radius of gyration of a connector without its wheels; wheels only. By default,
-    the connector is a uniform block with the length of the rigid gap and the width of
-    the track."""
+    """Radius of gyration of a connector without wheels; wheels only. By default, the
+    connector is a uniform block as long as the rigid gap and as wide as the track."""
     segments_kg: Number | None = number_field(
         *MASSES_KG, shape=_one_or_each, needed_by="skin"
     )
-    """Mass of the body from one connector to the next, spread evenly over its length;
-    one number for all segments or a list, head first. Skin only."""
+    """Mass of a segment, distributed evenly between two connectors; one number for all
+    segments or a list, head first. Skin only."""
 
 
 class FrictionFile(Records):
     """Friction of the wheels on the floor, and axial drag.
 
-    The friction coefficients of a skin are in the section contact.
+    The friction coefficients of a skin belong to the section contact.
     """
 
     mu_t: Number | None = number_field(0.0, 10.0, needed_by="wheels")
-    """Friction coefficient along the heading, the drag of a rolling wheel; wheels only.
-    """
+    """Friction coefficient along the heading, due to axle drag; wheels only."""
     mu_n: Number | None = number_field(0.0, 10.0, needed_by="wheels")
-    """Friction coefficient across the heading, of a wheel that slides sideways; wheels
-    only."""
+    """Friction coefficient across the heading, for sideways slip; wheels only."""
     drag_n: Number | None = number_field(0.0, 1e7, optional=True)
-    """Total axial drag of tubes and belly (default: none); it does not depend on the
-    load, and equal parts act on the connectors."""
+    """Total axial drag of tubes and belly (default: none); the drag does not depend on
+    the load and is divided equally among the connectors."""
 
 
 class ContactFile(Records):
@@ -232,13 +228,13 @@ class ContactFile(Records):
     only_for = {"law": "skin"}
 
     kind: Literal["wheels", "skin"]
-    """Kind of contact; "wheels" means two wheels on each connector, described in
-    geometry, mass and friction. "skin" means a body that slides on its belly along its
-    whole length."""
+    """Kind of contact; "wheels" means two wheels on each connector, whose parameters
+    are in geometry, mass and friction. "skin" means that the whole body slides on the
+    floor."""
     law: SkinLaw | None = None
-    """Friction law of a skin; "ellipse" is the force with the maximum dissipation
-    (default). "cosine" makes each component proportional to the direction cosine of the
-    slip (docs/friction.md#skin)."""
+    """Friction law of a skin; "ellipse" maximises the dissipation (default). "cosine"
+    makes each force component proportional to the direction cosine of the slip
+    (docs/friction.md#skin)."""
     forward: Number | None = number_field(0.0, 10.0, needed_by="skin")
     """Friction coefficient along the body for slip towards the head; skin only."""
     backward: Number | None = number_field(0.0, 10.0, only_for="skin")
@@ -251,11 +247,11 @@ class ContactFile(Records):
 
     @property
     def is_skin(self) -> bool:
-        """Whether the robot slides on its belly."""
+        """Whether the robot has a skin instead of wheels."""
         return self.kind == "skin"
 
     def friction(self) -> dict[str, float]:
-        """Return the friction coefficients of a skin as arguments of `Friction`."""
+        """Return the skin's friction coefficients as arguments of `Friction`."""
         names = {
             "mu_t": self.forward,
             "mu_back": self.backward,
@@ -266,7 +262,7 @@ class ContactFile(Records):
         }
 
     def skin(self) -> Skin:
-        """Return the skin."""
+        """Build the skin."""
         given = {
             "friction_law": self.law,
             "points": self.points_per_segment and self.points_per_segment.value,
@@ -283,10 +279,10 @@ class BendingFile(Records):
     only_for = {"lead": "pressure"}
 
     lead: bool | None = None
-    """Whether the moment of the air leads the pressures, so that a free segment obeys
-    Eq. 14 for any damping (default: true); pressure only. If false, the damping delays
-    the free bend: damping_time_s replaces tau_mode_s. tau_fill_s and tau_vent_s are
-    then shortened by damping_time_s - tau_mode_s."""
+    """Whether the air moment leads the pressures, so that a free segment obeys Eq. 14
+    for any damping (default: true); pressure only. If false, the damping delays the
+    free bend: damping_time_s replaces tau_mode_s. tau_fill_s and tau_vent_s are then
+    shortened by damping_time_s - tau_mode_s."""
     stiffness_nm_per_rad: Number | None = number_field(
         *STIFFNESSES_NM_PER_RAD, needed_by="pressure"
     )
@@ -310,74 +306,74 @@ class BendingFile(Records):
 
 
 class ActuatorFile(Records):
-    """Response of one module, which is driven by air pressure or by a servo.
+    """Response of one module, driven by air pressure or by a servo.
 
     The gain of a pneumatic module is bend_rad / at_pressure_kpa.
     """
 
     kind: Literal["pressure", "position"] | None = None
     """Kind of actuator; "pressure" means that air in chambers bends the segment against
-    its stiffness (default). "position" means that a servo turns a joint to the
-    commanded angle regardless of the load. The command is bend_rad where a valve would
-    fill the + chamber."""
+    the bending stiffness (default). "position" means that a servo turns a joint to the
+    commanded angle regardless of the load. The commanded angle is bend_rad when a valve
+    would fill the + chamber."""
     response_time_s: Number | None = number_field(1e-4, 100.0, needed_by="position")
-    """Time constant of the critically damped response of a servo; position only."""
+    """Time constant of a servo's critically damped response; position only."""
     tau_fill_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
     """Fill time constant tau_1; pressure only."""
     tau_vent_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
     """Vent time constant tau_1; pressure only."""
     tau_mode_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
-    """Mode time constant tau_2, with which the free bend follows the pressures;
-    pressure only."""
+    """Mode time constant tau_2 of the free bend's response to the pressures; pressure
+    only."""
     bend_rad: Number = number_field(1e-3, 6.3)
-    """Static bend of a free module under at_pressure_kpa, or maximum angle that a servo
-    is commanded to."""
+    """Static bend of a free module at at_pressure_kpa, or maximum commanded angle of a
+    servo."""
     at_pressure_kpa: Number | None = number_field(0.1, 2000.0, needed_by="pressure")
     """Pressure in one chamber that causes bend_rad; pressure only."""
     bend_limit_rad: Number | None = number_field(0.1, 6.3, only_for="pressure")
-    """Limit of the free bend at high pressure (default: none, the gain is linear)."""
+    """Limit of the free bend at high pressure (default: no limit, linear gain)."""
     onset_fraction: Number | None = number_field(0.0, 1.0, only_for="pressure")
     """Fraction s of the gain that is missing in a dead zone around zero pressure
     (default: 1 if another onset key is present, otherwise 0)."""
     dead_zone_rad: Number | None = number_field(0.01, 6.3, only_for="pressure")
-    """Bend of the linear law at the end of the dead zone (default: 0.3); beyond the
-    dead zone, s times this bend is missing."""
+    """Bend at the end of the dead zone according to the linear law (default: 0.3);
+    beyond the dead zone, s times this bend is missing."""
     dead_zone_transition_rad: Number | None = number_field(
         0.01, 6.3, only_for="pressure"
     )
-    """Width of the transition at the end of the dead zone, as a bend of the linear law
-    (default: 0.1)."""
+    """Width of the transition at the end of the dead zone, in terms of the linear law's
+    bend (default: 0.1)."""
     extension_m_per_kpa: Number | None = number_field(0.0, 0.01, only_for="pressure")
-    """Extension of a spatial robot's segment per mean pressure of its chambers
-    (default: 0)."""
+    """Extension of a spatial robot's segment per mean chamber pressure (default: 0)."""
 
 
 class ChamberFile(Records, needed_by="pressure"):
-    """Air space of one chamber."""
+    """Air volume of one chamber."""
 
     dead_volume_ml: Number = number_field(1e-6, 1e8)
-    """Volume of the chamber of a straight segment, including its tube."""
+    """Volume of a chamber and its tube when the segment is straight."""
     air_volume_ml: Number = number_field(1e-6, 1e8)
     """Increase of the chamber volume at a bend of 90 degrees."""
     directions_deg: Directions | None = None
     """Directions in which the chambers of a spatial robot bend a segment, -360 to 360,
-    0 to the left and 90 upwards; four directions make two antagonistic pairs. By
-    default, one chamber bends to the left and one to the right."""
+    0 to the left and 90 upwards; four directions form two antagonistic pairs. By
+    default, one chamber bends the segment to the left and one to the right."""
 
 
 class SupplySection(Records, needed_by="pressure"):
-    """Gauge pressures of the supply and their limits."""
+    """Supply pressures (gauge) and limits."""
 
     nominal_kpa: Number = number_field(0.1, 2000.0)
     """Supply pressure of scenarios that do not specify one."""
     continuous_limit_kpa: Number = number_field(0.1, 2000.0)
     """Maximum pressure that a chamber may hold."""
     pulsed_limit_kpa: Number = number_field(0.1, 2000.0)
-    """Maximum supply pressure while chambers alternate (gait, PWM)."""
+    """Maximum supply pressure if the chambers are filled and vented in turn (gait, PWM).
+    """
 
 
 class GaitSection(Records):
-    """Parameters that all gaits of the robot share."""
+    """Parameters shared by all gaits of the robot."""
 
     phase_step_rad: Number = number_field(-6.3, 6.3)
     """Phase lag of the gait from one segment to the next (E18)."""
@@ -386,26 +382,26 @@ class GaitSection(Records):
 class TailFile(Records):
     """Tail assembly with a second axle behind the axle of the last connector.
 
-    It is not available with the preloaded contact.
+    The preloaded contact does not support a tail.
     """
 
     axle_m: Number = number_field(*LENGTHS_M)
     """Distance of the second axle behind the axle of the last connector."""
     com_m: Number = number_field(0.0, LENGTHS_M[1])
-    """Distance of the centre of mass behind the axle of the last connector; at most
-    axle_m."""
+    """Distance of the centre of mass behind the axle of the last connector; this
+    distance is at most axle_m."""
     com_height_m: Number = number_field(*LENGTHS_M)
     """Height of the centre of mass of the assembly above the floor."""
     gyration_m: Number = number_field(*LENGTHS_M)
-    """Radius of gyration of the assembly including its wheels."""
+    """Radius of gyration of the assembly including the wheels."""
 
 
 class CorrelationFile(StrictModel):
     """Correlation between two uncertain numbers."""
 
     of: Annotated[list[str], Field(min_length=2, max_length=2)]
-    """Paths of the two numbers, such as friction.mu_t; the correlation has no effect if
-    one of the numbers is not uncertain."""
+    """Paths of the two numbers, such as friction.mu_t; the correlation is ignored unless
+    both numbers are uncertain."""
     r: Annotated[float, bounded(-0.999, 0.999)]
-    """Correlation of the normal variables from which the numbers are computed, -0.999
-    to 0.999."""
+    """Correlation between the normal variables from which the numbers are computed,
+    -0.999 to 0.999."""

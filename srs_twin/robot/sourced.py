@@ -1,9 +1,8 @@
-"""Records of numbers with unit, status and source, and the units of file keys.
+"""Numbers with unit, status and source, and the units of file keys.
 
-A key ends with the unit of its number, for example ``segment_length_m`` or
-``stiffness_nm_per_rad``. A `Record` repeats the unit next to the number. The unit of
-the record must agree with the unit of the key, so that a number that was copied from a
-table in another unit is rejected.
+The name of a key ends with a unit, for example ``segment_length_m`` or
+``stiffness_nm_per_rad``. A `Record` repeats the unit next to the number. The two units
+must agree, so that a number copied from a table in another unit is rejected.
 """
 
 from __future__ import annotations
@@ -48,11 +47,10 @@ UNITS = {
     "_s": "s",
     "_v": "V",
 }
-"""Unit that belongs to each suffix of a key. Longer suffixes come first."""
+"""Unit denoted by each key suffix. Longer suffixes come first."""
 
-# SI unit that corresponds to each unit, with numerator and denominator of the factor.
-# Division keeps decimal numbers exact: 3.1 / 1000 is the double 0.0031, but 3.1 * 0.001
-# is not.
+# SI unit of each unit, with numerator and denominator of the conversion factor. Division
+# keeps decimal numbers exact: 3.1 / 1000 is the double 0.0031, but 3.1 * 0.001 is not.
 _SI_CONVERSIONS = {
     "kPa": ("Pa", 1000, 1),
     "m/kPa": ("m/Pa", 1, 1000),
@@ -65,7 +63,7 @@ _SI_CONVERSIONS = {
 
 
 def split_unit(key: str) -> tuple[str, str]:
-    """Return a key without its unit suffix, and the unit or "1"."""
+    """Split a key into name and unit. Without a unit suffix, the unit is "1"."""
     # The letter n in mu_n denotes the normal direction, not the unit newton.
     suffix = next(
         (suffix for suffix in UNITS if key.endswith(suffix) and key != "mu_n"), ""
@@ -104,7 +102,7 @@ _DISTRIBUTION_KEYS = {
 
 
 MIN_PROBABILITY = 1e-9
-"""Minimum distance of probabilities from 0 and 1, where normal quantiles are infinite.
+"""Minimum distance of a probability from 0 and 1, where normal quantiles are infinite.
 """
 
 
@@ -112,22 +110,22 @@ class Uncertain(StrictModel):
     """Prior distribution of an uncertain number."""
 
     kind: Literal["normal", "lognormal", "uniform"]
-    """Distribution; "normal" has its mean at the number. "lognormal" has its median at
-    the number, or at `median`. "uniform" has the range low to high."""
+    """Kind of distribution; "normal" has the number as mean. "lognormal" has the number
+    (or `median`) as median. "uniform" ranges from low to high."""
     sd: float | None = Field(None, gt=0.0, le=1e9)
     """Standard deviation of a normal distribution, in the unit of the number."""
     factor: float | None = Field(None, gt=1.0, le=100.0)
-    """Geometric standard deviation. Two thirds of the values lie between the number
-    divided by this factor and the number times this factor."""
+    """Geometric standard deviation; two thirds of the values lie between median / factor
+    and median * factor."""
     median: float | None = Field(None, gt=0.0, le=1e9)
     """Median of a lognormal distribution, in the unit of the number (default: the
     number)."""
     low: float | None = Field(None, ge=-1e9, le=1e9)
-    """Lower end of a uniform range, in the unit of the number."""
+    """Lower bound of a uniform distribution, in the unit of the number."""
     high: float | None = Field(None, ge=-1e9, le=1e9)
-    """Upper end of a uniform range, in the unit of the number."""
+    """Upper bound of a uniform distribution, in the unit of the number."""
     source: str | None = Field(None, min_length=1, max_length=1000)
-    """Source of the distribution, or reason for the assumption."""
+    """Source of the distribution, or reason why it was assumed."""
 
     @model_validator(mode="after")
     def _check_keys(self) -> Uncertain:
@@ -141,7 +139,7 @@ class Uncertain(StrictModel):
             needs = " and ".join(required)
             has = ", ".join(present) or "nothing"
             raise ValueError(
-                f"the distribution `{self.kind}` needs {needs}, but {has} is given"
+                f"the distribution `{self.kind}` needs {needs}, but {has} was given"
             )
         if self.median is not None and self.kind != "lognormal":
             raise ValueError(
@@ -159,19 +157,19 @@ class Uncertain(StrictModel):
     def quantile(
         self, value: float, bounds: tuple[float, float], probabilities: np.ndarray
     ) -> np.ndarray:
-        """Return the quantiles of the number.
+        """Return quantiles of the distribution.
 
         Args:
             value: number in the file.
-            bounds: minimum and maximum of the number, at which normal and lognormal
-                distributions are truncated.
+            bounds: minimum and maximum of the number. Normal and lognormal
+                distributions are truncated at the bounds.
             probabilities: cumulative probabilities of any shape.
         """
         if self.low is not None and self.high is not None:
             return self.low + (self.high - self.low) * np.asarray(probabilities)
         if self.factor is not None:
-            # The logarithm of a bound of 0 is infinite, so the bound is replaced by 1e-300,
-            # which is far below any parameter.
+            # A bound of 0 has an infinite logarithm and is replaced by 1e-300, which is
+            # far below any parameter.
             median = value if self.median is None else self.median
             ends = np.log(np.maximum(bounds, 1e-300) / median) / np.log(self.factor)
             return np.asarray(
@@ -183,7 +181,7 @@ class Uncertain(StrictModel):
 
 
 def _truncated_normal(ends: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
-    """Return quantiles of a standard normal distribution truncated at two ends."""
+    """Return quantiles of a standard normal distribution truncated on both sides."""
     from scipy.special import ndtr, ndtri
 
     low, high = ndtr(ends)
@@ -197,15 +195,15 @@ class Record(StrictModel, Generic[Value, Unit]):
     value: Value
     """Number in the unit of the key."""
     unit: Unit
-    """Unit, which must match the unit of the key; '1' for a dimensionless number."""
+    """Unit, which must match the unit in the key; '1' for a dimensionless number."""
     status: Status
-    """Origin of the number; "measured" means stated in the source as measured or set.
-    "calibrated" means fitted to measurements, and "estimated" means an assumption of
-    this project."""
+    """Origin of the number; "measured" means that the source states a measured or set
+    value. "calibrated" means fitted to measurements, "estimated" means assumed by this
+    project."""
     source: str = Field(min_length=1, max_length=1000)
-    """Section or table of the source, or method of the estimate."""
+    """Section or table in the source, or method of estimation."""
     uncertain: Uncertain | None = None
-    """Prior distribution (default: none, so that the number is treated as exact)."""
+    """Prior distribution (default: none, which means that the number is exact)."""
 
     @model_serializer(mode="wrap")
     def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -217,18 +215,16 @@ class Record(StrictModel, Generic[Value, Unit]):
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
-        """Return a readable name for record types in JSON schemas."""
+        """Return a readable name of the record type for JSON schemas."""
         return "Record"
 
 
 def bounded(low: float, high: float) -> Any:
-    """Return a pydantic field for a number within bounds."""
+    """Return a pydantic field that restricts a number to an interval."""
     return Field(ge=low, le=high)
 
 
 class _NumberField(NamedTuple):
-    """Arguments of `number_field`."""
-
     low: float
     high: float
     kind: type = float
@@ -239,7 +235,7 @@ class _NumberField(NamedTuple):
 
 
 def number_field(low: float, high: float, kind: type = float, **options: Any) -> Any:
-    """Return the field of a `Record` in a `Records` section.
+    """Define a number in a `Records` section.
 
     Args:
         low: minimum allowed number.
@@ -247,14 +243,14 @@ def number_field(low: float, high: float, kind: type = float, **options: Any) ->
         kind: type of the number, float or int.
         **options: `shape` is a function that converts the type of one number to the
             type of the record's value (default: one number). `optional` states whether
-            the key may be missing. `needed_by` is the kind of robot that requires the
-            key. `only_for` is the kind of robot that may have the key.
+            the key may be missing. `needed_by` is the robot kind that requires the key.
+            `only_for` is the only robot kind that may have the key.
     """
     return _NumberField(low, high, kind, **options)
 
 
 def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
-    """Insert unit and range of a number before the first semicolon of a help text."""
+    """Insert unit and range of a number before the first semicolon of the description."""
     for key, text in attribute_docstrings(cls).items():
         entry = schema["properties"][key]
         head, semicolon, rest = text.rstrip(".").partition(";")
@@ -262,12 +258,12 @@ def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
 
 
 class Records(StrictModel):
-    """Section of a file whose numbers are records.
+    """File section whose numbers are records.
 
     Attributes:
-        bounds: minimum and maximum of each number, by key.
-        needed_by: kind of robot that requires a key. Other kinds must not have the key.
-        only_for: kind of robot that may have a key. Other kinds must not have the key.
+        bounds: minimum and maximum of each number, keyed by key.
+        needed_by: robot kind that requires a key. The key is not allowed for others.
+        only_for: robot kind that may have a key. The key is not allowed for others.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -319,13 +315,12 @@ class Records(StrictModel):
 def replace_value(
     before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str
 ) -> dict[str, Any]:
-    """Return the data of a record whose number is replaced and has status "estimated".
+    """Return a record with a new number and status "estimated", as plain data.
 
     Args:
-        before: data of the old record, or None for a new record. The unit of the old
-            record is kept.
+        before: data of the old record, whose unit is kept, or None for a new record.
         value: new number.
-        unit: unit of a new record.
+        unit: unit, used only for a new record.
         source: origin of the number.
     """
     record = {

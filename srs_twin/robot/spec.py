@@ -1,9 +1,9 @@
-"""RobotSpec: immutable, validated parameters of one snake in SI units.
+"""Immutable, validated robot parameters in SI units.
 
 The numbers come from ``calibration/robots/*.yaml``, where each number has a source and
-a status. The class `Modules` stores differences between the modules of a snake (Section
-5.1). Moulded chambers differ in gain and air flow, a body at rest is not perfectly
-straight, and sensors drift after their calibration.
+a status. `Modules` stores differences between the modules of a snake (Section 5.1):
+moulded chambers differ in gain and air flow, a body at rest is not perfectly straight,
+and sensors drift after calibration.
 
 Connectors are numbered i = 1…N from head to tail. Segment j lies between connectors j
 and j+1. A bend q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
@@ -37,15 +37,15 @@ from srs_twin.robot.scale import Scale
 PerChamber = tuple[tuple[float, ...], ...]
 
 PER_CHAMBER = ("gain", "tau_fill", "tau_vent")
-"""Attributes of `Modules` that have one value per chamber."""
+"""Attributes of `Modules` with one value per chamber."""
 
 
 @dataclass(frozen=True)
 class Modules:
     """Individual properties of each module, ordered from the head.
 
-    The last axis of a chamber property is (+ chamber, − chamber) for a planar robot.
-    For a spatial robot, the last axis corresponds to `Chamber.directions`.
+    For a planar robot, the last axis of a chamber property is (+ chamber, − chamber).
+    For a spatial robot, it follows `Chamber.directions`.
 
     Attributes:
         gain: gain of each chamber relative to the nominal gain, shape (segments, 2).
@@ -75,8 +75,8 @@ class Modules:
             low, high = (-math.pi, math.pi) if name.endswith("bias") else (0.01, 100.0)
             if values.shape != shape:
                 raise InputError(
-                    f"modules.{name} has the shape {values.shape}, but the robot needs"
-                    f" the shape {shape}"
+                    f"modules.{name} has shape {values.shape}, but the robot needs"
+                    f" shape {shape}"
                 )
             wrong = values[~((values >= low) & (values <= high))]
             if wrong.size:
@@ -95,7 +95,7 @@ class Modules:
 
     @classmethod
     def from_arrays(cls, **arrays: np.ndarray) -> Modules:
-        """Return modules whose attributes are given as arrays."""
+        """Build modules from arrays."""
         tuples: dict[str, Any] = {
             field.name: _tuples(arrays[field.name]) for field in fields(cls)
         }
@@ -149,13 +149,13 @@ class Geometry:
         connectors: N, number of connectors ("links" in the dissertation), at least 2.
         segment_length: l, length of the bending part of a segment, m.
         rigid_gap: L_o, length of the straight part of a segment, m (Fig. 35). Half of
-            the rigid gap is at each end of the segment.
+            this length is at each end of the segment.
         half_track: distance of each contact point from the centre line, m. For a skin
             of width w, the contact points are the Gauss points at w/(2√3).
-        wheel_radius: radius of a wheel, m. For a robot with skin, the attribute is the
-            radius of the spheres with which the twin touches the floor.
+        wheel_radius: radius of a wheel, m. For a robot with skin, radius of the spheres
+            with which the twin touches the floor.
         com_height: height of a connector's centre of mass above the floor, m.
-        width: width of the soft body for pictures and collision checks, m.
+        width: width of the soft body, used in pictures and collision checks, m.
     """
 
     connectors: int
@@ -203,10 +203,10 @@ class Mass:
             kg.
         wheel: mass of one wheel, which is part of the connector's mass, kg. A robot
             with skin has a wheel mass of 0.
-        connector_gyration: radius of gyration of a connector without its wheels, m, or
-            None for the default of `RobotSpec.connector_gyration`.
-        segments: mass of each segment of a robot with skin, head first, kg, or None for
-            a robot on wheels. The mass is distributed evenly over the segment.
+        connector_gyration: radius of gyration of a connector without wheels, m, or None
+            for the default of `RobotSpec.connector_gyration`.
+        segments: mass of each segment of a robot with skin, head first, kg, distributed
+            evenly over the segment. None for a robot on wheels.
     """
 
     connectors: tuple[float, ...]
@@ -231,7 +231,7 @@ class Mass:
     def along_body(cls, segments: tuple[float, ...]) -> Mass:
         """Return the masses of a robot with skin from segment masses (kg).
 
-        Each end of a segment receives half of the segment's mass.
+        Half of each segment mass is assigned to each end of the segment.
         """
         halves = (0.0, *segments), (*segments, 0.0)
         connectors = tuple(
@@ -254,11 +254,11 @@ class Friction:
     """Friction coefficients of wheels (Eq. 17) or skin on the floor, and axial drag.
 
     Attributes:
-        mu_t: friction coefficient along the heading, for the axle drag of a wheel, or
-            for a skin that slips towards the head.
+        mu_t: friction coefficient along the heading, due to the axle drag of a wheel,
+            or for a skin that slips towards the head.
         mu_n: friction coefficient across the heading.
-        drag: total axial drag of tubes and belly, N. Equal parts act on the connectors
-            against their motion along the heading, independent of the wheel loads.
+        drag: total axial drag of tubes and belly, N, divided equally among the
+            connectors. The drag opposes axial motion and does not depend on the loads.
         mu_back: friction coefficient of a skin for slip towards the tail, by default
             equal to `mu_t`.
     """
@@ -281,11 +281,11 @@ class Friction:
 
 @dataclass(frozen=True)
 class Skin:
-    """Contact of a body without wheels, which lies on the floor along its whole length.
+    """Contact of a body without wheels that lies on the floor along its whole length.
 
     Attributes:
         friction_law: friction law, "ellipse" or "cosine" (`robot.friction`).
-        points: number of pairs of contact points along a segment.
+        points: number of contact point pairs along a segment.
     """
 
     friction_law: SkinLaw = "ellipse"
@@ -303,7 +303,7 @@ class Bending:
     Attributes:
         stiffness: k, bending stiffness about z, N·m/rad.
         damping_time: c/k, ratio of damping to stiffness for deviations from the free
-            bend, s. At the frequency f, the loss factor of the material is 2π f c/k.
+            bend, s. The loss factor of the material at frequency f is 2π f c/k.
         pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
         roll_stiffness: stiffness against twisting, N·m/rad.
         out_of_plane_damping_time: ratio of damping to stiffness for pitch and roll, s.
@@ -344,16 +344,17 @@ class Actuator:
         tau_fill: fill time constant τ₁, s.
         tau_vent: vent time constant τ₁, s.
         tau_mode: mode time constant τ₂, with which the free bend lags the pressures, s.
-        gain: free bend C₀ divided by the chamber pressure that causes it, rad/Pa.
-        bend_limit: q_m, limit of the free bend at high pressure, rad. The limit is
-            infinite if the gain is linear.
+        gain: free bend C₀ per chamber pressure, rad/Pa.
+        bend_limit: q_m, limit of the free bend at high pressure, rad, or infinity for a
+            linear gain.
         onset_fraction: s, fraction of the gain that is missing in the dead zone around
             zero pressure.
-        dead_zone: d, free bend of the linear law at the end of the dead zone, rad.
+        dead_zone: d, free bend at the end of the dead zone according to the linear law,
+            rad.
         dead_zone_transition: w, width of the transition at the end of the dead zone,
             rad.
-        extension: e, extension of a spatial robot's segment divided by the mean
-            pressure of its chambers, m/Pa.
+        extension: e, extension of a spatial robot's segment per mean chamber pressure,
+            m/Pa.
     """
 
     tau_fill: float
@@ -390,18 +391,17 @@ class Actuator:
 
 @dataclass(frozen=True)
 class Chamber:
-    """Air space of one chamber of a segment.
+    """Air volume of one chamber of a segment.
 
     The volume of a chamber is V(q) = dead_volume + displacement · max(0, ± q).
 
     Attributes:
-        dead_volume: minimum volume of the chamber, including its tube, m³. A straight
-            segment has this chamber volume.
-        displacement: derivative of the volume with respect to a bend towards the side
+        dead_volume: volume of the chamber and its tube when the segment is straight, m³.
+        displacement: derivative of the volume with respect to a bend in the direction
             of the chamber, m³/rad.
-        directions: bending direction of each chamber of a spatial robot, rad. The angle
-            is 0 to the left and π/2 upwards. The attribute is None for a planar robot,
-            which has a left and a right chamber.
+        directions: bending direction of each chamber of a spatial robot, rad, with 0 to
+            the left and π/2 upwards. None for a planar robot, which has a left and a
+            right chamber.
     """
 
     dead_volume: float
@@ -425,14 +425,14 @@ class Chamber:
 
 @dataclass(frozen=True)
 class Supply:
-    """Gauge pressures of the supply and their limits.
+    """Supply pressures (gauge) and limits.
 
     Attributes:
-        nominal: supply pressure of a scenario that does not specify one, Pa.
+        nominal: default supply pressure, Pa.
         continuous_limit: maximum pressure that a chamber may hold, Pa.
-        pulsed_limit: maximum supply pressure of a gait or PWM, in which chambers
-            alternate, Pa.
-        limit_source: source of the limits, which error messages cite.
+        pulsed_limit: maximum supply pressure if the chambers are filled and vented in
+            turn (gait, PWM), Pa.
+        limit_source: source of the limits, cited in error messages.
     """
 
     nominal: float
@@ -446,14 +446,14 @@ class Supply:
 
 @dataclass(frozen=True)
 class Tail:
-    """Tail assembly, in which the last connector has an additional axle behind it.
+    """Tail assembly with a second axle behind the axle of the last connector.
 
     Attributes:
         axle: distance of the second axle behind the axle of the last connector, m.
-        com: distance of the centre of mass behind the axle of the last connector, m.
-            The maximum distance is `axle`.
+        com: distance of the centre of mass behind the axle of the last connector, m, at
+            most `axle`.
         com_height: height of the centre of mass above the floor, m.
-        gyration: radius of gyration of the assembly including its wheels, m.
+        gyration: radius of gyration of the assembly including the wheels, m.
     """
 
     axle: float
@@ -473,7 +473,7 @@ class Axle(NamedTuple):
     Attributes:
         connector: number of the connector on the axle, counted from 1 at the head.
         behind: distance of the axle behind the centre of the connector, m.
-        mass: mass that the axle carries at rest on a level floor, kg.
+        mass: mass carried by the axle at rest on a level floor, kg.
     """
 
     connector: int
@@ -539,17 +539,17 @@ class RobotSpec:
         if (self.skin is None) != (self.mass.segments is None):
             yield Violation(
                 "mass",
-                "a robot has either a skin and masses of segments, or wheels and"
-                " masses of connectors; do not mix them",
+                "a robot has either a skin and segment masses, or wheels and connector"
+                " masses; do not mix them",
             )
         if self.variation is not None:
             shape = len(self.variation.gain), len(self.variation.gain[0])
             if shape != (self.segments, self.chambers):
                 yield Violation(
                     "modules",
-                    f"the variation of {shape[0]} segments with {shape[1]} chambers is"
-                    f" not allowed, because the robot has {self.segments} segments"
-                    f" with {self.chambers} chambers",
+                    f"the variation has {shape[0]} segments with {shape[1]} chambers,"
+                    f" but the robot has {self.segments} segments with"
+                    f" {self.chambers} chambers",
                 )
 
     @property
@@ -572,8 +572,8 @@ class RobotSpec:
     def axial_stiffness(self) -> float:
         """Axial stiffness of a segment of a spatial robot, N/m.
 
-        For a solid round cross-section of radius r, A / I = 4 / r². The axial stiffness
-        is therefore E A / l = (E I / l) · 4 / r².
+        A solid round cross-section of radius r has A / I = 4 / r², so the axial
+        stiffness is E A / l = (E I / l) · 4 / r².
         """
         return 4 * self.bending.stiffness / self.geometry.com_height**2
 
@@ -581,7 +581,7 @@ class RobotSpec:
         """Check that the robot is planar.
 
         Args:
-            feature: name of the feature that requires a planar robot.
+            feature: feature that requires a planar robot, as named in the message.
 
         Raises:
             InputError: the robot is spatial.
@@ -600,9 +600,9 @@ class RobotSpec:
         return Scale.of_pitch(self.geometry.pitch)
 
     def connector_weights(self, behind_head: np.ndarray) -> np.ndarray:
-        """Return the interpolation weights of each connector at points along the body.
+        """Return interpolation weights of the connectors at points along the body.
 
-        The weight of a connector decreases linearly from 1 at the connector to 0 at the
+        A connector's weight decreases linearly from 1 at the connector to 0 at the
         neighbouring connectors.
 
         Args:
@@ -624,8 +624,8 @@ class RobotSpec:
             Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)
         ]
         if self.tail is not None:
-            # By the lever rule, the mass on each axle is proportional to the distance
-            # between the centre of mass and the other axle.
+            # Lever rule: the mass on an axle is proportional to the distance from the
+            # centre of mass to the other axle.
             last = axles.pop()
             fraction = self.tail.com / self.tail.axle
             axles.append(last._replace(mass=(1 - fraction) * last.mass))
@@ -636,10 +636,10 @@ class RobotSpec:
 
     @property
     def connector_gyration(self) -> float:
-        """Radius of gyration of a connector without its wheels, m.
+        """Radius of gyration of a connector without wheels, m.
 
-        By default, the connector is a uniform block with the length of the rigid gap
-        L_o and the width of the track 2 w. The radius of gyration of this block is
+        By default, the connector is a uniform block as long as the rigid gap L_o and as
+        wide as the track 2 w. This block has the radius of gyration
         √((L_o² + (2 w)²)/12).
         """
         if self.mass.connector_gyration is not None:
@@ -651,8 +651,8 @@ class RobotSpec:
         """Return the yaw inertia of connectors with wheels, shape (N,), kg·m²."""
         wheel = self.mass.wheel
         g = self.geometry
-        # The yaw inertia of a wheel is m r²/4 for a thin disc about a diameter, plus the
-        # parallel-axis term of the half track.
+        # Yaw inertia of a wheel: m r²/4 of a thin disc about a diameter, plus the
+        # parallel-axis term due to the half track.
         wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
         inertia: np.ndarray = (
             self.mass.array() - 2 * wheel

@@ -1,8 +1,8 @@
 """World around the snake: floor, obstacles, objects, bounds and goal.
 
-All numbers are in SI units and in the world frame. Functions generate random obstacles:
-fields of pegs, uniformly distributed circles, and circles at the 18 sites of the
-dissertation.
+All quantities are in SI units and in the world frame. The functions generate random
+obstacles: peg fields, uniformly distributed circles, and circles at the 18 sites of
+Fig. 54.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ import numpy as np
 from srs_twin.errors import InputError
 
 OBSTACLE_FRICTION = 0.5
-"""Default friction coefficient of silicone on a smooth obstacle. The value is an
-estimate, because the dissertation gives none."""
+"""Default friction coefficient of silicone on a smooth obstacle. This is an estimate,
+because the dissertation states no value."""
 
 WALL_M = 0.001
-"""Rounding radius of the corners of a polygon, m. The solid obstacle extends beyond the
-polygon by this distance."""
+"""Corner radius of a polygonal obstacle, m. The solid obstacle extends beyond the polygon
+by this distance."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Pose:
     heading: float
 
     def __iter__(self) -> Iterator[float]:
-        """Yield x, y and heading as floats, for which kernels are compiled."""
+        """Yield x, y and heading as floats, as compiled kernels require."""
         return iter((float(self.x), float(self.y), float(self.heading)))
 
 
@@ -60,10 +60,10 @@ class Circle:
 
 @dataclass(frozen=True)
 class Polygon:
-    """Obstacle with straight sides that do not cross each other.
+    """Polygonal obstacle, whose sides do not cross each other.
 
     Attributes:
-        corners: (x, y) of three or more corners, m, clockwise or counter-clockwise.
+        corners: (x, y) of at least three corners, m, clockwise or counter-clockwise.
     """
 
     corners: tuple[tuple[float, float], ...]
@@ -117,7 +117,7 @@ class Floor:
 
     @property
     def down(self) -> tuple[float, float, float]:
-        """Unit vector of gravity, which is exactly (0, 0, −1) on a level floor."""
+        """Direction of gravity as a unit vector, exactly (0, 0, −1) on a level floor."""
         slope = math.sin(self.tilt)
         return (
             0.0 - slope * math.cos(self.uphill),
@@ -167,7 +167,7 @@ class MovableObject:
 
     @property
     def gyration(self) -> float:
-        """Radius of gyration about the vertical axis, for a uniform body, m."""
+        """Radius of gyration of a uniform body about the vertical axis, m."""
         if self.is_box:
             return math.hypot(*self.size) / math.sqrt(12)
         return self.size[0] / math.sqrt(2)
@@ -176,10 +176,10 @@ class MovableObject:
     def supports(self) -> tuple[tuple[float, float], ...]:
         """Positions of four points that carry equal loads, in the object's frame, m.
 
-        For a box, the four points are Gauss points and have the second moments of a
-        uniform pressure. For a cylinder, the points lie at two thirds of the radius.
-        The friction moment in a pure spin then equals the moment 2/3 μ m g R of a
-        uniform pressure. For a square box, the friction moment is 7 % too large.
+        For a box, they are the Gauss points, which have the second moments of a uniform
+        pressure. For a cylinder, they lie at two thirds of the radius, so that the
+        friction moment in a pure spin equals the moment 2/3 μ m g R of a uniform
+        pressure. For a square box, the friction moment is 7 % too large.
         """
         reach = 1 / math.sqrt(12) if self.is_box else math.sqrt(2) / 3
         a, b = (reach * side for side in (self.size if self.is_box else self.size * 2))
@@ -212,7 +212,7 @@ class World:
 
     @property
     def uneven(self) -> bool:
-        """Whether the floor slopes or has steps."""
+        """Whether the floor has a slope or steps."""
         return self.floor.tilt != 0.0 or bool(self.steps)
 
     @property
@@ -222,24 +222,23 @@ class World:
 
     @property
     def is_solid(self) -> bool:
-        """Whether the world has obstacles or objects that the body can touch."""
+        """Whether the world has obstacles or objects."""
         return self.has_obstacles or bool(self.objects)
 
 
 PEG_DISTANCE_M = 0.2
-"""Default distance between the start and the first pegs, m. It is multiplied by the
-length unit of the robot (`robot.scale`)."""
+"""Default distance between start and first pegs, m, for a robot with length unit 1."""
 
 FIG54_START = Pose(0.0, 0.0, math.pi / 4)
 """Initial pose of Section 5.2.1 in the world of Fig. 54."""
 
 FIG54_GOAL = Goal(2.0, 1.0, math.pi / 4, radius=0.02, heading_tolerance=0.05)
-"""Goal of Section 5.2.1. The dissertation prints −3/4 π, which is the heading of the
+"""Goal of Section 5.2.1. The heading −3/4 π printed in the dissertation is that of the
 search tree that starts at the goal."""
 
 FIG54_BOUNDS = Bounds((-0.3, 2.3), (-0.3, 1.3))
-"""Bounds of the world of Fig. 54, which define the h score. The bounds are assumed,
-because the figure is lost."""
+"""Bounds of the world of Fig. 54, which define the h score. They are assumed, because
+the figure is lost."""
 
 FIG54_SITES = tuple(
     Circle(
@@ -248,11 +247,11 @@ FIG54_SITES = tuple(
     for column in range(5)
     for row in range(3)
 ) + tuple(Circle(x, y, 0.1) for x, y in ((0.1, 0.6), (1.9, 0.4), (1.85, 0.05)))
-"""Centres of 18 circles with a diameter of 200 mm between start and goal. The centres
-are assumed, because Fig. 54 is lost."""
+"""Centres of 18 circles with a diameter of 200 mm between start and goal. They are
+assumed, because Fig. 54 is lost."""
 
 _MAX_TRIES = 200
-"""Mean number of tries per circle after which the circles are considered not to fit."""
+"""Mean number of tries per circle after which placement is given up."""
 
 
 def fig54_world(count: int, seed: int) -> World:
@@ -267,8 +266,7 @@ def fig54_world(count: int, seed: int) -> World:
     """
     if not 0 <= count <= len(FIG54_SITES):
         raise InputError(
-            f"{count} obstacles are too many; there are only {len(FIG54_SITES)} places"
-            " for them"
+            f"{count} obstacles do not fit; Fig. 54 has only {len(FIG54_SITES)} sites"
         )
     drawn = np.random.default_rng((seed, count)).choice(
         len(FIG54_SITES), count, replace=False
@@ -287,14 +285,14 @@ def peg_field(
     jitter: float = 0.0,
     staggered: bool = False,
 ) -> tuple[Circle, ...]:
-    """Return the pegs of a square grid that is symmetric about the line y = first[1].
+    """Return pegs on a square grid that is symmetric about the line y = first[1].
 
     Args:
         spacing: distance between neighbouring rows and columns, m.
         radius: radius of all pegs, m.
         rows: number of pegs in a column, along y.
         columns: number of columns, along x.
-        first: x of the first column, and y of the middle of all columns, m.
+        first: x of the first column and y of the centre of the grid, m.
         seed: random seed of the displacements.
         jitter: maximum displacement of a peg along x and along y, m. Displacements are
             uniformly distributed.
@@ -305,8 +303,8 @@ def peg_field(
     """
     if not 2 * (radius + jitter) < spacing:
         raise InputError(
-            f"pegs of radius {radius:g} m that are displaced by up to {jitter:g} m"
-            f" overlap at a spacing of {spacing:g} m; the spacing must be above"
+            f"at a spacing of {spacing:g} m, pegs of radius {radius:g} m that are"
+            f" displaced by up to {jitter:g} m may overlap; the spacing must be above"
             f" {2 * (radius + jitter):g} m"
         )
     shifts = np.random.default_rng(seed).uniform(-jitter, jitter, (columns, rows, 2))
@@ -338,9 +336,9 @@ def random_circles(
         bounds: rectangle that contains the centres of the circles.
         seed: random seed.
         radius: minimum and maximum radius, m.
-        gap: minimum distance between the edges of two circles, m. Circles may overlap
-            if the gap is negative.
-        clear: discs (x, y, radius) that no circle may touch, m.
+        gap: minimum distance between the edges of two circles, m. If the gap is
+            negative, circles may overlap.
+        clear: areas (x, y, radius) that circles must not touch, m.
 
     Raises:
         InputError: the circles do not fit.

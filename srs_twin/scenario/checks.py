@@ -46,13 +46,14 @@ from srs_twin.scenario.start import InitialState
 from srs_twin.scenario.world import WorldFile
 
 _ROUNDING = 1.001
-"""Tolerance factor of a pressure limit, which admits rounded conversions of units. For
-example, 7 psi are 48.26 kPa but are often written as 48.3 kPa."""
+"""Tolerance factor on pressure limits, which allows for rounding in unit conversions.
+For example, 7 psi is 48.26 kPa but is often written as 48.3 kPa."""
 
 
 _DOUBTFUL = 20.0
-"""Ratio between supply pressure and nominal pressure beyond which a message suggests
-another unit. One shipped scenario has a tenth of the nominal pressure."""
+"""Ratio (in either direction) of supply pressure to nominal pressure above which a
+message suggests another unit. One shipped scenario uses a tenth of the nominal
+pressure."""
 
 _PSI_KPA = 6.894757
 
@@ -66,7 +67,7 @@ def check(
 ) -> None:
     """Report contradictions between the sections of a scenario.
 
-    An invalid robot is given as None.
+    If the robot is invalid, `robot` is None.
     """
     spec = None if robot is None else robot.spec()
     sections = [
@@ -135,8 +136,8 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     """Check the supply pressure against the limit of the robot and return warnings.
 
     A pressure above the limit is reported as a problem, or returned as a warning if the
-    scenario allows overpressure. The check reads the raw document, so that it also runs
-    if other keys are not valid.
+    scenario allows overpressure. The check reads the raw document and therefore also
+    runs if other keys are invalid.
     """
     loc = ("supply", "pressure_kpa")
     pressure = document.get(*loc)
@@ -181,7 +182,7 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
 
 
 def _unit_hint(pressure: float, nominal: float) -> str:
-    """Return a question about the unit of an implausible pressure (kPa), or ""."""
+    """Return a hint that an implausible pressure (kPa) may be in another unit, or ""."""
     in_psi = abs(pressure * _PSI_KPA / nominal - 1) < _PSI_TOLERANCE
     plausible = 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL and not in_psi
     if pressure <= 0 or plausible:
@@ -298,7 +299,7 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
     if file.start.moves:
         text = (
             f"{robot.name} is spatial and must start straight and at rest; set only"
-            " the pose of the start"
+            " the pose in `start`"
         )
         yield Contradiction(("start",), text, at_key=True)
     if file.pneumatics.kind != "lag":
@@ -310,7 +311,7 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 
 def check_controller(file: ScenarioFile, loading: Loading) -> None:
-    """Set the valve layout, and report controllers that contradict the scenario."""
+    """Set the valve layout and report a controller that contradicts the scenario."""
     document = loading.document
     spec = loading.robot.spec()
     controller = file.controller
@@ -392,7 +393,7 @@ def _times(file: ScenarioFile) -> Iterator[Contradiction]:
 
 
 def _step(plant: PlantFile) -> float | None:
-    """Return the time step (s) that must divide the ticks of a plant, or None."""
+    """Return the time step (s) of which the plant's tick must be a multiple, or None."""
     if isinstance(plant, TwinFile):
         return plant.timestep_s
     return None

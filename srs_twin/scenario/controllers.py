@@ -51,11 +51,11 @@ Bend = Annotated[float, Field(ge=-_RIGHT_ANGLE, le=_RIGHT_ANGLE)]
 
 @dataclass(frozen=True)
 class ControllerContext:
-    """Information from which a controller is built.
+    """Scenario data used to build a controller.
 
     Attributes:
-        name: scenario name for messages.
-        robot: robot of the scenario.
+        name: scenario name, used in messages.
+        robot: robot used in the scenario.
         supply_pa: gauge supply pressure, Pa.
         products: products of extension sections, keyed by section.
     """
@@ -80,13 +80,13 @@ class ControllerSection(Section):
     tick: ClassVar[float | None] = None
 
     def controller(self, context: ControllerContext) -> Controller:
-        """Return a new controller."""
+        """Build a controller."""
         controller: Controller = self.build()
         return controller
 
     @property
     def gait_section(self) -> ControllerSection:
-        """Section of the controller that drives the valves, by default this section."""
+        """Section of the gait that drives the valves; by default, this section."""
         return self
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
@@ -128,7 +128,7 @@ class PitchFile(Section):
     frequency_ratio: float = quantity(0.1, 10.0)
     """Ratio of the pitch frequency to the frequency of the lateral wave."""
     lifted_segments: int = quantity(0, 63)
-    """Number of segments from the head that bend upwards all the time."""
+    """Number of segments, counted from the head, that are always bent upwards."""
 
 
 class GaitFile(ControllerSection):
@@ -150,13 +150,13 @@ class GaitFile(ControllerSection):
     phases_rad: _Phases | None = constructor_default()
     """Additional phase lag of each segment, one value per segment (default: none)."""
     rest_fraction: float | None = quantity(0.0, 0.95)
-    """Fraction of the period in which both chambers of a segment vent, around the sign
-    changes of the wave (default: none)."""
+    """Fraction of the period, around the sign changes of the wave, in which both
+    chambers of a segment are vented (default: none)."""
     pitch: PitchFile | None = None
-    """Vertical wave of a spatial robot (default: none)."""
+    """Pitch wave of a spatial robot (default: none)."""
 
     def controller(self, context: ControllerContext) -> Controller:
-        """Return a gait controller."""
+        """Build a gait controller."""
         return Gait(**self.arguments() | {"pitch": self.pitch and self.pitch.build()})
 
     def check(self, spec: RobotSpec, tick: float) -> None:
@@ -179,7 +179,7 @@ class LearningFile(ControllerSection):
     frequency_hz: float = _FREQUENCY
     """Gait frequency."""
     offset: float = quantity(-MAX_OFFSET, MAX_OFFSET)
-    """Steering offset, positive to the left, set by unequal target amplitudes."""
+    """Steering offset, positive to the left, which makes the target amplitudes unequal."""
     target: Literal["smallest"] | None = None
     """Target amplitude of the side that bends further; "smallest" selects the smallest
     recorded amplitude. This is the default if target_rad is not set."""
@@ -192,12 +192,12 @@ class LearningFile(ControllerSection):
     carrier_hz: float = _CARRIER
     """Carrier frequency of the pulse-width modulation."""
     on_fault: Literal["go_on", "stop"] = constructor_default()
-    """Response to a dead sensor or a stuck valve; the gait goes on without that module,
-    or the run stops."""
+    """Response to a dead sensor or a stuck valve; "go_on" continues the gait without
+    the faulty module. "stop" ends the run."""
     steering: Literal["targets", "targets_and_wave"] = constructor_default()
-    """Quantity that the offset changes; either only the target amplitudes, or also the
-    valve wave (Eq. 13). The wave then fills the chambers on the inner side of the turn
-    for longer."""
+    """Quantities that the offset changes; "targets" changes only the target amplitudes.
+    "targets_and_wave" also changes the valve wave (Eq. 13), which then fills the
+    chambers on the inner side of the turn for longer."""
     phase_rad: float = _PHASE
     """Phase of the gait at the start."""
     phase_step_rad: float | None = _PHASE
@@ -208,13 +208,13 @@ class LearningFile(ControllerSection):
     def _fits(self) -> LearningFile:
         if self.target is not None and self.target_rad is not None:
             raise ValueError(
-                "`target` and `target_rad` exclude each other; give only one of them"
+                "`target` and `target_rad` are both set; set only one of them"
             )
         least = 2 * MIN_PULSES * self.frequency_hz
         if self.carrier_hz < least:
             raise ValueError(
-                "`carrier_hz` is too low for a gait of this frequency; it must be at"
-                f" least {least:g}"
+                "`carrier_hz` is too low for this gait frequency; it must be at least"
+                f" {least:g}"
             )
         return self
 
@@ -290,7 +290,7 @@ class SquareFile(_PeriodicFile):
 
 
 class StaircaseFile(Section):
-    """Sequence of bends of equal duration, of which the last continues to the end."""
+    """Sequence of bends of equal duration. The last bend is held to the end."""
 
     constructors = (Staircase,)
 
@@ -314,11 +314,10 @@ class _TrackingFile(ControllerSection):
     reference: ReferenceFile
     """Reference bend of all segments."""
     beyond_range: Literal["refuse", "saturate"] = "refuse"
-    """Response to a reference beyond the maximum bend at the supply pressure; the
-    scenario is refused, or the reference saturates."""
+    """Response to a reference beyond the maximum bend at the supply pressure; "refuse"
+    rejects the scenario. "saturate" limits the reference to the maximum bend."""
 
     def controller(self, context: ControllerContext) -> Controller:
-        """Return a controller that tracks the reference."""
         reference = self.within(largest_bend(context.robot, context.supply_pa))
         controller: Controller = self.constructors[0](
             **self.arguments() | {"reference": reference}
@@ -326,7 +325,7 @@ class _TrackingFile(ControllerSection):
         return controller
 
     def within(self, limit: float) -> Reference:
-        """Return the reference, which may saturate at the maximum bend `limit` (rad).
+        """Return the reference, limited to the maximum bend `limit` (rad) if allowed.
 
         Raises:
             InputError: the reference exceeds the limit, and `beyond_range` is "refuse".
@@ -390,7 +389,7 @@ class HoldFile(ControllerSection):
     """Valve state of the - chambers."""
 
     def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
-        """Return the valve layouts that support the valve states."""
+        """Return the valve layouts that can produce the valve states."""
         return layouts_for([STATES[self.plus], STATES[self.minus]])
 
 
@@ -404,16 +403,16 @@ class GraspFile(ControllerSection):
     frequency_hz: float = _FREQUENCY
     """Gait frequency of the dragging segments."""
     mode: Literal["open_loop", "sensed"] = constructor_default()
-    """Condition for changing from one phase of the grasp to the next; either a given
-    time, or the measured bends."""
+    """Trigger of the next grasp phase; "open_loop" changes phase at given times.
+    "sensed" uses the measured bends."""
     side: Literal["left", "right"] = constructor_default()
     """Side of the body on which the object lies."""
     hold: int = quantity(1, 62)
     """Number of tail segments that hold the object."""
     curl_s: float = quantity(0.01, 100.0)
-    """Rise time of the curl's duty cycle from 0 to 1."""
+    """Time in which the duty cycle of the curling segments rises from 0 to 1."""
     drag_after_s: float = quantity(0.0, 1000.0)
-    """Start time of the drag (in the sensed mode: latest start time)."""
+    """Start time of the drag (latest start time if the mode is sensed)."""
     release_after_s: float | None = quantity(0.0, 1e6)
     """Time between the start of the drag and the release (default: never)."""
     drag_m: float | None = quantity(0.001, 1000.0)

@@ -1,12 +1,12 @@
 """Expected values of metrics and their evaluation after a run.
 
-The state of an expectation is met, missed, missed for a known reason, or not judged. An
-expectation is not judged in three cases:
+An expectation is met, missed, missed for a known reason, or not judged. It is not
+judged in three cases:
 
 - the metric is undefined for the run;
-- the stored interval belongs to another run;
-- the distance of a published value from an end of the interval is too small compared
-  with the standard error.
+- the stored interval was computed for a different run;
+- the published value is too close to an interval bound, compared with the standard
+  error of the bound.
 """
 
 from __future__ import annotations
@@ -41,18 +41,18 @@ from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.fields import Section, quantity
 
 COMPARISON = "comparison"
-"""Subject of expectations about the comparison of the two plants."""
+"""Subject of expectations that compare the two plants."""
 _BOUND = 1e9
-"""Upper bound on absolute values in an expectation, far above all metrics."""
+"""Maximum absolute value in an expectation, far above the values of all metrics."""
 _INTERVAL_TOLERANCE = 0.01
-"""Maximum difference between a run and a stored interval, as a fraction of the
-interval's width. A larger difference indicates other physical laws or another duration.
-"""
+"""Maximum difference between the value in a run and the value for which an interval was
+stored, as a fraction of the interval width. A larger difference indicates that the
+physics or the duration changed."""
 _STORAGE_TOLERANCE = 1e-5
 """Relative tolerance of stored values, which are rounded to six digits."""
 _PUBLISHED_STD = 0.01
-"""Default relative standard uncertainty of a published value with two or three digits.
-"""
+"""Default relative standard uncertainty of a published value, which has two or three
+digits."""
 _UNIT = "the metric's unit"
 _TALLY = {
     "met": "met",
@@ -65,8 +65,8 @@ _OUTSIDE_PROBABILITY = {"interval_50": 0.5, "interval_95": 0.05}
 """Probability α that a value lies outside the interval, as in the interval score."""
 _INTERVALS = {"interval_50": "50 % interval", "interval_95": "95 % interval"}
 _CAUSES = {"u_num": "the time step", "u_d": "the published value"}
-"""Names of the largest uncertainty in messages. The uncertainty of the robot is named
-after a parameter."""
+"""Causes of uncertainty as named in messages. For `u_input`, messages name a robot
+parameter."""
 _PARAMETERS = {
     "friction.mu_t": "rolling friction",
     "friction.mu_n": "sideways friction",
@@ -78,7 +78,7 @@ _PARAMETERS = {
     "actuator.tau_vent_s": "venting time of the chambers",
     "mass.connectors_kg": "mass of the connectors",
 }
-"""Readable names of robot parameters for messages."""
+"""Names of robot parameters in messages."""
 
 Words = Annotated[str, Field(min_length=1, max_length=1000)]
 
@@ -89,7 +89,7 @@ MetricName = Annotated[
     AfterValidator(metric_name),
     PlainSerializer(written_name, when_used="json"),
 ]
-"""Name of a metric. A file writes the name of a plug-in metric as ``module:Name``."""
+"""Name of a metric. The name of a plug-in metric is ``module:Name``."""
 
 _METRIC_SCHEMAS: list[Any] = [
     {"enum": [*METRIC_UNITS, *COMPARISON_UNITS]},
@@ -113,17 +113,17 @@ def known_metrics(subject: str | None = None) -> tuple[str, ...]:
 class ExpectationRow(TypedDict, total=False):
     """Result of an expectation for a run, stored as a row in metrics.json.
 
-    The attributes from `verdict` to `interval_error` describe the interval `within`.
+    The attributes from `verdict` to `interval_error` are set if `within` is set.
 
     Attributes:
         metric: name of the metric.
         of: "analytical", "twin" or "comparison".
-        value: value of the metric, or None if the metric has no value.
+        value: value of the metric, or None if there is none.
         allowed: allowed values as text.
-        met: whether the metric has a value, and the value is allowed.
+        met: whether the metric has an allowed value.
         state: "met", "missed", "expected_failure" (missed for a known reason) or
-            "not_judged". Rows of earlier versions have no state.
-        reason: reason why the expectation is not judged, or None.
+            "not_judged". Rows written by earlier versions have no state.
+        reason: why the expectation is not judged, or None.
         near: expected or published value.
         source: source of a published value.
         expected_failure: known reason why the expectation is missed.
@@ -139,8 +139,8 @@ class ExpectationRow(TypedDict, total=False):
         width: width of the interval.
         score: interval score (Gneiting and Raftery 2007), which is low for narrow
             intervals that contain the published value.
-        interval: lower and upper end of the interval.
-        interval_error: standard errors of the lower and upper end.
+        interval: lower and upper interval bound.
+        interval_error: standard errors of the lower and upper bound.
     """
 
     metric: str
@@ -177,7 +177,7 @@ class AllowedRange(NamedTuple):
     def near(
         cls, value: float, relative: float | None, absolute: float | None
     ) -> AllowedRange:
-        """Return the range given by an absolute or else a relative tolerance."""
+        """Return the range around a value. The absolute tolerance takes precedence."""
         tolerance = absolute
         if tolerance is None:
             tolerance = (relative or 0.0) * math.fabs(value)
@@ -189,7 +189,7 @@ class AllowedRange(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Range as text."""
+        """Range in words, for example "at most 0.2"."""
         if self.low == self.high:
             return f"{self.low:.4g}"
         if math.isinf(self.low):
@@ -217,7 +217,7 @@ class Expectation(Section):
     below: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Maximum allowed value."""
     published: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
-    """Published value (an interval of the scenario's prediction must contain it)."""
+    """Published value (the predicted interval named by `within` must contain it)."""
     within: Literal["interval_50", "interval_95"] | None = None
     """Interval that must contain the published value; it is stored by `srs-twin
     uncertainty SCENARIO --write`."""
@@ -226,10 +226,10 @@ class Expectation(Section):
     above: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Minimum allowed value."""
     source: Words | None = None
-    """Source of a published value; it is not set for bounds that we chose."""
+    """Source of a published value; leave it out for bounds that you chose yourself."""
     expected_failure: Words | None = None
-    """Known reason why the expectation is missed; `--check` accepts such a miss,
-    `--strict` does not."""
+    """Known reason why the expectation is missed; `--check` accepts a miss with a known
+    reason, `--strict` does not."""
 
     @field_validator("metric")
     @classmethod
@@ -270,15 +270,15 @@ class Expectation(Section):
             )
         if self.published is not None and self.of is not None:
             raise ValueError(
-                "a published value belongs to one plant; give `plant: analytical`"
+                "a published value is compared with one plant; give `plant: analytical`"
                 " or `plant: twin` instead of `of`"
             )
         tolerances = 2 - (self.rel, self.abs).count(None)
         if tolerances != (self.near is not None):
             raise ValueError(
-                "a tolerance is needed with `near` and not allowed without it; give"
-                " `rel` or `abs` with `near`, and neither of them with `below`,"
-                " `above` or `published`"
+                "`near` needs a tolerance, and the other keys allow none; give `rel`"
+                " or `abs` with `near`, and neither of them with `below`, `above` or"
+                " `published`"
             )
         if self.near == 0 and self.rel is not None:
             raise ValueError(
@@ -293,7 +293,7 @@ class Expectation(Section):
 
     @property
     def stated(self) -> float | None:
-        """Published value of the metric, or None if the expectation states none."""
+        """Published value of the metric, or None if the expectation has none."""
         if self.published is not None:
             return self.published
         if self.source:
@@ -318,11 +318,10 @@ class Expectation(Section):
         """Return the result of the expectation for a run.
 
         Args:
-            metrics: contents of metrics.json, with `experiment.stored_intervals` as the
-                entry "intervals".
-            undefined: reason why the metric is undefined, or None if the metric has a
-                value. The reason is also None if the missing value is itself a result
-                of the run.
+            metrics: contents of metrics.json. The entry "intervals" holds the result of
+                `experiment.stored_intervals`.
+            undefined: why the metric is undefined. None if the metric has a value, or
+                if the missing value is itself a result of the run.
         """
         allowed = self.allowed
         if self.of:
@@ -366,8 +365,8 @@ class Expectation(Section):
     ) -> ExpectationRow:
         """Return the entries of a row that depend on a stored interval.
 
-        The row has a `reason` if no verdict is possible, for example if the published
-        value lies within two standard errors of an end of the interval.
+        If no verdict is possible, the row contains a `reason`. An example is a
+        published value within two standard errors of an interval bound.
         """
         published = self.published
         assert self.within is not None and published is not None, "see _is_consistent()"
@@ -404,7 +403,7 @@ class Expectation(Section):
         }
 
     def _uncertainties(self, spread: Mapping[str, Any]) -> ExpectationRow:
-        """Return the standard uncertainties of ASME V&V 20, and the largest one."""
+        """Return the standard uncertainties of ASME V&V 20 and name the largest."""
         u_d = self.scatter
         if u_d is None:
             u_d = _PUBLISHED_STD * abs(self.published or 0.0)
@@ -443,8 +442,8 @@ class Expectation(Section):
             return None
         return (
             f"the stored interval was computed for the value {spread['value']:.4g}"
-            f" (other friction law, duration or seed); the command {stored['renew']}"
-            " computes it again"
+            " (with a different friction law, duration or seed); run"
+            f" {stored['renew']} to compute a new interval"
         )
 
     def _undecided_reason(
@@ -469,11 +468,11 @@ class Expectation(Section):
 def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | None:
     """Return the path of the parameter with the largest total Sobol index.
 
-    The result is None if the second largest index lies within the error of the largest.
+    Return None if the largest index exceeds the second largest by less than its error.
 
     Args:
-        sensitivity: `total` Sobol index of each parameter, and `total_error`, which is
-            half the width of the 95 % interval of the index.
+        sensitivity: `total` Sobol index of each parameter, and `total_error`, half the
+            width of the 95 % interval of each index.
     """
     ranked = sorted(sensitivity, key=lambda path: -sensitivity[path]["total"])
     if not ranked:
@@ -493,7 +492,7 @@ def _parameter(path: str | None) -> str:
 
 
 def _ends(low: float, high: float, inside: float) -> str:
-    """Return the ends of an interval with enough digits to differ from `inside`."""
+    """Format interval bounds with enough digits to differ from the value `inside`."""
     within = low <= inside <= high
     texts = ([f"{end:.{digits}g}" for end in (low, high)] for digits in range(3, 18))
     return " to ".join(
@@ -526,7 +525,7 @@ def verdict(checked: ExpectationRow) -> str:
 
 
 def result_text(checked: ExpectationRow) -> str:
-    """Return the text of a result, such as "= 0.15, allowed 0.18 to 0.25"."""
+    """Return a result as text, such as "= 0.15, allowed 0.18 to 0.25"."""
     metric = checked["metric"]
     allowed = allowed_text(checked)
     value = tidy(metric, checked["value"])
@@ -550,7 +549,7 @@ def allowed_text(checked: ExpectationRow) -> str:
 
 
 def tally(verdicts: Mapping[str, int]) -> str:
-    """Return a text with the number of expectations for each verdict."""
+    """Format the number of expectations for each verdict."""
     counted = [
         f"{verdicts[name]} {text}"
         for name, text in _TALLY.items()
@@ -560,8 +559,8 @@ def tally(verdicts: Mapping[str, int]) -> str:
 
 
 UNDECIDED_ERRORS = 2.0
-"""Distance of a published value from an end of the interval, in standard errors of the
-end, below which the verdict is undecided. Two standard errors correspond to 95 %."""
+"""Minimum distance of a published value from an interval bound for a verdict, in
+standard errors of the bound. Two standard errors correspond to 95 %."""
 
 
 class IntervalVerdict(Enum):
@@ -579,8 +578,8 @@ def interval_verdict(
 
     Args:
         published: published value.
-        interval: lower and upper end of the interval.
-        errors: standard errors of the two ends, by default zero.
+        interval: lower and upper interval bound.
+        errors: standard errors of the two bounds, by default zero.
     """
     low, high = interval
     for end, error in zip(interval, errors or (0.0, 0.0), strict=True):

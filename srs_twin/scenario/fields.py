@@ -1,9 +1,9 @@
 """Sections of scenario files, which convert keys with units to SI objects.
 
-A key ends with the unit of its number: ``frequency_hz``, ``k_per_rad``,
-``distance_mm``. A section calls a constructor whose parameters have the names of the
-keys without units: ``frequency``, ``k`` or ``K``, ``distance``. The defaults of the
-constructor are also the defaults of the file.
+The name of a key ends with a unit: ``frequency_hz``, ``k_per_rad``, ``distance_mm``. A
+section passes the values to a constructor whose parameters are named like the keys, but
+without units: ``frequency``, ``k`` or ``K``, ``distance``. Keys that a file omits take
+the default of the constructor.
 
 The docstring of a key is the description of the key in JSON Schemas. The unit and the
 range of a number are appended, and ``{default}`` is replaced by the default of the
@@ -44,14 +44,14 @@ FilePath = Annotated[str, Field(min_length=1, max_length=1000)]
 def quantity(
     low: float, high: float, default: Any = ..., *, unit: str | None = None
 ) -> Any:
-    """Return the field of a bounded number of a `Section`.
+    """Define a bounded number in a `Section`.
 
     Args:
         low: minimum allowed value.
         high: maximum allowed value.
-        default: default value. By default, the default of the constructor is used. A
-            key without any default is required.
-        unit: unit of the number, if the key does not contain it.
+        default: default value. If omitted, the constructor's default is used. If the
+            constructor has none either, the key is required.
+        unit: unit of the number, if the name of the key contains none.
     """
     options = {} if default is ... else {"default": default}
     extra = {"unit": unit} if unit else None
@@ -88,7 +88,8 @@ class Section(StrictModel):
 
     Attributes:
         constructors: constructors whose parameters the keys set. The method `build`
-            calls the first constructor, whose parameters also take precedence.
+            calls the first constructor. If several have a parameter of the same name,
+            the first one determines the default.
         parameters: parameters of the constructors, keyed by name in lower case.
         only: keys that are allowed only if another key has a given value.
     """
@@ -118,7 +119,7 @@ class Section(StrictModel):
 
     @classmethod
     def parameter(cls, key: str) -> inspect.Parameter | None:
-        """Return the constructor parameter that corresponds to a key."""
+        """Return the constructor parameter that a key sets, or None."""
         return cls.parameters.get(key) or cls.parameters.get(split_unit(key)[0])
 
     @model_validator(mode="after")
@@ -135,8 +136,8 @@ class Section(StrictModel):
     def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
         """Return the arguments of the constructors in SI units.
 
-        Keys that are None are omitted if the constructor has a default. By default,
-        `constructors` are all constructors of the section.
+        A key whose value is None is omitted if the constructor has a default. If
+        `constructors` is empty, all constructors of the section are used.
         """
         known = {
             name
@@ -159,8 +160,8 @@ class Section(StrictModel):
     def build_with(self, **context: object) -> Any:
         """Return the object that the section describes.
 
-        The constructor also receives the arguments `context`, which are not keys of the
-        file. Arguments without a corresponding parameter are ignored.
+        `context` holds additional constructor arguments that do not come from the file.
+        Arguments that the constructor does not accept are ignored.
         """
         given = {
             name: value for name, value in context.items() if name in self.parameters
@@ -168,14 +169,14 @@ class Section(StrictModel):
         return self.constructors[0](**given, **self.arguments())
 
     def written(self) -> dict[str, Any]:
-        """Return the section as plain data with explicit defaults."""
+        """Return the section as plain data, including defaults."""
         return self.model_dump(mode="json", exclude_none=True, by_alias=True)
 
     def with_scaled_defaults(self, keys: Iterable[str], factor: float) -> Self:
         """Multiply the defaults of some keys by a factor.
 
-        Keys that the file sets are not changed. Each of the keys holds a number or a
-        tuple of numbers.
+        Values set in the file are not changed. The values are numbers or tuples of
+        numbers.
         """
         changed: dict[str, object] = {}
         for key in set(keys) - self.model_fields_set:
@@ -191,7 +192,7 @@ class Section(StrictModel):
         return copied
 
     def with_defaults(self, *keys: str) -> Self:
-        """Return the section with None replaced by the constructor's defaults."""
+        """Return the section, with None in `keys` replaced by constructor defaults."""
         missing = {
             key: self.parameter(key) for key in keys if getattr(self, key) is None
         }
@@ -206,7 +207,7 @@ class Contradiction(NamedTuple):
     Attributes:
         loc: path of a key in the file.
         text: message for the user.
-        at_key: whether the message refers to the key instead of the value.
+        at_key: whether the message points at the key instead of the value.
     """
 
     loc: Loc
@@ -228,7 +229,7 @@ class FileSections(Protocol):
 
     @property
     def model_fields_set(self) -> set[str]:
-        """Names of the fields that the file sets."""
+        """Names of the fields set in the file."""
 
     def section(self, name: str) -> Any:
         """Return an extension section, or None if the file does not contain it."""
@@ -278,20 +279,21 @@ class ExtensionSection(Section):
         return iter(())
 
     def read(self, loading: Loading) -> Any:
-        """Read the section before the controller is checked and return the product.
+        """Read the section and return the product.
 
-        Problems are reported to `loading.document`.
+        This method is called before the controller is checked. Problems are reported
+        to `loading.document`.
         """
         return None
 
     def prepare(self, loading: Loading) -> Any:
-        """Prepare the section after all sections are read, and return the product."""
+        """Return the final product, once all sections have been read."""
         return None
 
     def resolve(
         self, document: dict[str, Any], file: FileSections, product: Any
     ) -> None:
-        """Write defaults and absolute paths to the resolved document."""
+        """Write defaults and absolute paths into the resolved document."""
 
     def chambers(
         self, product: Any, robot: RobotSpec, supply_pa: float, layout: str
@@ -300,7 +302,7 @@ class ExtensionSection(Section):
         return None
 
     def measured(self, product: Any) -> Trajectory | None:
-        """Return the measured trajectory, or None."""
+        """Return the measured trajectory that a product contains, or None."""
         return None
 
     def check_run(self, product: Any) -> None:
@@ -318,10 +320,10 @@ class SectionEntry:
     Attributes:
         annotation: type in the pydantic model of the file.
         description: description for the reference pages and the JSON Schema.
-        input_files: function that yields the paths of the files that a section reads.
-            The argument of this function is the section as plain data.
-        paths: kind of shipped files for each key that contains a file name
-            (`Document.locate`).
+        input_files: function that takes the section as plain data and yields the paths
+            of the files that the section reads.
+        paths: kind of shipped files (see `Document.locate`) for each key that contains
+            a file name.
     """
 
     annotation: Any

@@ -1,4 +1,4 @@
-"""Scenario file as a pydantic model: keys with units, bounds and descriptions."""
+"""Pydantic model of scenario files: keys with units, bounds and descriptions."""
 
 from __future__ import annotations
 
@@ -46,10 +46,10 @@ MOST_RECORD_HZ = 10_000.0
 
 
 class SensorSection(Section):
-    """Base class of sensor sections, whose first constructor is a sensor class."""
+    """Base class of sensor sections. The first constructor must be a sensor class."""
 
     def sensor(self, robot: RobotSpec) -> Sensor:
-        """Return the sensors of a robot.
+        """Build the sensors of a robot.
 
         Raises:
             InputError: the sensor cannot be trimmed or calibrated.
@@ -61,14 +61,14 @@ class SensorFile(SensorSection):
     """Curvature sensors."""
 
     constructors = (make_sensor, Strip, HallSensor)
-    only = {}  # set below the class, because all other keys require the kind hall
+    only = {}  # set after the class, because all other keys require `kind: hall`
 
     kind: Literal["ideal", "hall"] = "ideal"
     """Kind of sensor; "ideal" measures the exact bend. "hall" models a magnet and a
     Hall element on a strip, with amplifier, converter and linear calibration
     (docs/module.md#the-curvature-sensor)."""
     span_rad: float | None = quantity(0.1, 1.6, None)
-    """Maximum bend of trimming and calibration (hall only; default {default:.4g})."""
+    """Maximum bend for trimming and calibration (hall only; default {default:.4g})."""
     distance_mm: float | None = quantity(1.0, 50.0, None)
     """Distance between magnet and Hall element along the strip (hall only; default
     {default:g})."""
@@ -84,11 +84,9 @@ class SensorFile(SensorSection):
     """Resolution of the analog-to-digital converter in bits (hall only; default
     {default})."""
     bias_v: float | None = quantity(-5.0, 5.0, None)
-    """Drift of the output voltage after the calibration (hall only; default
-    {default:g})."""
+    """Output voltage drift since the calibration (hall only; default {default:g})."""
     gain_error: float | None = quantity(-0.9, 10.0, None)
-    """Relative drift of the gain after the calibration (hall only; default
-    {default:g})."""
+    """Relative gain drift since the calibration (hall only; default {default:g})."""
 
     def written(self) -> dict[str, Any]:
         """Return the section as plain data with explicit defaults."""
@@ -102,8 +100,6 @@ SensorFile.only["kind", "hall"] = tuple(
 
 
 class _FaultFile(Section):
-    """Base class of faults."""
-
     segment: int = quantity(1, 63)
     """Segment number (counted from 1 at the head)."""
     from_s: float = quantity(0.0, 3600.0, 0.0)
@@ -125,15 +121,15 @@ class DeadSensorFile(_FaultFile):
 
 
 class StuckValveFile(_FaultFile):
-    """Inlet valve of a chamber that no longer switches."""
+    """Inlet valve that no longer switches."""
 
     kind: Literal["stuck_valve"]
     """Kind of fault."""
     chamber: Literal["plus", "minus"]
     """Chamber whose valve is stuck."""
     stuck: Literal["open", "closed"]
-    """State of the stuck valve; an open valve always fills the chamber, a closed valve
-    always vents it."""
+    """State of the stuck valve; an open valve always fills the chamber. A closed valve
+    always vents the chamber."""
 
     def build(self) -> StuckValve:
         """Return the fault in SI units."""
@@ -151,15 +147,15 @@ class SupplyFile(Section):
     pressure_kpa: float | None = quantity(0.1, 2000.0, None)
     """Supply pressure, gauge (default: nominal pressure of the robot)."""
     allow_overpressure: bool = False
-    """Permission for a supply pressure above the limit; an alias of the scenario's key
-    allow_overpressure."""
+    """Whether a supply pressure above the robot's limit is allowed; this is an alias of
+    the top-level key allow_overpressure."""
 
 
 class PneumaticsSection(Section):
-    """Base class of pneumatics sections, whose first constructor is a chamber class."""
+    """Base class of pneumatics sections. The first constructor must be a chamber class."""
 
     def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
-        """Return new chambers of a robot."""
+        """Build the chambers of a robot."""
         chambers: Pneumatics = self.build_with(
             spec=robot, supply_pa=supply_pa, layout=layout
         )
@@ -180,9 +176,9 @@ class PneumaticsFile(PneumaticsSection):
     }
 
     kind: Literal["lag", "orifice"] = "lag"
-    """Model of the chambers; "lag" is an exponential response with time constant tau_1.
-    "orifice" is compressible flow (ISO 6358) from one supply into chambers whose volume
-    depends on the bend."""
+    """Chamber model; "lag" is an exponential response with time constant tau_1.
+    "orifice" computes the compressible flow (ISO 6358) from one supply into chambers
+    whose volumes depend on the bends."""
     leak_per_s: float = quantity(0.0, 100.0)
     """Relative rate of pressure loss of a held chamber."""
     valve_delay_s: float = quantity(0.0, 1.0)
@@ -193,11 +189,11 @@ class PneumaticsFile(PneumaticsSection):
     """Maximum flow of the supply at ambient pressure (orifice only; default: no limit).
     """
     line_volume_ml: float | None = quantity(1.0, 1e6, None)
-    """Volume of the line between a limited supply and the inlets (orifice only; default
+    """Line volume between a flow-limited supply and the inlets (orifice only; default
     {default:g})."""
     initial_line_pressure_kpa: float | None = quantity(0.0, 2000.0)
-    """Initial gauge pressure of the line after a limited supply (orifice only; default:
-    supply pressure)."""
+    """Initial gauge pressure in the line behind a flow-limited supply (orifice only;
+    default: supply pressure)."""
 
     @model_validator(mode="after")
     def _line_is_limited(self) -> PneumaticsFile:
@@ -208,7 +204,7 @@ class PneumaticsFile(PneumaticsSection):
         ]
         if present and self.flow_limit_l_per_min is None:
             raise ValueError(
-                f"`{present[0]}` needs a limited supply; set"
+                f"`{present[0]}` needs a supply with limited flow; set"
                 f" `flow_limit_l_per_min`, or remove `{present[0]}`"
             )
         return self
@@ -224,11 +220,11 @@ class PneumaticsFile(PneumaticsSection):
 
 
 class ValvesFile(Section):
-    """Valves that belong to each chamber."""
+    """Valves of each chamber."""
 
     layout: Literal["3/2", "in_out"] | None = None
-    """Layout of the valves; by default the layout that the controller needs. "3/2" is
-    one valve that fills or vents. "in_out" is an inlet and an outlet valve, which can
+    """Valve layout; by default, the layout that the controller needs. "3/2" is a single
+    valve that fills or vents. "in_out" is a pair of inlet and outlet valves, which can
     also hold the pressure."""
 
 
@@ -236,9 +232,9 @@ class ComparisonFile(Section):
     """Options for comparing the plants."""
 
     gap_factor: bool = False
-    """Whether the analytical speed is multiplied by (l + L_o)/l; the dissertation does
-    so for its model without rigid gaps (Section 3.4.2). The analytical plant then needs
-    gaps: false."""
+    """Whether the analytical speed is multiplied by (l + L_o)/l; the dissertation
+    applies this factor to its model without rigid gaps (Section 3.4.2). The analytical
+    plant then needs gaps: false."""
 
 
 _CORE_KINDS = {
@@ -247,7 +243,7 @@ _CORE_KINDS = {
 }
 
 CONTROLLER_NAMES = (*_CORE_KINDS, *installed(CONTROLLERS))
-"""Kinds of `controller`, including the kinds of installed extensions."""
+"""Controller kinds, including those added by installed extensions."""
 
 if TYPE_CHECKING:
     ControllerFile = ControllerSection
@@ -258,7 +254,7 @@ else:
 
 
 class ScenarioFile(Section):
-    """Scenario file without extensions, to which `with_extensions` adds sections."""
+    """Scenario file without extensions. `with_extensions` adds their sections."""
 
     name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = (
         None
@@ -269,9 +265,9 @@ class ScenarioFile(Section):
     robot: Annotated[
         Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})
     ]
-    """Robot; a shipped name (gen1 to gen4, gen4_module) or the path
-    of a robot file. It may also be {base: a name or path} with fields to change, or a
-    whole robot."""
+    """Robot; the name of a shipped robot (gen1 to gen4, gen4_module) or the path of a
+    robot file. A mapping {base: name or path} with other keys changes fields of a
+    robot. A mapping without base defines a whole robot."""
     duration_s: float = quantity(0.001, 3600.0)
     """Simulated duration."""
     seed: int = quantity(0, 2**32 - 1, 0)
@@ -283,10 +279,10 @@ class ScenarioFile(Section):
     pneumatics: PneumaticsFile = PneumaticsFile()
     """Valves and chambers."""
     allow_overpressure: bool = False
-    """Whether a supply pressure above the limit of the robot is allowed; a warning is
+    """Whether a supply pressure above the robot's limit is allowed; a warning is
     shown."""
     valves: ValvesFile = ValvesFile()
-    """Valves that belong to each chamber."""
+    """Valves of each chamber."""
     sensor: SensorFile = SensorFile()
     """Curvature sensors."""
     faults: Annotated[list[FaultFile], Field(max_length=200)] = []
@@ -301,13 +297,13 @@ class ScenarioFile(Section):
     world: WorldFile = WorldFile()
     """Obstacles, bounds and goal."""
     plants: PlantsFile = PlantsFile(analytical=AnalyticalFile(), twin=TwinFile())
-    """Plants that run (default: both)."""
+    """Plants to simulate (default: both)."""
     comparison: ComparisonFile = ComparisonFile()
     """Options for comparing the plants."""
     expect: Annotated[list[Expectation], Field(max_length=200)] = []
     """Expected values of metrics."""
     changes: Annotated[list[ChangedField], Field(max_length=1000)] | None = None
-    """Fields that --set and similar options changed; a run writes them into
+    """Fields changed by --set and similar options; a run writes this list into
     scenario.resolved.yaml."""
 
     elsewhere: ClassVar[dict[str, str]] = {
@@ -358,16 +354,16 @@ class ScenarioFile(Section):
 
 
 def controller_kinds() -> dict[str, type[ControllerSection]]:
-    """Return the section of each kind of `controller`."""
+    """Return the section class of each controller kind."""
     return _CORE_KINDS | dict(objects(CONTROLLERS))
 
 
 def with_extensions(
     sections: Container[str] = SECTIONS, controllers: Container[str] = CONTROLLERS
 ) -> type[ScenarioFile]:
-    """Import extensions and return the model of scenario files with their sections.
+    """Return the model of scenario files with the sections of extensions.
 
-    By default, all installed extensions are imported.
+    The extensions are imported. By default, these are all installed extensions.
     """
     return _with_extensions(
         tuple(name for name in installed(SECTIONS) if name in sections),

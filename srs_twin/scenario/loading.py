@@ -1,9 +1,9 @@
 """Loading of scenario files and the JSON Schema of scenario files.
 
-The first validation checks the file as the user wrote it and reports all problems
-together. The second validation reads the resolved document, in which all defaults and
-the robot are explicit. The second validation ensures that a run can be repeated from
-its output folder.
+A scenario is validated twice. The first validation checks the file as the user wrote it
+and reports all problems together. The second validation reads the resolved document,
+which contains all defaults and the robot. It ensures that a run can be repeated from
+the output folder.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def load_scenario(
     *,
     set: Overrides = (),
 ) -> Scenario:
-    """Load a scenario by its shipped name (gen2_straight) or by the path of its file.
+    """Load a shipped scenario by name (`gen2_straight`) or a scenario file by path.
 
     Args:
         scenario: name or path of the scenario, or a loaded scenario to modify.
@@ -81,7 +81,7 @@ def parse_scenario(
 
     Args:
         data: contents of a scenario file.
-        name: name in messages, and default name of the scenario.
+        name: name used in messages, which is also the default name of the scenario.
         set: values that override fields, keyed by dotted path.
 
     Raises:
@@ -140,7 +140,7 @@ def _scenario(document: Document, name: str, overrides: Overrides) -> Scenario:
 
 
 def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
-    """Validate a document and build the objects that further checks require."""
+    """Validate a document and load the sections."""
     _locate_files(document)
     file = validate(scenario_model(document), document, document.data)
     robot, robot_problems = _robot(document)
@@ -192,7 +192,7 @@ def _set(document: Document, change: Override) -> None:
     before = document.get(*change.loc)
     is_record = isinstance(before, Mapping) and "unit" in before
     if is_record and not isinstance(change.value, Mapping):
-        # If a plain number replaces a record, the unit of the record is kept.
+        # A plain number replaces only the value of a sourced record and keeps the unit.
         value = replace_value(before, change.value, None, f"set by {change.label}")
         change = replace(change, value=value)
     twin = document.get(*PRESET[:-1])
@@ -228,8 +228,8 @@ def _check_field(document: Document, change: Override) -> None:
     first, *more = change.loc
     if first == "changes":
         raise InputError(
-            f"{change.label}: the list `changes` is written by srs_twin itself; set"
-            " the changed fields instead"
+            f"{change.label}: the list `changes` is written by srs_twin and cannot be"
+            " set; set the changed fields instead"
         )
     known = first in {*ScenarioFile.model_fields, *SECTIONS}
     if first == "robot" and more:
@@ -250,8 +250,8 @@ def _resolved(
     layout: str,
     products: Mapping[str, object],
 ) -> dict[str, Any]:
-    """Return the plain data of a scenario with explicit defaults and robot."""
-    # The key supply.allow_overpressure is an alias of allow_overpressure.
+    """Return a scenario as plain data that contain all defaults and the robot."""
+    # `supply.allow_overpressure` is an alias of the top-level key.
     excluded: Any = {"supply": {"allow_overpressure"}, "changes": True}
     if file.bench:
         excluded["start"] = True
@@ -273,8 +273,7 @@ def _resolved(
         document["start"] = {"from": file.start.run, "time_s": file.start.time_s}
     for key, section in file.sections().items():
         section.resolve(document, file, products.get(key))
-    # Paths are stored as absolute paths, because the run may be loaded from another
-    # working folder.
+    # Paths are made absolute because the run may be loaded from another working folder.
     for loc, kind in path_fields(document).items():
         block: Any = document
         for section_name in loc[:-1]:
@@ -317,7 +316,7 @@ def scenario_json_schema() -> dict[str, Any]:
     """Return a JSON Schema (draft 2020-12) that describes every key of a scenario."""
     schema = with_extensions().model_json_schema()
     robot_schema = RobotFile.model_json_schema()
-    # Definitions are numbered because the generated names of record types are long.
+    # The definitions get numbers as names because the generated names are long.
     names = {
         name: f"Robot{i}_{name.partition('_')[0]}"
         for i, name in enumerate(robot_schema["$defs"], start=1)
@@ -340,8 +339,8 @@ def scenario_json_schema() -> dict[str, Any]:
 def field_paths(document: Document) -> list[str]:
     """Return the dotted paths of the fields that a scenario can have.
 
-    Items of lists are left out. The fields of a block with a `kind` are the fields of
-    the kind that the document selects.
+    List items are left out. A block with a key `kind` has the fields of the kind
+    selected in the document.
     """
     schema = scenario_json_schema()
 

@@ -1,9 +1,9 @@
 """Obstacles from ROS occupancy maps and from CSV lists of circles.
 
-A map is a YAML file of the ROS ``map_server`` with a picture, its resolution and the
-pose of its lower left corner. The colour c of a pixel is the mean of red, green and
-blue (0 to 255). The occupancy is (255 − c)/255, or c/255 if `negate` is true. A cell is
-free
+A map is a YAML file for the ROS ``map_server``. It names a picture and states the pixel
+size and the pose of the lower left corner. The colour c of a pixel is the mean of red,
+green and blue (0 to 255). The occupancy is (255 − c)/255, or c/255 if `negate` is true.
+A cell is free
 
 - in mode ``trinary`` if occupancy < `free_thresh`;
 - in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` −
@@ -34,17 +34,16 @@ from srs_twin.robot.world import Circle, Polygon
 CIRCLE_COLUMNS = ("x_m", "y_m", "radius_m")
 """Columns of a CSV file that lists circles."""
 MAX_PIXELS = 25_000_000
-"""Maximum number of pixels, which allows a map of 250 m by 250 m with 0.05 m pixels."""
+"""Maximum number of pixels, enough for 250 m by 250 m with 0.05 m pixels."""
 MAX_RECTANGLES = 20_000
-"""Maximum number of obstacles. Each obstacle costs 1 ms of planning time, and 2 ms and
-40 kB in a run of the twin."""
+"""Maximum number of obstacles. Each obstacle adds 1 ms to the planning time, and 2 ms
+and 40 kB of memory to a run of the twin."""
 
 _MODES = ("1", "L", "P", "RGB")
-"""Pillow's modes of pictures without transparency and with at most 8 bits per
-channel."""
+"""Pillow image modes without transparency and with at most 8 bits per channel."""
 _DEPTH_BYTE = 24
-"""Byte in a PNG file that contains the number of bits per channel. The byte is read
-directly because Pillow reduces 16-bit colours to 8 bits."""
+"""Position in a PNG file of the byte with the number of bits per channel. The byte is
+read directly because Pillow reduces 16-bit colours to 8 bits."""
 _ALLOWED = (
     "the picture has an unsupported format; use a PNG or PGM picture with at most 8"
     " bits per channel and without transparency"
@@ -61,11 +60,11 @@ _BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
 
 
 class MapFile(StrictModel):
-    """YAML file of an occupancy map, in which unknown keys are ignored as in ROS."""
+    """YAML file of an occupancy map. As in ROS, unknown keys are ignored."""
 
     model_config = ConfigDict(extra="ignore")
 
-    image: Annotated[str, Field(min_length=1, max_length=1000)]  # Path of the picture.
+    image: Annotated[str, Field(min_length=1, max_length=1000)]  # Picture path.
     resolution: Annotated[float, Field(ge=1e-4, le=100.0)]  # Side of a pixel, m.
     # Position (m) and rotation (rad) of the lower left corner.
     origin: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...]
@@ -84,7 +83,7 @@ class MapFile(StrictModel):
     @field_validator("origin", mode="before")
     @classmethod
     def _unquoted(cls, value: object) -> object:
-        """Parse a list that a map editor wrote as the text "[0.0, 0.0, 0.0]"."""
+        """Parse a list that a map editor wrote as a string, "[0.0, 0.0, 0.0]"."""
         if isinstance(value, str) and _QUOTED_LIST.fullmatch(value):
             value = [float(number) for number in _NUMBER.findall(value)]
         # A validator in a strict model must return a tuple instead of a list.
@@ -95,7 +94,7 @@ class MapFile(StrictModel):
     @field_validator("negate", mode="before")
     @classmethod
     def _boolean(cls, text: object) -> bool:
-        """Return the value of a YAML 1.1 boolean, which may be a quoted text."""
+        """Parse a YAML 1.1 boolean, which may be quoted."""
         if (value := _BOOLEANS.get(str(text).lower())) is None:
             raise ValueError(
                 f"must be true, yes, on, 1 or false, no, off, 0, not {text!r:.50}"
@@ -119,7 +118,10 @@ class MapFile(StrictModel):
             )
 
     def blocked(self, colour: np.ndarray) -> np.ndarray:
-        """Return a mask of occupied and unknown cells from summed colours."""
+        """Return a mask of occupied and unknown cells.
+
+        `colour` is the sum of red, green and blue.
+        """
         levels = np.arange(_WHITE + 1)
         if not self.negate:
             levels = levels[::-1]
@@ -167,7 +169,7 @@ def _document(path: Path) -> Document:
 
 
 def pictures_of(path: Path) -> list[Path]:
-    """Return a list with the picture of a map, or an empty list on error."""
+    """Return the path of a map's picture in a list, which is empty on error."""
     try:
         return [Path(_document(path).data["image"])]
     except (InputError, KeyError, TypeError):
@@ -212,7 +214,7 @@ def _colours(path: Path) -> np.ndarray:
     """Return the sum of red, green and blue of each pixel, shape (rows, columns).
 
     Raises:
-        InputError: the file is not an allowed picture, is damaged, or is too large.
+        InputError: the picture has an unsupported format, is damaged or is too large.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -250,11 +252,11 @@ def _colours(path: Path) -> np.ndarray:
 def _rectangles(full: np.ndarray) -> list[list[int]]:
     """Cover the occupied cells with rectangles (left, bottom, right, top).
 
-    A rectangle begins as an interval of occupied cells in one row. The rectangle is
-    extended upwards over all rows that contain the same interval.
+    A rectangle starts as a run of occupied cells in one row. It is extended upwards
+    over successive rows as long as they contain the same run.
 
     Raises:
-        InputError: there are more than `MAX_RECTANGLES` rectangles.
+        InputError: more than `MAX_RECTANGLES` rectangles are needed.
     """
     width = full.shape[1] + 1
     edges = np.flatnonzero(

@@ -1,8 +1,8 @@
 """Changed fields of a scenario, and the expectations that they invalidate.
 
 A run of a modified scenario is no longer the published experiment. The title of the run
-therefore names the changed fields. If a changed field affects a metric, an expectation
-about the metric of the unmodified scenario is omitted.
+therefore names the changed fields. If a changed field affects a metric, the
+expectations about this metric are omitted.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Changes = Sequence[Mapping[str, Any]]
 """Changed fields as plain data with the keys ``{"field", "from", "to"}``."""
 
 PLANTS = "plants"
-"""Name of the changed field if other plants run than the scenario file names."""
+"""Field reported as changed if a run uses other plants than the scenario file."""
 
 STEADY = frozenset(
     [
@@ -49,25 +49,26 @@ STEADY = frozenset(
         "plan_max_heading_jump_rad",
     ]
 ).union(ENERGY_MEANINGS)
-"""Metrics that do not depend on the duration, such as means over periods, and plans."""
+"""Metrics that do not depend on the duration, such as means over periods and plan
+metrics."""
 
 _NAMES = ("name", "title", "changes", "robot.name", "robot.title")
 _NO_CONDITION = (
     *(*_NAMES, "expect", "seed", "record_hz", PLANTS),
     *("allow_overpressure", "supply.allow_overpressure"),
 )
-"""Fields that do not affect the experiment, such as names, the random seed, recording,
-expectations and permissions."""
+"""Fields that do not affect the experiment, such as names, the random seed, the
+recording rate, expectations and permissions."""
 _MAX_TITLE_LENGTH = 64
-"""Maximum number of characters with which a title describes changes."""
+"""Maximum length of the changes described in a title, in characters."""
 _DIGEST = ", sha256 "
-"""Text that precedes the digest of a long value."""
+"""Separator before the digest that abbreviates a long value."""
 _MAX_VALUES = 24
-"""Maximum number of values that are written out instead of a digest."""
+"""Maximum length of a list that is written out. Longer lists are shown as a digest."""
 
 
 class ChangedField(Section):
-    """Field that was changed after the scenario was read."""
+    """Field changed after the scenario file was read."""
 
     field: Line
     """Path of the field, in the format of --set."""
@@ -92,9 +93,9 @@ def changed_fields(
     Args:
         before: plain data of the unmodified scenario.
         after: plain data of the modified scenario.
-        locs: paths that were set. The values within a block are compared one by one.
-        earlier: changes that were made to `before`. A field is omitted if it has its
-            original value again.
+        locs: paths of the fields that were set. Blocks are compared field by field.
+        earlier: changes already contained in `before`. A field that has its original
+            value again is omitted.
     """
     known = {change["field"]: change.get("from") for change in earlier}
     paths = {field: parse_path(field) for field in known if field != PLANTS}
@@ -116,7 +117,7 @@ def changed_fields(
 def with_plants(
     changes: Changes, named: Sequence[str], run: Sequence[str]
 ) -> list[dict[str, object]]:
-    """Return changes, with an additional entry if other plants run."""
+    """Return the changes, with an entry about the plants if they differ."""
     rest = [dict(change) for change in changes if change["field"] != PLANTS]
     if set(named) == set(run):
         return rest
@@ -131,7 +132,7 @@ def marked(title: str, changes: Changes) -> str:
 
 
 def changes_text(changes: Changes) -> str:
-    """Return a list of the changed fields and values as text, or only their number."""
+    """Return the changed fields and values as text, or only their number if too long."""
     texts = [f"{c['field']} {text_of(c['from'])} → {text_of(c['to'])}" for c in changes]
     text = ", ".join(texts)
     if len(text) <= _MAX_TITLE_LENGTH:
@@ -142,7 +143,7 @@ def changes_text(changes: Changes) -> str:
 
 
 def text_of(value: object) -> str:
-    """Return the value of a field as text on one line."""
+    """Format the value of a field on one line."""
     match value:
         case None:
             return "unset"
@@ -161,8 +162,8 @@ def invalidated_by(expectation: Expectation, changes: Changes) -> list[str]:
     """Return the changed fields that invalidate an expectation.
 
     Expectations with `source`, `published` or `expected_failure` refer to the
-    unmodified scenario. Other expectations are bounds that apply to modified scenarios
-    too.
+    unmodified scenario. Other expectations are bounds that also apply to modified
+    scenarios.
     """
     if (expectation.source, expectation.published, expectation.expected_failure) == (
         None,
@@ -192,7 +193,7 @@ def affects(field: str, metric: str, subject: str) -> bool:
 
 
 def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a list with a line about invalidated expectations, or an empty list."""
+    """Return a line about the omitted expectations in a list, which may be empty."""
     if not left_out:
         return []
     metrics = ", ".join(
@@ -241,8 +242,8 @@ def _at(document: Any, loc: Loc) -> Any:
 def _value(document: object, loc: Loc) -> object:
     """Return the value at a path for display.
 
-    Robots and plants are shown by name, records by their number, and long lists by a
-    digest.
+    Robots and plants are represented by their names, sourced records by their numbers
+    and long lists by a digest.
     """
     value = _at(document, loc)
     if loc == ("robot",) and isinstance(value, Mapping):

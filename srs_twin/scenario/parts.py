@@ -1,11 +1,10 @@
 """Sections for plug-in classes in scenario files.
 
 A file names a plug-in class as ``kind: module:Name``, or by a name that a distribution
-registers. The class may be a controller, a chamber model or a sensor. The section is
-then derived from the signature of the class. The keys are the arguments of the class,
-and units are not converted. The class may also be a section, which is used like a
-section of this package. The module `srs_twin.extensions` describes which modules are
-imported.
+registers. If the class is a controller, a chamber model or a sensor, the keys of the
+section are its constructor arguments, whose units are not converted. The class may also
+be a subclass of `Section` that defines the keys itself. The module
+`srs_twin.extensions` describes which modules are imported.
 """
 
 from __future__ import annotations
@@ -39,8 +38,6 @@ from srs_twin.sensing import KINDS as SENSORS, Sensor
 
 
 class _Kind(NamedTuple):
-    """Type of section that may refer to a plug-in class."""
-
     section: type[Section]
     base: type
     known: Collection[str]
@@ -54,8 +51,8 @@ PARTS = {
 """Sections of a scenario that may name plug-in classes."""
 
 _CONTEXT = ("spec", "supply_pa", "layout")
-"""Arguments of chambers and sensors that the scenario determines and a file cannot set.
-"""
+"""Constructor arguments of chambers and sensors that follow from the scenario and cannot
+be set in a file."""
 
 OWN_SCHEMA = {
     "type": "object",
@@ -68,10 +65,10 @@ OWN_SCHEMA = {
 class _ArgumentsSection(Section):
     """Section whose keys are the arguments of a class.
 
-    Field names end with an underscore, so that they do not hide methods.
+    Field names end with an underscore to avoid name clashes with methods.
 
     Attributes:
-        not_written: fields whose default cannot be read back from a file.
+        not_written: fields whose default value cannot be restored from a file.
     """
 
     not_written: ClassVar[set[str]]
@@ -81,19 +78,19 @@ class _ArgumentsSection(Section):
         return {name[:-1]: value for name, value in self if name != "kind"}
 
     def written(self) -> dict[str, Any]:
-        """Return the section as plain data. Arguments whose value is null are kept."""
+        """Return the section as plain data, including arguments that are null."""
         unset = self.not_written - self.model_fields_set
         return self.model_dump(mode="json", by_alias=True, exclude=unset)
 
 
 class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
-    """Section of a plug-in class that is not imported.
+    """Placeholder for a plug-in class that is not imported.
 
-    The keys are not checked, and the section cannot build an object.
+    The keys are not checked, and `build` raises an error.
     """
 
     model_config = ConfigDict(extra="allow")
-    constructors = (Gait,)  # a gait supports all valve layouts and robots
+    constructors = (Gait,)  # supports all valve layouts and robots
 
     kind: str
 
@@ -103,10 +100,11 @@ class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
 
 
 def scenario_model(document: Document) -> type[ScenarioFile]:
-    """Return the model of a scenario file with the sections that the file names.
+    """Return a model for a scenario file with the sections that the file contains.
 
-    Plug-in classes that cannot be used are reported to the document. If names are
-    unknown, the model has all sections, so that messages can suggest the right names.
+    Plug-in classes that cannot be used are reported to the document. If the file
+    contains unknown names, the model has all sections, so that messages can suggest
+    valid names.
     """
     outside = _parts_from_outside(document)
     kind = document.get("controller", "kind")
@@ -140,7 +138,7 @@ def _parts_from_outside(document: Document) -> dict[str, Any]:
 
 
 def read_resolved(data: Mapping[str, Any]) -> ScenarioFile:
-    """Return the sections of a resolved scenario.
+    """Parse the plain data of a resolved scenario.
 
     Raises:
         InputFileError: a plug-in class cannot be used.
@@ -173,9 +171,9 @@ def _section(key: str, name: str, found: type) -> type[Section]:
                 not_written.add(field)
         elif default is ...:
             raise InputError(
-                f"{name}: the argument `{parameter.name}` cannot be set in a scenario"
-                " file; give this argument a default value, or define a section for"
-                " the class"
+                f"{name}: the argument `{parameter.name}` has a type that a scenario"
+                " file cannot contain; give this argument a default value, or define"
+                " a section for the class"
             )
     fields["constructors"] = (ClassVar[Any], (found,))
     fields["not_written"] = (ClassVar[Any], not_written)
@@ -211,7 +209,7 @@ def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
 
 
 def _adapter(hint: Any) -> TypeAdapter[Any] | None:
-    """Return the validator of a type, or None if a file cannot contain such values."""
+    """Return the validator of a type, or None if a file cannot contain this type."""
     try:
         adapter = TypeAdapter(hint)
         adapter.json_schema()

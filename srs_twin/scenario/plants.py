@@ -30,17 +30,17 @@ from srs_twin.robot.scale import Scale, divide
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
-"""Names of the plants. The first plant is the reference of comparisons."""
+"""Names of the plants. Comparisons use the first plant as the reference."""
 
 
 class _PlantFile(Section):
     """Base class of the plant sections.
 
     Attributes:
-        floor_keys: keys about the floor contact, which are not allowed on a bench.
+        floor_keys: keys for the floor contact, which are not allowed on a bench.
         scaled_keys: keys whose defaults are multiplied by the robot's time unit.
         kind_key: key that determines what the plant supports (`plants.base.refusals`).
-        wheel_keys: keys about wheels or skids, which are not allowed for a robot with
+        wheel_keys: keys for wheels or skids, which are not allowed for a robot with
             skin.
     """
 
@@ -53,8 +53,8 @@ class _PlantFile(Section):
     """Whether the segments have rigid gaps."""
     timestep_s: float
     tick_s: float | None = quantity(1e-6, 10.0, None)
-    """Control tick, on the twin a multiple of timestep_s (default: 0.02, or 0.001 on a
-    bench, times the robot's time unit)."""
+    """Control tick, which on the twin must be a multiple of timestep_s (default: 0.02
+    times the robot's time unit, or 0.001 times the time unit on a bench)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
         """Return the section with default times and speeds scaled to a robot.
@@ -84,31 +84,31 @@ class AnalyticalFile(_PlantFile):
     model: Literal["complete", "simplified", "compliant", "quasistatic"] = (
         constructor_default()
     )
-    """Model of the body; "complete" prescribes the bends. "simplified" also replaces
-    the segments by chords of constant length. "compliant" computes bends that depend on
-    load and inertia. "quasistatic" computes bends in two directions without inertia,
-    for robots with chamber.directions_deg only."""
+    """Body model; "complete" prescribes the bends. "simplified" also replaces the
+    segments by chords of constant length. "compliant" computes the bends from load and
+    inertia. "quasistatic" computes bends in two directions without inertia and requires
+    a robot with chamber.directions_deg."""
     friction_torque: bool = constructor_default()
-    """Whether friction exerts a moment about the centre of mass; it can be false only
-    with the model simplified."""
+    """Whether friction exerts a moment about the centre of mass; only the model
+    simplified allows false."""
     inertia: Literal["point", "connector", "lumped"] = constructor_default()
-    """Moment of inertia of each connector; "point" is zero. "connector" is a compact
-    body with two wheels. "lumped" is the value of the dissertation, which counts the
-    segments twice."""
+    """Moment of inertia of each connector; "point" is zero. "connector" assumes a
+    compact body with two wheels. "lumped" is the dissertation's value, which counts the
+    inertia of the segments twice."""
     friction: FrictionLaw = constructor_default()
-    """Friction law; "axis" has one contact per connector (dissertation), "wheel" two
-    wheels at the track. "ellipse" and "cosine" have two skids at the track, and
-    "viscous" is a law for tests. A robot with skin has its own law."""
+    """Friction law; "axis" has one contact per connector, as in the dissertation.
+    "wheel" has two wheels at the track, "ellipse" and "cosine" have two skids at the
+    track. "viscous" is intended for tests. A robot with skin defines its own law."""
     load: Literal["static", "instantaneous"] = constructor_default()
-    """Load of a wheel or skid; "static" is half the weight of its connector.
-    "instantaneous" adds the load transfer by lateral forces (not with axis). A skin has
-    such contact pairs along the whole body."""
+    """Load on a wheel or skid; "static" is half the weight of the connector.
+    "instantaneous" adds the load transfer due to lateral forces (not with axis). A skin
+    has pairs of contacts along the whole body, which are loaded in the same way."""
     contact: bool | None = None
-    """Whether the body touches obstacles; this needs the model compliant. By default,
-    the body passes through them."""
+    """Whether the body collides with obstacles; this needs the model compliant. By
+    default, the body passes through obstacles."""
     slip_speed_m_s: float = quantity(1e-9, 1.0, SLIP_SPEED_M_S)
-    """Slip speed below which friction deviates from Coulomb friction (default: 0.00025
-    times the robot's time unit)."""
+    """Slip speed below which Coulomb friction is regularised (default: 0.00025 times the
+    robot's time unit)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
         """Return the section with default times and speeds scaled to a robot."""
@@ -119,8 +119,8 @@ class AnalyticalFile(_PlantFile):
 
 
 BENCH_TICK_S = 0.001
-"""Default control tick on a bench for a robot with time unit 1, s. The tick is short
-because controllers on a bench track fast references."""
+"""Default control tick (s) on a bench for a robot with time unit 1. It is short because
+controllers on a bench track fast references."""
 
 
 class TwinFile(_PlantFile):
@@ -132,27 +132,27 @@ class TwinFile(_PlantFile):
     wheel_keys = ("wheels", "friction")
 
     preset: Preset | None = None
-    """Name of a time step, used if timestep_s is not set; "fast" is 2 ms, for search
-    and learning. "reference" is 0.25 ms, for published results."""
+    """Named time step, used if timestep_s is not set; "fast" is 2 ms and suits search
+    and learning. "reference" is 0.25 ms and suits published results."""
     timestep_s: float = quantity(1e-6, 1.0)
     """Time step of the integrator (default: 0.001 times the robot's time unit)."""
     wheels: Wheels = constructor_default()
-    """Wheels; "rolling" wheels obey the friction law wheel. "skid" means runners that
-    obey the friction law ellipse."""
+    """Wheels; "rolling" selects wheels with the friction law wheel. "skid"
+    selects skids with the friction law ellipse."""
     contact: ContactName = LoadedContact.name
-    """Contact with the floor; "loaded" applies a friction law to the loads that MuJoCo
-    computes. "preloaded" is MuJoCo's own friction with an additional normal force, for
-    comparison."""
+    """Floor contact; "loaded" applies a friction law to the loads computed by MuJoCo.
+    "preloaded" uses MuJoCo's own friction with an additional normal force and is meant
+    for comparison."""
     friction: LawOnLoads | None = None
-    """Friction law of a loaded contact; by default the law of the wheels."""
+    """Friction law of a loaded contact; by default, the law selected by wheels."""
     hinges_per_segment: int = quantity(1, 32)
     """Number of bending hinges per segment."""
 
     @model_validator(mode="after")
     def _take_preset(self) -> TwinFile:
         if "timestep_s" not in self.model_fields_set:
-            # The model is frozen, and `model_fields_set` must contain only keys of the
-            # file.
+            # `__dict__` is set because the model is frozen and `model_fields_set` must
+            # contain only keys of the file.
             self.__dict__["timestep_s"] = preset_timestep(self.preset)
         return self
 
@@ -165,7 +165,7 @@ class TwinFile(_PlantFile):
 
     @property
     def friction_law(self) -> LawOnLoads:
-        """Friction law, by default the law of the wheels or skids."""
+        """Friction law of the contact; by default, the law of the wheels or skids."""
         return self.friction or FRICTION_LAW_OF[self.wheels]
 
     def build_contact(self) -> Contact:
@@ -207,7 +207,7 @@ def preset_timestep(preset: object) -> float | None:
 
 
 def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
-    """Replace the preset of a twin. A time step that overrides the preset is kept."""
+    """Set the preset of a twin and keep a time step that overrides the preset."""
     data = {**twin, "preset": preset}
     if twin.get("timestep_s") == preset_timestep(twin.get("preset")):
         data.pop("timestep_s", None)
@@ -221,12 +221,12 @@ PlantFile = AnalyticalFile | TwinFile
 
 
 class PlantsFile(Section):
-    """Plants that run, with their options. A plant without a section does not run."""
+    """Plants to simulate, with their options. A plant without a section does not run."""
 
     analytical: AnalyticalFile | None = None
-    """Analytical model; {} selects its defaults."""
+    """Analytical model; {} selects the default values."""
     twin: TwinFile | None = None
-    """MuJoCo twin; {} selects its defaults."""
+    """MuJoCo twin; {} selects the default values."""
 
     @property
     def running(self) -> dict[str, PlantFile]:

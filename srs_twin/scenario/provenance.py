@@ -1,8 +1,8 @@
-"""Provenance of the run of a scenario.
+"""Provenance of a run.
 
-The provenance consists of the scenario, the files that the scenario reads, the source
-code, the package versions and the arithmetic of the processor. Names, displays and
-expectations are not part of the provenance.
+The provenance consists of the scenario, the input files, the source code, the package
+versions and the processor arithmetic. Names, viewers and expectations are not part of
+the provenance.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from srs_twin.scenario.fields import input_files
 from srs_twin.scenario.parts import PARTS
 
 NOT_PHYSICS = ("name", "title", "expect", "changes")
-"""Keys of a scenario that name or judge results and do not affect a run."""
+"""Scenario keys that name or judge results and do not affect a run."""
 
 WORDS = ("title", "source", "status", "expected_failure", "reason")
-"""Keys at any depth whose texts explain a value and do not affect a run."""
+"""Keys (at any depth) whose text explains a value and does not affect a run."""
 
 _VIEWING = "srs_twin.viewing"
 """Package that only displays results and is therefore not part of the provenance."""
@@ -59,7 +59,7 @@ _IMPORT = re.compile(
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of packages that determine results, and the arithmetic."""
+    """Return the processor arithmetic and the package versions that affect results."""
     packages = ("mujoco", "numpy", "scipy", "numba")
     return {
         "srs_twin": __version__,
@@ -71,13 +71,12 @@ def versions() -> dict[str, str]:
 
 @cache
 def arithmetic() -> str:
-    """Return the name of the arithmetic, which determines the last digits of results.
+    """Identify the processor arithmetic, which affects the last digits of results.
 
     The name has three parts. The first part is the processor for which kernels are
-    compiled (variable `NUMBA_CPU_NAME`). The second part names the BLAS kernels of
-    NumPy and SciPy (variable `OPENBLAS_CORETYPE`). The third part is a digest of
-    processor features and of function values of the C library, NumPy and BLAS, because
-    these libraries select code for the processor.
+    compiled (`NUMBA_CPU_NAME`). The second part names the BLAS kernels of NumPy and
+    SciPy (`OPENBLAS_CORETYPE`). The third part is a digest of processor features and of
+    values computed by the C library, NumPy and BLAS, which select code by processor.
     """
     from numba.core.registry import cpu_target
 
@@ -109,7 +108,7 @@ def run_provenance(
 
     Args:
         document: scenario as plain data.
-        plants: plants that run. The sequence is empty if only a plan is computed.
+        plants: names of the simulated plants, empty if only a plan is computed.
         runner: dotted name of the module that runs the scenario.
     """
     scenario = {key: value for key, value in document.items() if key not in NOT_PHYSICS}
@@ -171,9 +170,9 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
 def judged_provenance(document: Mapping[str, object]) -> Provenance:
     """Return the provenance that decides whether stored intervals are valid.
 
-    It consists of the robot and the input files. Code, duration and seed are excluded,
-    because their effects are visible in the value of a result. Explanatory texts are
-    excluded too, so that intervals remain valid if a source is reworded.
+    The provenance contains the scenario and the input files, but no code, duration or
+    seed, because a change of these shows in the values of the results. Explanatory
+    texts are excluded, so that intervals remain valid if a source is reworded.
     """
     skipped = (*NOT_PHYSICS, "duration_s", "seed")
     judged = {key: value for key, value in document.items() if key not in skipped}
@@ -195,9 +194,8 @@ def _without_words(data: object) -> object:
 def file_digests(document: Mapping[str, object]) -> dict[str, str]:
     """Return the hexadecimal SHA-256 of the input files of a run, keyed by path.
 
-    Input files are footprints, recordings and logs. The robot file is excluded, because
-    the scenario document contains the robot. The digest of an unreadable file is an
-    empty string.
+    Input files are footprints, recordings and logs. The robot file is excluded because
+    the scenario document contains the robot. An unreadable file has an empty digest.
     """
     return {path: file_digest(path) for path in _files(document)}
 
@@ -239,9 +237,9 @@ def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -
 def source_digests(module: str) -> dict[str, str]:
     """Return the hexadecimal SHA-256 of the sources of a module and its imports.
 
-    Only imports from this package are considered. Imports are read from the source
-    text, including imports inside functions but not imports for type checkers. The
-    ``__init__`` of a package is included only if the package itself is imported.
+    Only imports from this package are followed, including imports inside functions but
+    not imports for type checkers. A package's ``__init__`` is included only if the
+    package itself is imported.
     """
     return {
         name: hashlib.sha256(text.encode()).hexdigest()
@@ -252,8 +250,8 @@ def source_digests(module: str) -> dict[str, str]:
 def code_digests(modules: Iterable[str]) -> dict[str, str]:
     """Return the hexadecimal SHA-256 of the code of modules and their imports.
 
-    Unlike `source_digests`, the wording does not count (`code_digest`). A digest
-    therefore tells whether a result may differ, not whether the text differs.
+    Unlike `source_digests`, this function ignores wording (see `code_digest`), so a
+    digest changes only if results may change.
 
     Args:
         modules: dotted names of the modules.
@@ -263,10 +261,10 @@ def code_digests(modules: Iterable[str]) -> dict[str, str]:
 
 @cache
 def code_digest(text: str) -> str:
-    """Return the hexadecimal SHA-256 of Python code without its wording.
+    """Return the hexadecimal SHA-256 of Python code, ignoring wording.
 
-    Comments, docstrings, layout and texts with two successive words, such as messages
-    and headings, do not count.
+    Ignored are comments, docstrings, layout and strings that contain two successive
+    words, such as messages and headings.
     """
     tree = ast.parse(text)
     for node in ast.walk(tree):
@@ -293,7 +291,7 @@ def _is_string(node: ast.AST) -> bool:
 
 
 def _is_text(node: ast.stmt) -> bool:
-    """Return whether a statement is only a string, as docstrings are."""
+    """Return whether a statement is a bare string, such as a docstring."""
     return isinstance(node, ast.Expr) and _is_string(node.value)
 
 

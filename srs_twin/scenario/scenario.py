@@ -1,4 +1,4 @@
-"""Scenario: an experiment in SI units that builds its plants and its controller."""
+"""Experiment in SI units that builds plants and a controller."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Scenario:
     Attributes:
         name: name of the scenario and of the output folder.
         title: title on one line, including the changed fields.
-        robot: robot with overrides.
+        robot: robot file with overrides applied.
         duration: simulated duration, s.
         seed: random seed.
         record_hz: recording rate, Hz.
@@ -66,7 +66,7 @@ class Scenario:
             straight snake at rest at `pose`.
         world: obstacles, bounds and goal.
         file: sections of the file with explicit defaults.
-        document: plain data with explicit defaults and robot. Loading the document
+        document: plain data, including all defaults and the robot. Loading the document
             returns an equal scenario.
         warnings: warnings for the user.
         products: products of extension sections, keyed by section.
@@ -95,13 +95,13 @@ class Scenario:
         return {name: value for name, value in vars(self).items() if name != "file"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Sections of plug-in classes are generated classes that pickle cannot import, so
-        # the sections are created again.
+        # Pickle cannot import the classes that are generated for plug-ins, so the
+        # sections are parsed again.
         vars(self).update(state, file=read_resolved(state["document"]))
 
     @property
     def plants(self) -> Mapping[str, PlantFile]:
-        """Sections of the plants that the file names, keyed by name."""
+        """Plant sections of the file, keyed by name."""
         return self.file.plants.running
 
     @property
@@ -131,14 +131,14 @@ class Scenario:
 
     @property
     def expect(self) -> tuple[Expectation, ...]:
-        """Expectations that are valid for the scenario with its changed fields."""
+        """Expectations that the changed fields do not invalidate."""
         return tuple(
             item for item in self.file.expect if not invalidated_by(item, self.changes)
         )
 
     @property
     def left_out(self) -> list[dict[str, Any]]:
-        """Invalidated expectations. The entry `because` contains the changed fields."""
+        """Expectations that the changed fields (`because`) invalidate."""
         pairs = (
             (item, invalidated_by(item, self.changes)) for item in self.file.expect
         )
@@ -156,7 +156,7 @@ class Scenario:
     def run_on(self, plants: Sequence[str] | None) -> Scenario:
         """Return the scenario for a run on given plants.
 
-        By default, the scenario runs on its own plants. A run on other plants is
+        If `plants` is None, the plants of the scenario are kept. Other plants are
         recorded as a changed field.
         """
         changes = with_plants(
@@ -183,7 +183,7 @@ class Scenario:
 
     @property
     def timing(self) -> dict[str, Any]:
-        """Arguments of `rollout` and `Job` that are defined by the scenario."""
+        """Arguments of `rollout` and `Job` that the scenario defines."""
         names = (
             "duration",
             "pose" if self.initial_state is None else "initial_state",
@@ -194,7 +194,7 @@ class Scenario:
 
     @property
     def measured(self) -> Trajectory | None:
-        """Measured trajectory that starts at time 0 and ends with the run, or None."""
+        """Measured trajectory from time 0 to the end of the run, or None."""
         measured = (
             section.measured(self.products[key])
             for key, section in self.file.sections().items()
@@ -209,10 +209,10 @@ class Scenario:
 
     @contextmanager
     def named_in_errors(self) -> Iterator[None]:
-        """Add the name of the scenario file to input errors that the block raises.
+        """Prefix input errors raised in the `with` block with the file name.
 
         Raises:
-            InputError: the block raised the error.
+            InputError: the `with` block raised the error.
         """
         try:
             yield
@@ -223,12 +223,12 @@ class Scenario:
     def build_plant(
         self, kind: str, *, robot: RobotSpec | None = None, **changes: Any
     ) -> Plant:
-        """Return a new plant at rest. If the file lacks the plant, defaults are used.
+        """Build a plant at rest. If the file does not name it, defaults are used.
 
         Args:
             kind: "analytical" or "twin".
-            robot: robot that replaces the robot of the scenario.
-            changes: arguments of the plant that replace the values of the scenario.
+            robot: robot to use instead of the scenario's robot.
+            changes: plant arguments that override the values in the scenario.
 
         Raises:
             UnknownNameError: the kind is unknown.
@@ -272,10 +272,10 @@ class Scenario:
                 section.check_run(self.products[key])
 
     def build_controller(self) -> Controller:
-        """Return a new controller.
+        """Build the controller.
 
         Raises:
-            InputError: the controller requires a plan that cannot be computed.
+            InputError: the controller needs a plan, and no plan can be computed.
         """
         return self.controller.controller(
             ControllerContext(self.name, self.robot, self.supply_pa, self.products)

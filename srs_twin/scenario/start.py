@@ -1,6 +1,6 @@
 """Section `start` of a scenario, which defines the initial state of the snake.
 
-Initial pose, motion and pressures are given by keys or taken from an earlier run.
+The initial pose, motion and pressures are set by keys or taken from an earlier run.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class StartFile(Section):
     bend_rate_rad_s: (
         Annotated[tuple[BendRate, ...], Field(max_length=_MAX_SEGMENTS)] | None
     ) = None
-    """Bend rate of each segment, rad/s, -100 to 100; it is ignored if the bends follow
-    the pressures."""
+    """Bend rate of each segment, rad/s, -100 to 100; this key is ignored by models
+    whose bends follow directly from the pressures."""
     pressure_kpa: (
         Annotated[
             tuple[Annotated[tuple[Gauge, ...], Field(min_length=2, max_length=2)], ...],
@@ -71,11 +71,12 @@ class StartFile(Section):
         alias="from",
         title="From",
         description=(
-            "Folder of an earlier run; each plant starts in a state of its trajectory."
+            "Folder of an earlier run; each plant starts in the state that this plant"
+            " had at time_s."
         ),
     )
     time_s: float | None = quantity(0.0, 1e6, None)
-    """Time of the state (within the run that from names)."""
+    """Time of the initial state in the earlier run."""
 
     def contradictions(self) -> Iterator[Contradiction]:
         """Yield contradictions between the keys of the section."""
@@ -89,8 +90,8 @@ class StartFile(Section):
             return
         for name in sorted(self.model_fields_set - {"run", "time_s"}):
             text = (
-                "the run named by `from` already sets this key; remove this key"
-                " or `from`"
+                "the earlier run given by `from` already sets this value; remove this"
+                " key or `from`"
             )
             yield Contradiction(("start", name), text, at_key=True)
         if self.time_s is None:
@@ -111,8 +112,8 @@ class StartFile(Section):
 
         Args:
             segments: number of segments.
-            supply_pa: gauge supply pressure, Pa. Chamber pressures must not exceed it.
-            plants: plants that run, keyed by name.
+            supply_pa: gauge supply pressure, the maximum chamber pressure, Pa.
+            plants: sections of the simulated plants, keyed by name.
 
         Raises:
             InputError: a list does not have one entry per segment, a pressure is above
@@ -207,7 +208,7 @@ class InitialState:
 
 
 def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionState:
-    """Interpolate the state of a plant at a time (s) of a recorded trajectory."""
+    """Interpolate a recorded trajectory of a plant at a given time (s)."""
     path = folder / f"{plant}.parquet"
     if not os.path.isfile(path):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Section `world` of a scenario, with floor, obstacles, objects, bounds and goal."""
+"""Section `world` of a scenario: floor, obstacles, objects, bounds and goal."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class PolygonFile(Section):
     constructors = (Polygon,)
 
     corners_m: Annotated[tuple[Pair, ...], Field(min_length=3, max_length=1000)]
-    """[x, y] of each corner, m; the last corner is joined to the first, and sides must
+    """[x, y] of each corner, m; a side joins the last corner to the first. Sides must
     not cross."""
 
     @field_validator("corners_m")
@@ -65,8 +65,8 @@ class PolygonFile(Section):
 
         if not Polygon(corners).is_valid:
             raise ValueError(
-                "the polygon is not allowed, because its sides cross or overlap or it"
-                " encloses no area"
+                "the polygon has crossing or overlapping sides, or encloses no area;"
+                " change the corners"
             )
         return corners
 
@@ -122,7 +122,7 @@ class RandomFile(Section):
     seed: int | None = quantity(0, 2**32 - 1, None)
     """Random seed (default: seed of the scenario)."""
     area: BoundsFile | None = None
-    """Area of the centres (only for strewn); by default the bounds."""
+    """Rectangle that contains the centres (only for strewn); by default the bounds."""
     radius_m: Annotated[tuple[Radius, ...], Field(min_length=2, max_length=2)] = (
         constructor_default()
     )
@@ -171,18 +171,18 @@ class PegsFile(Section):
     radius_m: float = quantity(1e-5, 100.0)
     """Radius of the pegs."""
     rows: int = quantity(1, 1000)
-    """Number of pegs in a column, along y."""
+    """Number of pegs in each column, along y."""
     columns: int = quantity(1, 1000)
-    """Number of columns, one behind the other along x."""
+    """Number of columns, along x."""
     jitter_m: float = quantity(0.0, 100.0)
     """Maximum random displacement of a peg along x and along y."""
     staggered: bool = constructor_default()
-    """Whether every second column is shifted by half the distance between pegs."""
+    """Whether every second column is shifted by half the peg spacing."""
     x_m: float | None = quantity(-1000.0, 1000.0, None)
     """x of the first column (default: 0.2 times the robot's length unit beyond the
     start)."""
     y_m: float | None = quantity(-1000.0, 1000.0, None)
-    """y of the middle of the columns (default: y of the start)."""
+    """y of the centre of the field (default: y of the start)."""
     seed: int | None = quantity(0, 2**32 - 1, None)
     """Random seed of the displacements (default: seed of the scenario)."""
 
@@ -232,12 +232,10 @@ class FloorStepFile(Section):
     x_m: float = quantity(-1000.0, 1000.0)
     """x of the line."""
     height_m: float = quantity(-10.0, 10.0)
-    """Height of the floor beyond the line over the floor before the line."""
+    """Height of the floor beyond the line, relative to the floor before the line."""
 
 
 class _ObjectFile(Section):
-    """Base class of movable objects."""
-
     constructors = (MovableObject,)
     size_keys: ClassVar[tuple[str, ...]]
 
@@ -298,8 +296,7 @@ class WorldFile(Section):
     """Polygonal obstacles."""
     random: RandomFile | None = None
     """Randomly placed round obstacles."""
-    # The default is None, so that the digests of scenarios without these keys remain
-    # unchanged.
+    # The default is None so that scenarios without this key keep their digests.
     pegs: PegsFile | None = None
     """Field of pegs."""
     obstacle_friction: float | None = quantity(0.0, 10.0, None)
@@ -309,8 +306,7 @@ class WorldFile(Section):
     """Slope of the floor."""
     steps: Annotated[list[FloorStepFile], Field(max_length=100)] = []
     """Steps of the floor."""
-    # The default is None, so that the digests of scenarios without objects remain
-    # unchanged.
+    # The default is None so that scenarios without objects keep their digests.
     objects: Annotated[list[ObjectFile], Field(max_length=10)] | None = None
     """Movable objects; they exist on the twin only."""
     bounds: BoundsFile | None = None
@@ -319,7 +315,7 @@ class WorldFile(Section):
     """Goal for the centre of mass."""
 
     def scaled_to(self, scale: Scale) -> WorldFile:
-        """Return the section with default lengths scaled to a robot."""
+        """Return the section with default lengths scaled to the size of a robot."""
         goal = self.goal
         random = self.random
         unit = scale.length
@@ -350,8 +346,8 @@ class WorldFile(Section):
         """Return the path of an obstacle in this section, or () if the path is unknown.
 
         Args:
-            number: index of the obstacle in the list of round obstacles, polygons and
-                objects, counted from 0.
+            number: index of the obstacle, counted from 0 through round obstacles,
+                polygons and objects in this order.
             world: world returned by `build_world`.
         """
         round_ones = len(world.obstacles)
@@ -379,8 +375,8 @@ class WorldFile(Section):
             length: length unit of the robot, dimensionless.
 
         Raises:
-            InputError: random circles or pegs do not fit into their area, or a file
-                cannot be used.
+            InputError: random circles or pegs do not fit into the area, or an obstacle
+                file cannot be used.
         """
         goal = self.goal.build() if self.goal else None
         bounds = self.bounds.build() if self.bounds else None

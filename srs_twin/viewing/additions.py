@@ -1,4 +1,4 @@
-"""Plots and recording elements that extensions add."""
+"""Plots and recording elements added by extensions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class FloorLine(NamedTuple):
     """Line drawn on the floor.
 
     Attributes:
-        strips: polylines, each of shape (n, 2), m.
+        strips: polylines that form the line, each of shape (n, 2), m.
         color: colour, #rrggbb.
         radius: half the line width, m.
     """
@@ -58,17 +58,17 @@ class RunPictures:
     signals: ClassVar[tuple[FollowedSignal, ...]] = ()
 
     def applies(self, run: Trajectory) -> bool:
-        """Return whether a run is of this kind."""
+        """Return whether a run belongs to the kind that this class handles."""
         return False
 
     def figures(
         self, runs: Mapping[str, Trajectory], spec: RobotSpec
     ) -> dict[str, Figure]:
-        """Return additional figures for the report, keyed by their captions."""
+        """Return additional figures for the report, keyed by caption."""
         return {}
 
     def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:
-        """Return lines to draw on the floor at the start or end (`latest`) of a run."""
+        """Return floor lines at the start of a run, or at the end if `latest` is true."""
         return []
 
 
@@ -79,5 +79,5 @@ def additions() -> tuple[RunPictures, ...]:
 
 
 def added_to(run: Trajectory) -> RunPictures | None:
-    """Return the additions to a run, or None if no extension adds anything."""
+    """Return the first additions that apply to a run, or None."""
     return next((pictures for pictures in additions() if pictures.applies(run)), None)

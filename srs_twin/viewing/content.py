@@ -1,4 +1,4 @@
-"""Contents of reports and recordings, and the events of a run."""
+"""Contents of reports and recordings, and events of runs."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ class RunContent:
     """Contents of the report and the recording of a run.
 
     Attributes:
-        trajectories: trajectory of each plant. If one of the plants is a twin, a
-            recording shows all other plants as ghosts.
+        trajectories: trajectories, keyed by plant. If there is a twin, a recording shows
+            the other plants as ghosts.
         comparison: differences between the plants over time, or None.
-        measured: differences from the measured robot for each plant.
+        measured: differences from the measured robot, keyed by plant.
     """
 
     spec: RobotSpec
@@ -32,20 +32,17 @@ class RunContent:
 
     def __post_init__(self) -> None:
         if not self.trajectories:
-            raise InputError(
-                "there is nothing to draw, because no trajectory exists; run the"
-                " scenario first"
-            )
+            raise InputError("there is no trajectory to draw; run the scenario first")
         for plant, run in self.trajectories.items():
             if not len(run):
                 raise InputError(
-                    f"there is nothing to draw, because the trajectory of '{plant}'"
-                    " has no samples"
+                    f"the trajectory of '{plant}' has no samples to draw; run the"
+                    " scenario again"
                 )
 
 
 def events_of(run: Trajectory) -> list[Event]:
-    """Return the events of a run and its contacts with obstacles, sorted by time."""
+    """Return controller events and obstacle contacts of a run, sorted by time."""
     return sorted(
         [*run.events, *contact_events(run), *end_event(run)],
         key=lambda event: event.time,
@@ -53,7 +50,7 @@ def events_of(run: Trajectory) -> list[Event]:
 
 
 def end_event(run: Trajectory) -> list[Event]:
-    """Return the event that ended the run early, in a list, or an empty list."""
+    """Return the early end of a run as an event in a list, or an empty list."""
     by = run.metadata.get("ended_by")
     if by is None:
         return []

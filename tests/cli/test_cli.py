@@ -613,7 +613,7 @@ def test_view_looks_in_the_run_folder_and_under_runs(tmp_path, monkeypatch):
         assert find_recording(given).resolve() == recording
     with pytest.raises(
         InputError,
-        match=r"^b: no recording exists there \(looked for b/recording\.rrd, runs/b/",
+        match=r"^b: no recording was found \(looked for b/recording\.rrd, runs/b/",
     ):
         find_recording("b")
     (tmp_path / "x.csv").touch()

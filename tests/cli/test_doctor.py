@@ -140,7 +140,7 @@ def test_kernels_without_cache_folder_report_a_remedy(srs_twin_process, tmp_path
         cwd=tmp_path,
     )
     assert (
-        "works, but is compiled again at every start; to avoid this, export"
+        "works, but is compiled at every start; to avoid this, export"
         " NUMBA_CACHE_DIR=" in done.stdout
     )
 
@@ -292,7 +292,7 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(shadow), DISPLAY="")
     assert done.returncode == 2
     assert (
-        done.stderr.startswith("runs would fail because of imports, ")
+        done.stderr.startswith("runs would fail due to imports, ")
         and "results" in done.stderr
     )
     assert (

@@ -263,7 +263,7 @@ def test_report_name_without_xml_suffix_is_refused(name):
     # A scenario after a bare --junit must not be overwritten.
     with pytest.raises(
         InputError,
-        match=r"--junit .* is not allowed; the name of a report must end in .xml",
+        match=r"--junit .* is not allowed; the file name of a report must end in .xml",
     ):
         report_path(name)
 

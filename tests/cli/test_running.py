@@ -278,7 +278,7 @@ def test_command_keeps_ignored_interrupts(tmp_path):
         (["compare", "gen2_strait"], "unknown scenario 'gen2_strait'"),
         (["run", "./bad.yaml"], "bad.yaml:5:13: controller.frequency_hz: missing"),
         (["models", "export", "gen9"], "unknown robot 'gen9'; did you mean gen"),
-        (["view", "nosuch"], "nosuch: no recording exists there"),
+        (["view", "nosuch"], "nosuch: no recording was found"),
     ],
 )
 def test_bad_input_exits_with_2_and_writes_nothing(tmp_path, srs_twin, words, said):

@@ -107,7 +107,7 @@ def test_foreign_recording_is_refused(recordings, tmp_path):
     (tmp_path / "other.rrd").write_bytes(memory.drain_as_bytes())
     with pytest.raises(
         InputError,
-        match=r"other\.rrd: the file is not a recording of srs-twin, because it"
+        match=r"other\.rrd: the file was not recorded by srs-twin, because it"
         r" contains no snake",
     ):
         write_side_by_side(
@@ -191,15 +191,14 @@ def test_invalid_options_are_refused(recordings, srs_twin, tmp_path):
     done = srs_twin("view", run, "--port", "9000", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and done.stderr.strip()
-        == "--port is allowed only together with --web; add --web or remove --port"
+        and done.stderr.strip() == "--port requires --web; add --web or remove --port"
     )
     done = srs_twin("view", run, run, cwd=tmp_path)
     assert done.returncode == 2 and "given twice" in done.stderr
     with serve_recordings([recordings["left+1"]]) as (address, _):
         port = address.rstrip("/").rpartition(":")[2]
         done = srs_twin("view", run, "--web", "--port", port, cwd=tmp_path)
-    assert done.returncode == 2 and f"the port {port} cannot be used" in done.stderr
+    assert done.returncode == 2 and f"port {port} cannot be used" in done.stderr
 
 
 @pytest.mark.slow

@@ -235,9 +235,9 @@ def test_robots_with_equally_many_connectors_can_be_compared():
                 Snake().trajectory("twin"), **numbered("x", np.zeros((601, 6)))
             ),
             (
-                "twin has 6 columns x_1…, 5 columns y_1… and 4 columns bend_1…, which"
-                " is not possible; a snake with N connectors has N columns x, N"
-                " columns y and N − 1 columns bend"
+                "twin has 6 columns x_1…, 5 columns y_1… and 4 columns bend_1…; a"
+                " snake with N connectors must have N columns x, N columns y and N − 1"
+                " columns bend"
             ),
         ),
         (

@@ -237,7 +237,7 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
         ),
         (
             ("a", "a", "--junit", "a.yaml"),
-            "--junit a.yaml is not allowed; the name of a report must end in .xml",
+            "--junit a.yaml is not allowed; the file name of a report must end in .xml",
         ),
     ],
 )

@@ -354,8 +354,8 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
         ),
         (
             with_metadata(Snake().trajectory(), gait_frequency_hz=-1.0),
-            "the metadata `gait_frequency_hz` is -1.0, which is not allowed; it must be a"
-            " positive number",
+            "the metadata entry `gait_frequency_hz` is -1.0, but must be a positive"
+            " number",
         ),
         (
             with_metadata(Snake().trajectory(), gait_frequency_hz="2"),

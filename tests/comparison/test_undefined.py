@@ -128,14 +128,14 @@ def judged(
             STEP,
             {"duration_s": 0.2},
             "settling_5_s",
-            "not reached within the 0.1 s after the step",
+            "not reached within 0.1 s after the step",
         ),
         (LEARNING, {}, "periods_to_converge", "not converged within 4 periods"),
         (
             LEARNING,
             {"duration_s": 1.0},
             "amplitude_error_end_rel",
-            "learning periods of the run (0)",
+            "undefined for the 0 learning periods",
         ),
         (LEARNING, {"duration_s": 1.0}, "path_speed_m_s", "fewer than 5 whole periods"),
         (STEP, {"record_hz": 50}, "outlet_openings", "does not record"),
@@ -494,4 +494,6 @@ def test_the_time_after_a_step_begins_at_its_first_sample(step_at, passed):
     values = {"error_rms_rad": 0.1, "overshoot_rel": 0.0}
     metrics = {"plants": {"twin": values}, "comparison": {}}
     found = why_undefined("settling_5_s", "twin", metrics, {"twin": run})
-    assert found.reason == f"it is not reached within the {passed:g} s after the step"
+    assert (
+        found.reason == f"the level is not reached within {passed:g} s after the step"
+    )

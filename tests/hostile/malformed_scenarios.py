@@ -217,7 +217,7 @@ LEARNING_MALFORMED = edited(
         (
             "offset: 0.3",
             "target: smallest",
-            ":5:13: controller: `target` and `target_rad` exclude each other",
+            ":5:13: controller: `target` and `target_rad` are both set",
         ),
         (
             "target_rad: 0.7",
@@ -252,8 +252,8 @@ LEARNING_MALFORMED = edited(
         (
             "carrier_hz: 60",
             "carrier_hz: 2",
-            "controller: `carrier_hz` is too low for a gait of this frequency; it"
-            " must be at least 16",
+            "controller: `carrier_hz` is too low for this gait frequency; it must be"
+            " at least 16",
         ),
         (
             "k_per_rad: 0.3",
@@ -368,7 +368,7 @@ FOLLOWING_MALFORMED = edited(
         (
             "[0.6, 0.5], [0.6, 0.6]",
             "[0.6, 0.6], [0.6, 0.5], [0.5, 0.6]",
-            "world.polygons[0].corners_m: the polygon is not allowed, because its"
+            "world.polygons[0].corners_m: the polygon has crossing or overlapping"
             " sides",
         ),
         (", [0.6, 0.6]", "", "world.polygons[0].corners_m: "),
@@ -383,8 +383,7 @@ FOLLOWING_MALFORMED = edited(
         (
             "count: 2",
             "kind: fig54, count: 19",
-            "world.random: 19 obstacles are too many; there are only 18 places for"
-            " them",
+            "world.random: 19 obstacles do not fit; Fig. 54 has only 18 sites",
         ),
         (
             (

@@ -332,8 +332,8 @@ def test_every_command_rejects_a_removed_current_folder(
     output, message = capsys.readouterr()
     assert (exit_.value.code, output) == (2, "")
     assert message.startswith(
-        "the current folder cannot be used (No such file or directory), perhaps because"
-        " it was removed"
+        "the current folder cannot be used (No such file or directory); if the"
+        " folder was removed, change to another folder"
     )
     assert display_path(tmp_path / "x") == str(
         tmp_path / "x"

@@ -419,7 +419,7 @@ def test_random_worlds_repeat_for_a_seed_and_keep_their_gaps():
     with pytest.raises(InputError, match="fit with gaps of 0.5 m"):
         random_circles(30, FIG54_BOUNDS, 0, gap=0.5)
     with pytest.raises(
-        InputError, match="19 obstacles are too many; there are only 18 places for them"
+        InputError, match="19 obstacles do not fit; Fig. 54 has only 18 sites"
     ):
         fig54_world(19, 0)
 

@@ -485,8 +485,7 @@ def test_listed_and_random_module_values_combine():
     [
         (
             {"bias": (0.0,) * 3},
-            r"modules\.bias has the shape \(3,\), but the robot needs the shape"
-            r" \(4,\)",
+            r"modules\.bias has shape \(3,\), but the robot needs shape \(4,\)",
         ),
         (
             {"bias": (0.0, 0.0, np.nan, 0.0)},
@@ -505,7 +504,7 @@ def test_invalid_modules_raise(changed, words):
 
 def test_modules_of_another_length_raise():
     with pytest.raises(
-        InputError, match="the variation of 3 segments with 2 chambers is not"
+        InputError, match="the variation has 3 segments with 2 chambers, but"
     ):
         replace(load_robot("gen4"), variation=Modules.nominal(3))
 
@@ -564,7 +563,7 @@ def test_scenario_with_modules_and_faults(tmp_path):
             "[0.1, 0, 0, -0.1]",
             "[0.1, 0]",
             "modules.bias_rad: 2 entries are given for 4 segments; give 4 entries,"
-            " beginning at the head",
+            " head first",
         ),
         (
             "gain_spread: 0.15",

@@ -289,8 +289,6 @@ def test_options_that_a_skin_does_not_have_are_refused():
         TwinSnake(SPEC, contact=PreloadedContact())
     with pytest.raises(InputError, match="friction law of a skin"):
         Skin(friction_law="wheel")
-    with pytest.raises(
-        InputError, match="either a skin and masses of segments, or wheels"
-    ):
+    with pytest.raises(InputError, match="either a skin and segment masses, or wheels"):
         replace(SPEC, skin=None)
     assert TwinSnake(SPEC, contact=LoadedContact()).contact.law == "cosine"

@@ -104,7 +104,9 @@ def test_the_limit_holds_for_the_magnitude_of_the_bend():
 def test_directions_must_surround_the_axis():
     with pytest.raises(InputError, match="less than 180"):
         with_directions(0, 90, 180)
-    with pytest.raises(InputFileError, match="neighbours must be less than 180"):
+    with pytest.raises(
+        InputFileError, match="neighbouring chambers must be less than 180"
+    ):
         load_scenario(
             "spatial_sidewinding", set={"robot.chamber.directions_deg": [0, 90, 180]}
         )

@@ -550,7 +550,7 @@ def test_arguments_that_no_file_can_give_are_named(plugin):
     )
     allow_plugin(path)
     assert (
-        f"{path.stem}:A: the argument `weights` cannot be set in a scenario file"
+        f"{path.stem}:A: the argument `weights` has a type that a scenario file cannot"
         in problems(document(f"{path.stem}:A"))
     )
     assert (

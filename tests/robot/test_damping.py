@@ -56,7 +56,7 @@ def test_without_lead_the_chambers_need_time(damping):
     changes = CHANGES | {"robot.bending.damping_time_s": damping}
     with pytest.raises(
         InputError,
-        match="is not allowed together with `lead: false`; it must be below 0.11284",
+        match="too long for `lead: false`; the damping time must be below 0.11284",
     ):
         load_scenario("gen2_straight", set=changes)
 

@@ -56,15 +56,14 @@ MISTAKES = [
         True,
         (
             "mass.connectors_kg.value: 30 kg is implausible for a part of 0.055 m by"
-            " 0.04 m, because its density would be 3.4e+05 kg/m³; 30 g would be 0.03"
+            " 0.04 m, because the density would be 3.4e+05 kg/m³; 30 g would be 0.03"
             " kg"
         ),
     ),
     (
         {"mass.wheel_kg": 1.5},
         True,
-        "two wheels of 1.5 kg are too heavy for the lightest connector, which has"
-        " 0.03 kg",
+        "two wheels of 1.5 kg are too heavy for the lightest connector (0.03 kg)",
     ),
     (
         {"supply.nominal_kpa": 0.483},

@@ -54,7 +54,7 @@ def refusal(path) -> tuple[str, ...]:
             {"robot": {"base": "gen2"}, "controller": {"kind": "gait"}},
             "1:1: this is a scenario, not a robot file; ",
         ),
-        ({"base": "gen2"}, "1:1: base: this key is allowed only in a scenario; "),
+        ({"base": "gen2"}, "1:1: base: this key is allowed only in a scenario, "),
     ],
 )
 def test_another_kind_of_file_is_refused_with_one_message(tmp_path, data, message):
@@ -224,14 +224,14 @@ TAIL = {"axle_m": 0.06, "com_m": 0.07, "com_height_m": 0.02, "gyration_m": 0.02}
         (
             {"mass.wheel_kg.value": 0.02},
             (
-                "two wheels of 0.02 kg are too heavy for the lightest connector,"
-                " which has 0.03 kg; one wheel may have at most 0.0135 kg"
+                "two wheels of 0.02 kg are too heavy for the lightest connector"
+                " (0.03 kg); the mass of a wheel must not exceed 0.0135 kg"
             ),
         ),
         (
             {"tail": {key: METRES | {"value": value} for key, value in TAIL.items()}},
             "the centre of mass at 0.07 m is behind the second axle at 0.06 m, so the"
-            " tail would tip over; move it in front of this axle",
+            " tail would tip over; move the centre of mass in front of this axle",
         ),
         (
             {"supply.nominal_kpa.value": 80.0},

@@ -186,7 +186,7 @@ def test_stored_intervals_belong_to_the_shipped_scenarios():
 
 def test_the_list_of_changes_cannot_be_set():
     with pytest.raises(
-        InputError, match="the list `changes` is written by srs_twin itself"
+        InputError, match="the list `changes` is written by srs_twin and cannot be set"
     ):
         gen2(changes=[])
 

@@ -206,11 +206,10 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
         ({"base": "gen5"}, "robot.base: unknown robot 'gen5'"),
         (
             {"base": 5},
-            "robot.base: must be a robot's name, a path, or a block of keys with"
-            " `base`",
+            "robot.base: must be a robot name, a path, or a block of keys with `base`",
         ),
-        (5, "robot: must be a robot's name, a path, or a block of keys with `base`"),
-        (None, "robot: must be a robot's name, a path"),
+        (5, "robot: must be a robot name, a path, or a block of keys with `base`"),
+        (None, "robot: must be a robot name, a path"),
         ("no/such.yaml", "robot: no/such.yaml: no such file"),
         (
             {"base": "gen2", "bending": {"stifness_nm_per_rad": 1}},
@@ -370,7 +369,7 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
         ),
         (
             {"kind": "orifice", "line_volume_ml": 5.0},
-            "pneumatics: `line_volume_ml` needs a limited supply; set"
+            "pneumatics: `line_volume_ml` needs a supply with limited flow; set"
             " `flow_limit_l_per_min`",
         ),
         (
@@ -667,14 +666,14 @@ def test_expectations_of_the_comparison():
             "expect[0]: an expectation needs exactly one of the keys `near`, `below`,"
             " `above` and `published`",
         ),
-        ({"abs": 1}, "expect[0]: a tolerance is needed with `near`"),
+        ({"abs": 1}, "expect[0]: `near` needs a tolerance"),
         (
             {"below": None, "near": 1},
-            "expect[0]: a tolerance is needed with `near`",
+            "expect[0]: `near` needs a tolerance",
         ),
         (
             {"below": None, "near": 1, "rel": 0.1, "abs": 1},
-            "expect[0]: a tolerance is needed with `near`",
+            "expect[0]: `near` needs a tolerance",
         ),
         (
             {"below": None, "near": 0, "rel": 0.1},

@@ -113,7 +113,7 @@ def test_run_from_a_trajectory_continues_it(plant, tmp_path):
         ({"time_s": 1.0}, "start.time_s: this key needs an earlier run; set `from`"),
         (
             {"from": "nowhere", "time_s": 1.0, "x_m": 0.0},
-            "start.x_m: the run named by `from` already sets this key",
+            "start.x_m: the earlier run given by `from` already sets this value",
         ),
         ({"velocity_m_s": [1.0]}, "start.velocity_m_s"),
         ({"yaw_rate_rad_s": math.inf}, "start.yaw_rate_rad_s"),

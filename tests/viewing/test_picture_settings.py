@@ -167,7 +167,7 @@ def test_settings_that_matplotlib_refuses_are_an_input_error(
     settings, backend, tmp_path, srs_twin_process
 ):
     done = compared(srs_twin_process, tmp_path / "folder", settings, MPLBACKEND=backend)
-    assert done.returncode == 2 and "matplotlib cannot start" in done.stderr
+    assert done.returncode == 2 and "matplotlib cannot be imported" in done.stderr
     assert (
         "matplotlibrc, and the environment variable MPLBACKEND"
         in done.stderr.replace("\n", " ")

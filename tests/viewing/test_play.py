@@ -273,7 +273,7 @@ def test_help_and_window_name_all_keys(srs_twin, tmp_path):
     [
         (
             "",
-            "no display was found, because neither DISPLAY nor WAYLAND_DISPLAY is set",
+            "no display was found: neither DISPLAY nor WAYLAND_DISPLAY is set",
         ),
         (":4711", "the display :4711 does not respond"),
     ],

@@ -252,7 +252,7 @@ def test_contacts_are_events_and_metrics():
         ("contact", 2.0),
         ("ended", 3.0),
     ]
-    assert events_of(run)[0].text == "connector 4, at most 0.9 N, for 0.19 s"
+    assert events_of(run)[0].text == "connector 4, up to 0.9 N, for 0.19 s"
     assert second.connector == 1
 
 

@@ -102,7 +102,7 @@ def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
     [
         (
             ("--strobe", "--from", "30"),
-            "the interval --from 30 --to 3 is outside the run, which lasts from 0 to"
+            "the interval --from 30 --to 3 is outside the run; choose times from 0 to"
             " 3 s",
         ),
         (
@@ -111,7 +111,7 @@ def test_part_of_a_run_is_rendered(runs, srs_twin, tmp_path):
         ),
         (
             ("--image", "t=1", "--to", "1"),
-            "--from and --to select an interval for --video or --strobe",
+            "--from and --to apply only to --video and --strobe",
         ),
     ],
 )
@@ -378,7 +378,7 @@ def test_scale_bar_has_the_stated_length(runs, opengl_here):
 REFUSED = {
     "ghost on a strobe": (
         ("--strobe", "--ghost"),
-        "--ghost is possible only with --video or --image",
+        "--ghost requires --video or --image",
     ),
     "ghost of none": (
         ("--image", "1", "--ghost"),
@@ -386,11 +386,11 @@ REFUSED = {
     ),
     "nothing asked": (
         (),
-        "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is needed",
+        "exactly one of the options --video FILE.mp4, --image t=2.5 and --strobe",
     ),
     "two things asked": (
         ("--strobe", "--image", "1"),
-        "exactly one of --video FILE.mp4, --image t=2.5 and --strobe is needed",
+        "exactly one of the options --video FILE.mp4, --image t=2.5 and --strobe",
     ),
     "out with a video": (
         ("--video", "a.mp4", "--out", "b.png"),
@@ -402,7 +402,7 @@ REFUSED = {
     ),
     "moment beyond": (
         ("--image", "t=20"),
-        "t = 20 s is outside the run, which lasts from 0 to 3 s",
+        "t = 20 s is outside the run; choose a time from 0 to 3 s",
     ),
     "moment of none": (("--image", "nan"), "t = nan s is outside the run"),
     "odd size": (
@@ -447,7 +447,7 @@ def test_missing_run_is_refused(runs, srs_twin, tmp_path):
     done = srs_twin("render", *two, "--video", "a.mp4", cwd=tmp_path)
     assert (
         done.returncode == 2
-        and "a.mp4: 2 runs cannot share one file; give a folder" in done.stderr
+        and "a.mp4: 2 runs cannot be written to one file; give a folder" in done.stderr
     )
 
 
@@ -464,7 +464,7 @@ def test_a_trajectory_of_another_robot_is_refused(runs):
         for k, v in run.trajectories["twin"].columns.items()
         if not k.startswith("qpos")
     }
-    with pytest.raises(InputError, match="nothing to draw"):
+    with pytest.raises(InputError, match="contains no positions of the twin"):
         Stage(run.scenario, Trajectory(columns))
 
 
@@ -527,7 +527,7 @@ def test_failing_opengl_backend_is_named(runs, srs_twin_process, tmp_path):
     )
     assert done.returncode == 2
     assert (
-        "OpenGL backend in MUJOCO_GL does not work (vulkan: the backend is unknown"
+        "OpenGL backend selected by MUJOCO_GL does not work (vulkan: unknown backend"
         in done.stderr
     )
 
@@ -540,8 +540,8 @@ def test_without_opengl_the_error_names_packages(monkeypatch):
         opengl.usable_opengl.__wrapped__()
     assert (
         str(caught.value)
-        == "no OpenGL backend renders off screen (egl: no libegl; osmesa: no"
-        " libosmesa); on Debian and Ubuntu, install one with apt-get install"
+        == "no OpenGL backend can render off screen (egl: no libegl; osmesa: no"
+        " libosmesa); on Debian and Ubuntu, install a backend with apt-get install"
         " libegl1 libgl1-mesa-dri; or apt-get install libosmesa6"
     )
 

@@ -1,7 +1,7 @@
 """Command `srs-twin doctor`, which checks the installation and the machine.
 
-The module `checks` contains checks that run in this process. Tests that may crash or
-hang are in `probes` and run in child processes.
+The module `checks` contains checks that run in this process. The module `probes`
+contains tests that may crash or hang, which run in child processes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def doctor(
     """Check the installation and the output folder.
 
     Options:
-        --out DIR: Folder whose write access is checked.
+        --out DIR: Output folder to check for write access.
     """
     from srs_twin.cli.doctor.checks import failed_checks
 
@@ -44,9 +44,9 @@ def doctor(
         _show(checks)
     if failed:
         names = ", ".join(check.name for check in failed)
-        raise InputError(f"runs would fail because of {names}; see the remedies above")
+        raise InputError(f"runs would fail due to {names}; see the remedies above")
     if not as_json:
-        typer.echo("\nall requirements of a run are met")
+        typer.echo("\nall requirements for runs are met")
 
 
 def run_checks(folder: Path) -> list[Check]:
@@ -87,5 +87,5 @@ def _show(checks: Sequence[Check]) -> None:
             wrapper.break_on_hyphens = wrapper.break_long_words = False
             typer.echo(wrapper.fill(as_started(check.detail)))
             if check.remedy:
-                # Remedies are not wrapped, so that users can copy the commands.
+                # Remedies are not wrapped, because they contain commands to copy.
                 typer.echo(as_started(f"{indent}→ {check.remedy}"))

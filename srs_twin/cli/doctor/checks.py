@@ -1,4 +1,4 @@
-"""Checks that need no child process."""
+"""Checks that run in the current process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MACHINE = "machine"
 VIEWING = "viewing (optional)"
 EXTRAS = "extras"
 TOPICS = (INSTALLATION, SIMULATION, MACHINE, VIEWING, EXTRAS)
-"""Topics of the checks, in the order of the output."""
+"""Topics of the checks, in output order."""
 
 Status = Literal["ok", "missing", "broken", "undecided"]
 
@@ -36,7 +36,7 @@ class Check:
         status: "ok", "missing" (absent or insufficient), "broken" (present but not
             working) or "undecided" (not tested, or no result in time).
         detail: result in words.
-        remedy: command or sentence, or an empty string if the status is "ok".
+        remedy: command or instruction, or an empty string if the status is "ok".
         necessary: whether runs fail if the check fails.
     """
 
@@ -56,7 +56,7 @@ class Check:
 
 
 def failed_checks(checks: Iterable[Check]) -> list[Check]:
-    """Return the necessary checks that failed, without undecided checks."""
+    """Return the necessary checks that are neither ok nor undecided."""
     return [
         check
         for check in checks
@@ -87,13 +87,13 @@ _LISTED_PACKAGES = (
     "matplotlib",
     "rerun-sdk",
 )
-"""Packages whose versions are printed, because they affect results most."""
+"""Packages that affect results most, and whose versions are therefore printed."""
 
 _OMITTABLE_PACKAGES = ("dm-control", "rerun-sdk")
-"""Packages that are installed by default, but that `run` and `compare` do without."""
+"""Packages that are installed by default but not needed by `run` and `compare`."""
 
-# Modules whose names differ from the name of the package. For rerun-sdk, only the
-# bindings are imported, because the Python part takes as long as all other packages.
+# Modules whose names differ from the package name. For rerun-sdk, only the bindings are
+# imported, because importing the Python part takes as long as all other packages.
 _MODULES = {
     "rerun-sdk": "rerun_bindings",
     "pyyaml": "yaml",
@@ -108,10 +108,11 @@ class RequiredPackage:
 
     Attributes:
         name: name of the distribution.
-        requirement: requirement in the syntax of pip, such as "mujoco<4,>=3.17".
+        requirement: requirement in pip syntax, such as "mujoco<4,>=3.17".
         installed: installed version, or None.
         fits: whether the installed version satisfies the requirement.
-        extra: extra that requires the package, or an empty string.
+        extra: extra that requires the package, or an empty string if it is always
+            required.
     """
 
     name: str
@@ -133,10 +134,11 @@ class RequiredPackage:
 def required_packages(
     requirements: Sequence[str] | None = None,
 ) -> list[RequiredPackage]:
-    """Return the packages that this machine needs, with their installed versions.
+    """Return the packages required on this machine, with installed versions.
 
     Args:
-        requirements: requirements in the syntax of pip, by default those of srs_twin.
+        requirements: requirements in pip syntax. By default, the requirements of
+            srs_twin are used.
     """
     from packaging.requirements import Requirement
 
@@ -158,7 +160,7 @@ def required_packages(
 
 
 def modules(packages: Sequence[RequiredPackage]) -> list[str]:
-    """Return the modules of the installed packages that are always required."""
+    """Return the modules of all installed packages that no extra requires."""
     names = (
         package.name
         for package in packages
@@ -168,7 +170,7 @@ def modules(packages: Sequence[RequiredPackage]) -> list[str]:
 
 
 def python_check(version: str, allowed: str) -> Check:
-    """Check a version of Python against `requires-python` of pyproject.toml."""
+    """Check a Python version against `requires-python` in pyproject.toml."""
     from packaging.specifiers import SpecifierSet
 
     detail = (
@@ -221,7 +223,7 @@ def extra_checks(
 
 
 def checks_of_installation() -> Iterator[Check]:
-    """Yield the checks of the installation of srs_twin, its packages and its extras."""
+    """Yield checks of the installed srs_twin, required packages and extras."""
     metadata = installed_metadata()
     checkout = (data_root() / "pyproject.toml").is_file()
     packages = required_packages()
@@ -231,7 +233,7 @@ def checks_of_installation() -> Iterator[Check]:
         yield Check(INSTALLATION, "srs_twin", "ok", detail, necessary=True)
         yield python_check(platform.python_version(), metadata["Requires-Python"])
     else:
-        detail += "; it is not installed, so its required packages are unknown"
+        detail += "; the package is not installed, so its requirements are unknown"
         remedy = "uv sync" if checkout else "pip install the wheel again"
         yield Check(INSTALLATION, "srs_twin", "missing", detail, remedy, True)
     yield packages_check(packages, checkout=checkout)
@@ -267,7 +269,7 @@ def _installed_check(
 
 
 def installed_metadata() -> Message:
-    """Return the metadata of the installed srs_twin, empty without an installation."""
+    """Return the metadata of the installed srs_twin, empty if it is not installed."""
     try:
         return metadata.metadata(DISTRIBUTION)  # type: ignore[return-value]
     except metadata.PackageNotFoundError:
@@ -275,7 +277,7 @@ def installed_metadata() -> Message:
 
 
 def _extra_of(marker: str) -> str:
-    """Return the extra of a marker, such as 'ray' for `extra == "ray"`."""
+    """Return the extra named in a marker, such as 'ray' in `extra == "ray"`."""
     _, _, rest = marker.partition('extra == "')
     return rest.partition('"')[0]
 

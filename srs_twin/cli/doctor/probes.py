@@ -1,7 +1,7 @@
-"""Probes: tests that may crash or hang, and therefore run in child processes.
+"""Probes, which are tests that may crash or hang and therefore run in child processes.
 
-A probe of Python packages returns a description of what works, or raises an exception
-with the reason why it does not work.
+A probe returns a description of what works, or raises an exception that states why
+something does not work.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from srs_twin.viewing.rerun.viewer import (
 )
 
 _TIME_LIMIT_S = 60.0
-"""Time limit of a probe, s. A probe takes about 1 s on an idle machine."""
+"""Time limit for a probe, s. On an idle machine, a probe takes about 1 s."""
 
 _SIMULATED_S = 0.2
-"""Simulated time of each model, s."""
+"""Simulated time per model, s."""
 
 _REINSTALL = "`uv sync --reinstall` in a checkout, else `pip install --force-reinstall`"
 
@@ -54,7 +54,7 @@ def imports() -> str:
 
 
 def kernels() -> str:
-    """Compare a compiled kernel with its Python function, and find the kernel cache."""
+    """Compare a compiled kernel with the Python function and find the kernel cache."""
     from srs_twin.pneumatics.flow import flow
 
     kernel: Any = flow
@@ -64,8 +64,8 @@ def kernels() -> str:
     cache = kernel.entry._cache.cache_path  # noqa: SLF001 - numba names it nowhere else
     if cache is None:
         return (
-            "numba's machine code works, but is compiled again at every start; to"
-            " avoid this, export NUMBA_CACHE_DIR=/tmp/numba (or any other writable"
+            "numba's machine code works, but is compiled at every start; to avoid"
+            " this, export NUMBA_CACHE_DIR=/tmp/numba (or any other writable"
             " folder)"
         )
     return f"numba's machine code works, cached in {cache}"
@@ -83,7 +83,7 @@ def models() -> str:
         data = mujoco.MjData(model)
         mujoco.mj_step(model, data, round(_SIMULATED_S / model.opt.timestep))
         if data.warning.number.any():
-            raise SrsError(f"{scene}: the simulation raises warnings of MuJoCo")
+            raise SrsError(f"{scene}: MuJoCo issues warnings during the simulation")
     return f"simulates the models of {', '.join(each.parent.name for each in scenes)}"
 
 
@@ -95,12 +95,12 @@ def rendering() -> str:
 
 
 class Probe(NamedTuple):
-    """Probe of Python packages.
+    """Probe with the information shown to the user.
 
     Attributes:
         topic: topic of the check.
-        run: function that is called in the child process.
-        remedy: remedy if the probe fails.
+        run: function called in the child process.
+        remedy: remedy shown if the probe fails.
     """
 
     topic: str
@@ -112,8 +112,8 @@ PROBES = {
     "imports": Probe(
         INSTALLATION,
         imports,
-        f"reinstall the package ({_REINSTALL}), or the system library that the error"
-        " names; for errors of OpenGL: `unset MUJOCO_GL`",
+        f"reinstall the package ({_REINSTALL}) or the system library named in the"
+        " error; for OpenGL errors: `unset MUJOCO_GL`",
     ),
     "kernels": Probe(
         SIMULATION, kernels, f"reinstall numba and llvmlite: {_REINSTALL}"
@@ -127,11 +127,11 @@ PROBES = {
         " container with NVIDIA_DRIVER_CAPABILITIES=all",
     ),
 }
-"""Name of a check → probe."""
+"""Probes, keyed by the name of the check."""
 
 NO_WINDOW = (
-    "open report.html of a run in a browser, or serve the recording with `srs-twin view"
-    " RUN --web`"
+    "open the report.html of a run in a browser, or serve the recording with `srs-twin"
+    " view RUN --web`"
 )
 NO_VULKAN = (
     "apt-get install mesa-vulkan-drivers (Debian, Ubuntu), or any other Vulkan driver;"
@@ -140,7 +140,7 @@ NO_VULKAN = (
 
 
 def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
-    """Yield the checks of all probes, and remove all temporary files.
+    """Run all probes, yield the checks and remove all temporary files.
 
     Raises:
         InputError: temporary files cannot be written.
@@ -157,17 +157,15 @@ def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
             yield _run(name, folder, time_limit_s)
         yield rerun_check(Path(folder), time_limit_s)
     if lacks_display():
-        detail = (
-            "no display was found, because neither DISPLAY nor WAYLAND_DISPLAY is set"
-        )
+        detail = "no display was found: neither DISPLAY nor WAYLAND_DISPLAY is set"
         yield Check(VIEWING, "window", "missing", detail, NO_WINDOW)
 
 
 def _run(name: str, folder: str, time_limit_s: float) -> Check:
     topic, _, remedy = PROBES[name]
     necessary = topic != VIEWING
-    # Runs also set this value. With other values, MuJoCo loads an OpenGL library when it
-    # is imported.
+    # Runs set this value too. With other values, importing MuJoCo loads an OpenGL
+    # library.
     environment = {"MUJOCO_GL": "disabled"} | os.environ | {"PYTHONSAFEPATH": "1"}
     try:
         done = subprocess.run(

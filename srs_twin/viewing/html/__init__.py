@@ -1,4 +1,4 @@
-"""HTML pages rendered from templates as single files without external resources."""
+"""Self-contained HTML pages rendered from templates."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ class Table(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """Image embedded in a page, with a ``data:`` URL as its source."""
+    """Image embedded in a page as a ``data:`` URL."""
 
     source: str
     caption: str
 
 
 def render(template: str, **content: Any) -> str:
-    """Render a template, given by its path relative to the package.
+    """Render a template of this package.
 
-    Strings are escaped, and `Markup` is inserted unchanged.
+    Strings in `content` are escaped, and `Markup` is inserted unchanged.
     """
     return _environment().get_template(template).render(content, validated=VALIDATION)
 
 
 def notebook_output(summary: str, table: Table, plot: Picture | None = None) -> str:
-    """Return the HTML of a notebook output cell with a summary as heading."""
+    """Return the HTML of a notebook output cell, headed by a summary."""
     macros: Any = _environment().get_template("viewing/html/parts.html").module
     pictures = macros.pictures([plot]) if plot else ""
     return str(
@@ -73,8 +73,8 @@ def _environment() -> Environment:
 
 
 def _clean(value: object) -> object:
-    # HTML does not allow control characters. If the file is shown in a terminal, the
-    # terminal would also interpret control characters as commands.
+    # HTML does not allow control characters, and a terminal that shows the file would
+    # interpret them as commands.
     if isinstance(value, Markup):
         return value
     return escape_unprintable(str(value), keep="\t\n")
@@ -86,7 +86,7 @@ def colored(text: str, color: str) -> Markup:
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """Convert a figure to SVG. Identical figures yield identical bytes."""
+    """Convert a figure to SVG. Equal figures yield identical bytes."""
     # The import is slow and unnecessary for pages without figures.
     from srs_twin.viewing.plots.style import own_settings
 
@@ -97,14 +97,14 @@ def picture(figure: Figure, caption: str) -> Picture:
 
 
 def image(content: bytes, kind: str, caption: str) -> Picture:
-    """Embed the contents of an image file of the kind "svg+xml" or "png" in a page."""
+    """Embed an image file in a page. The kind is "svg+xml" or "png"."""
     return Picture(
         f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption
     )
 
 
 def cell(value: Any) -> str:
-    """Format a JSON value as the text of a table cell, with a dash for None."""
+    """Format a JSON value for a table cell. None becomes a dash."""
     match value:
         case None:
             return "–"

@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from srs_twin.scenario.expectation import ExpectationRow
 
 _ZERO = 5e-6
-"""Absolute value below which a difference is printed as 0, in m, m/s, rad and rad/s."""
+"""Absolute value below which a difference (m, m/s, rad or rad/s) is printed as 0."""
 
 
 def write_report(
@@ -70,10 +70,9 @@ def write_report(
     metrics: Mapping[str, Any],
     attribution: Attribution | None = None,
 ) -> None:
-    """Write the report of one run as a single file without external resources.
+    """Write the report of one run as a self-contained HTML file.
 
-    If `attribution` is None, the report has no section about the causes of the
-    differences.
+    If `attribution` is None, the section about the causes of differences is left out.
     """
     trajectories = content.trajectories
     spec = content.spec
@@ -108,7 +107,7 @@ def notebook_run(
     trajectories: Mapping[str, Trajectory],
     spec: RobotSpec,
 ) -> str:
-    """Return the headline, metrics and plan view of a run as HTML for a notebook."""
+    """Return headline, metrics and plan view of a run as HTML for a notebook."""
     view = picture(plan_view(trajectories, spec), "Paths and bodies from above.")
     return notebook_output(
         f"{title}: {headline(metrics)}",
@@ -268,9 +267,9 @@ def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
         figures["Speed of the centre of mass."] = speed_plot(runs)
     title = "Bend of each segment; positive bends the head end to the left."
     figures[title] = bend_plot(runs)
-    title = "Pressure of the + chamber minus that of the − chamber."
+    title = "Pressure difference between the + chamber and the − chamber."
     figures[title] = pressure_plot(runs)
-    title = "Sensor reading of the first segment over its bend."
+    title = "Sensor reading of the first segment against the bend."
     figures[title] = reading_plot(runs)
     if content.comparison is not None and len(content.comparison.time):
         title = "Distance between the twin and the analytical model."
@@ -305,7 +304,7 @@ def _events(trajectories: Mapping[str, Trajectory]) -> Table:
 
 
 def robot_table(spec: RobotSpec) -> Table:
-    """Return a table of the parameters of a robot with units."""
+    """Return a table of robot parameters with units."""
     units = _robot_units()
     rows = [
         [name, units.get(name, ""), cell(value)]

@@ -1,1 +1,1 @@
-"""Images and videos of the twin, and a window with keyboard control, using MuJoCo."""
+"""Images and videos of the twin, and keyboard control in MuJoCo's viewer."""

@@ -17,11 +17,11 @@ _MAX_GEOMS = 20_000
 _SHADOW_FACTOR = 2
 """Ratio of the shadow map size to the image size.
 
-The default size of MuJoCo, 4096 pixels, makes rendering of small images slow.
+MuJoCo's default shadow map of 4096 pixels slows down the rendering of small images.
 """
 
 _FONT_PIXELS = 180
-"""Image height per 50 % of the font scale of MuJoCo, pixels."""
+"""Image height per 50 % of MuJoCo's font scale, pixels."""
 
 _LABEL_HEIGHT = 0.065
 """Height of the labels as a fraction of the image height."""
@@ -36,7 +36,7 @@ class Label(NamedTuple):
     """White text in a coloured box at the lower edge of an image.
 
     Attributes:
-        text: ASCII text, because the font of MuJoCo has no other characters.
+        text: ASCII text, because MuJoCo's font has no other characters.
         color: colour of the box, #rrggbb.
     """
 
@@ -50,10 +50,10 @@ class Canvas:
     def __init__(
         self, model: mujoco.MjModel, width: int, height: int, *, opengl: str = ""
     ) -> None:
-        """Create the OpenGL context and its buffers.
+        """Create the OpenGL context and buffers.
 
         Args:
-            model: MuJoCo model, whose offscreen size and shadow size are changed.
+            model: MuJoCo model. The constructor changes the offscreen and shadow size.
             width: image width, pixels.
             height: image height, pixels.
             opengl: OpenGL backend, named as in MUJOCO_GL, or an empty string to use the
@@ -74,8 +74,7 @@ class Canvas:
         self._context = mujoco.MjrContext(model, font)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         # The context must be freed before the interpreter unloads OpenGL. Exit handlers
-        # run in reverse order of registration, so a handler that is registered here
-        # runs early enough.
+        # run in reverse order of registration, so this handler runs early enough.
         self._close = weakref.finalize(self, _free, self._context, self._opengl)
         self._close.atexit = False
         atexit.register(self._close)

@@ -1,10 +1,10 @@
-"""Simulate the twin in real time in a window of MuJoCo's viewer.
+"""Simulate the twin in real time in MuJoCo's viewer.
 
-Either the controller of a scenario or the keyboard steers the twin. The left and right
-arrow keys change the offset, the up and down arrow keys change the frequency, and the
-page keys change the supply pressure. The Home key resets the offset, the space bar
-pauses the simulation, and the backspace key restarts the run. After the first steering
-key, the keyboard replaces the controller. The key codes are defined by GLFW.
+The twin is steered by a scenario's controller, until the user presses a steering key.
+The left and right arrow keys change the offset, the up and down arrow keys change the
+frequency, and the page keys change the supply pressure. The Home key resets the offset,
+the space bar pauses the simulation, and the backspace key restarts the run. The key
+codes are defined by GLFW.
 """
 
 from __future__ import annotations
@@ -48,23 +48,24 @@ _KEY_STEPS = {
     PAGE_UP: ("pressure", 14),
     PAGE_DOWN: ("pressure", -14),
 }
-"""Command that each key changes, and the number of steps between the limits.
+"""Command changed by each key, direction of the change, and number of steps.
 
-One step is 0.05 (offset), 0.1 Hz (frequency) or about 1 kPa (pressure).
+The steps divide the range of the command. One step is 0.05 (offset), 0.1 Hz (frequency)
+or about 1 kPa (pressure).
 """
 
 MAX_LAG_S = 0.25
-"""Maximum delay of the simulation relative to real time, s."""
+"""Maximum lag of the simulation behind real time, s."""
 
 
 class LiveSnake:
-    """Twin controlled by the controller of a scenario or by keys.
+    """Twin steered by a scenario's controller or by keys.
 
     Attributes:
-        scenario: scenario to simulate, or None to control a robot on an empty floor by
+        scenario: scenario to simulate, or None to steer a robot on an empty floor with
             keys.
-        floor_lines: goal of the scenario and current plan of the controller as lines on
-            the floor.
+        floor_lines: lines on the floor that show the scenario's goal and the
+            controller's current plan.
     """
 
     state: SnakeState
@@ -83,7 +84,7 @@ class LiveSnake:
     ) -> None:
         """Create the twin from a robot or from a scenario.
 
-        Without a scenario, the gait starts with values in the middle of its limits.
+        Without a scenario, each gait command starts in the middle of its range.
         """
         self.scenario = scenario
         self._modified = modified
@@ -91,7 +92,7 @@ class LiveSnake:
         if scenario is not None:
             self.twin: Any = scenario.build_plant("twin")
             limits = GaitLimits.for_robot(self.twin.spec)
-            # The pneumatic model accepts at most the supply pressure of the scenario.
+            # The pneumatic model accepts no pressure above the scenario's supply.
             low, high = (min(limit, scenario.supply_pa) for limit in limits.pressure)
             limits = replace(limits, pressure=(low, high))
             pressure = high
@@ -110,7 +111,7 @@ class LiveSnake:
 
     @property
     def finished(self) -> bool:
-        """Whether the controller of the scenario has finished."""
+        """Whether the scenario's controller has finished."""
         return self._controller is not None and self._controller.finished
 
     def press(self, key: int) -> None:
@@ -125,7 +126,7 @@ class LiveSnake:
             return self.state
         if self._controller is not None:
             self.state = self.twin.step(self._controller.step(self.state))
-            if self._controller.events():  # the controller has, for example, a new plan
+            if self._controller.events():  # the controller may have a new plan
                 self._find_floor_lines()
         else:
             assert self._gait is not None, "see _take_over"
@@ -230,9 +231,8 @@ def steer(
 ) -> None:
     """Simulate and draw a snake in real time until the window is closed.
 
-    If drawing is too slow, control ticks are simulated without drawing until the
-    simulated time equals real time again. `clock` returns the time (s), and `sleep`
-    waits for a time (s).
+    If drawing is too slow, frames are skipped until the simulation has caught up with
+    real time. `clock` returns the current time (s), and `sleep` waits for a time (s).
     """
     tick = snake.twin.tick
     due = clock()
@@ -253,14 +253,14 @@ _DISTANCE_LENGTHS = 4.0
 """Camera distance in body lengths."""
 
 _GOAL_LINE_M = 0.002
-"""Half the line width of the goal circle, m."""
+"""Half the width of the line around the goal, m."""
 
 _AZIMUTH_DEG = 90.0
 _ELEVATION_DEG = -35.0
 
 
 class MujocoWindow:
-    """Window of MuJoCo's viewer that shows a snake and passes keys to the snake."""
+    """MuJoCo viewer that shows a snake and forwards keys to it."""
 
     def __init__(self, snake: LiveSnake) -> None:
         """Open the window."""
@@ -282,9 +282,7 @@ class MujocoWindow:
                 show_right_ui=False,
             )
         except RuntimeError as error:
-            raise InputError(
-                f"the viewer of MuJoCo cannot be opened: {error}"
-            ) from error
+            raise InputError(f"MuJoCo's viewer cannot be opened: {error}") from error
         self._skins = Skins(model, snake.twin.spec.segments)
         make_obstacles_translucent(model)
         self._drawn: list[FloorLine] = []
@@ -333,9 +331,9 @@ def require_display() -> None:
     """Check that a window can be opened."""
     if lacks_display():
         raise InputError(
-            "no display was found, because neither DISPLAY nor WAYLAND_DISPLAY is"
-            " set; run this command on a machine with a screen, or use `srs-twin run"
-            " SCENARIO`, which needs no display"
+            "no display was found: neither DISPLAY nor WAYLAND_DISPLAY is set; run"
+            " this command on a machine with a screen, or use `srs-twin run SCENARIO`,"
+            " which needs no display"
         )
     import warnings
 

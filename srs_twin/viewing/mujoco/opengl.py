@@ -1,9 +1,9 @@
 """Select an OpenGL backend for off-screen rendering.
 
-Simulations without rendering set MUJOCO_GL to "disabled", so the backend is selected
-when the first image is drawn. Each candidate renders a small image in a separate
-process, because a faulty library may crash the process, and because PyOpenGL cannot
-change its backend within a process.
+The backend is selected when the first image is drawn, because simulations without
+rendering set `MUJOCO_GL` to "disabled". Each candidate renders a small image in a
+separate process, because a faulty library may crash the process and PyOpenGL cannot
+change the backend within a process.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ _TIMEOUT_S = 60.0
 
 @lru_cache(maxsize=1)
 def usable_opengl() -> str:
-    """Return a working OpenGL backend, and set MUJOCO_GL to its name.
+    """Return the name of a working OpenGL backend and set `MUJOCO_GL` to this name.
 
-    If MUJOCO_GL selects no backend, the backends of the platform are tested one after
-    another (on Linux, egl and then osmesa).
+    If `MUJOCO_GL` selects no backend, the backends of the platform are tried in turn
+    (on Linux, egl and then osmesa).
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...] = (selected,)
@@ -72,24 +72,24 @@ def usable_opengl() -> str:
             f"apt-get install {packages}" for packages in PACKAGES.values()
         )
         raise InputError(
-            f"no OpenGL backend renders off screen ({reasons}); on Debian and Ubuntu,"
-            f" install one with {remedy}"
+            f"no OpenGL backend can render off screen ({reasons}); on Debian and"
+            f" Ubuntu, install a backend with {remedy}"
         )
     raise InputError(
-        f"the OpenGL backend in MUJOCO_GL does not work ({reasons}); unset this"
-        f" variable to choose {' or '.join(PACKAGES)} automatically"
+        f"the OpenGL backend selected by MUJOCO_GL does not work ({reasons}); unset"
+        f" this variable to choose {' or '.join(PACKAGES)} automatically"
     )
 
 
 def new_context(name: str, width: int, height: int) -> Any:
-    """Create a context of an OpenGL backend."""
+    """Create an OpenGL context with a given backend."""
     return importlib.import_module(_MODULES[name]).GLContext(width, height)
 
 
 def _test(name: str) -> str:
     """Return why an OpenGL backend does not work, or an empty string if it works."""
     if name not in _MODULES:
-        return f"the backend is unknown; allowed are {', '.join(_MODULES)}"
+        return f"unknown backend; allowed backends: {', '.join(_MODULES)}"
     command = [sys.executable, "-m", __spec__.name, name]
     environment = {**os.environ, "MUJOCO_GL": name}
     try:
@@ -103,25 +103,25 @@ def _test(name: str) -> str:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return f"it drew no image within {_TIMEOUT_S:g} s"
+        return f"no image was drawn within {_TIMEOUT_S:g} s"
     if done.returncode == 0:
         return ""
     lines = [line for line in done.stderr.splitlines() if line[:1].strip()]
     errors = [line for line in lines if "Error" in line]
-    reasons = [*errors, *lines, f"it ended with code {done.returncode}"]
+    reasons = [*errors, *lines, f"exit code {done.returncode}"]
     return reasons[0]
 
 
 def draw_box(name: str) -> None:
     """Render a white box on a black background to test a backend.
 
-    Call this function in a child process, because a faulty library may crash the
+    This function must run in a child process, because a faulty library may crash the
     process or raise any error.
     """
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(
-        # Shadows and multisampling would take most of the time of software rendering.
+        # Shadows and multisampling would dominate the time of software rendering.
         "<mujoco><visual><quality shadowsize='0'"
         " offsamples='0'/></visual><worldbody><geom type='box' size='.1 .1 .1' rgba='1"
         " 1 1 1'/></worldbody></mujoco>"

@@ -1,7 +1,7 @@
 """Off-screen videos, images and stroboscopic figures of the twin, rendered by MuJoCo.
 
-A stroboscopic figure shows the snake at several times of a run in one plan view, as in
-Fig. 36 of the dissertation.
+A stroboscopic figure is a plan view that shows the snake at several times of a run, as
+in Fig. 36 of the dissertation.
 """
 
 from __future__ import annotations
@@ -51,8 +51,7 @@ def video_writer(
 ) -> Iterator[AddFrame]:
     """Open an MP4 file and yield a function that appends a frame.
 
-    A frame has the shape (height, width, 3) and the type uint8, where width and height
-    are even.
+    A frame has shape (height, width, 3) and type uint8. Width and height must be even.
     """
     av = encoder()
     with atomic_write(path) as temporary:
@@ -82,7 +81,7 @@ def video_writer(
 
 
 _SMOOTHING_S = 0.5
-"""Averaging time of the camera path for runs without a gait, s."""
+"""Time over which the camera path is averaged in runs without a gait, s."""
 
 _FORWARD_DEG = 25.0
 """Angle by which the camera is turned towards the direction of motion, degrees.
@@ -91,7 +90,7 @@ At 0 degrees the view is perpendicular to the direction of motion.
 """
 
 _DISTANCE_PER_SEPARATION = 0.7
-"""Ratio of the additional camera distance to the distance between the two plants."""
+"""Additional camera distance per distance between the two plants, dimensionless."""
 
 _ELEVATION_DEG = {"bench": -60.0, "floor": -35.0}
 _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
@@ -99,11 +98,11 @@ _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
 
 
 class FollowCamera:
-    """Camera to the right of the snake that follows the centre of mass of the snake.
+    """Camera that follows the snake's centre of mass on the right side of the snake.
 
     The camera path is averaged over one gait period. If there is a ghost, the camera
-    follows the midpoint of the two bodies at a distance at which the image contains the
-    two bodies. A snake on a bench is viewed from above by a fixed camera.
+    follows the midpoint of the two bodies at a distance that keeps both bodies in view.
+    A snake on a bench is viewed from above by a fixed camera.
     """
 
     def __init__(
@@ -150,8 +149,8 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
     half = min(window, duration) / 2
     if half <= 0:
         return run.com
-    # The mean is computed from the integral of the path, because the samples may not be
-    # equally spaced.
+    # The moving average is computed from the integral of the path, because the samples
+    # may be unequally spaced.
     steps = np.diff(time)[:, None] * (run.com[1:] + run.com[:-1]) / 2
     integral = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     begin = np.clip(time - half, time[0], None)
@@ -179,7 +178,7 @@ def write_video(
     ghost: tuple[str, Trajectory] | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> int:
-    """Write a run as a video and return the number of frames.
+    """Write a video of a run and return the number of frames.
 
     Args:
         path: MP4 file.
@@ -189,7 +188,7 @@ def write_video(
         fps: frame rate, Hz.
         speed: ratio of simulated time to playback time, less than 1 for slow motion.
         ghost: name and trajectory of another plant, or None.
-        progress: function of the completed fraction, from 0 to 1.
+        progress: callback that receives the completed fraction, from 0 to 1.
     """
     encoder()  # report a missing encoder before the frames are rendered
     stage, camera = _scene(scenario, run, ghost)
@@ -215,13 +214,13 @@ def write_image(
     size: Size = Size(),  # noqa: B008
     ghost: tuple[str, Trajectory] | None = None,
 ) -> None:
-    """Write an image of a run as PNG, seen from the camera of the video.
+    """Write a PNG image of a run from the camera position used in videos.
 
     Args:
         path: output file.
         scenario: simulated scenario.
         run: trajectory of the twin.
-        time: time of the image, for which the nearest sample is drawn, s.
+        time: time of the image, s. The nearest sample is drawn.
         size: image size.
         ghost: name and trajectory of another plant, or None.
     """
@@ -230,7 +229,7 @@ def write_image(
     last = float(run.time[-1])
     if not first - 1e-9 <= time <= last + 1e-9:
         raise InputError(
-            f"t = {time:g} s is outside the run, which lasts from {first:g} to"
+            f"t = {time:g} s is outside the run; choose a time from {first:g} to"
             f" {last:g} s"
         )
     with Canvas(stage.model, size.width, size.height) as canvas:
@@ -277,7 +276,7 @@ _MARGIN_LENGTHS = 0.35
 def write_strobe(
     path: Path, scenario: Scenario, run: Trajectory, *, width: int = 1280
 ) -> None:
-    """Write the stroboscopic figure of a run as PNG with a width in pixels.
+    """Write a stroboscopic figure of a run as PNG. The width is in pixels.
 
     The projection is orthographic, so that the axes (m) are valid everywhere on the
     floor.

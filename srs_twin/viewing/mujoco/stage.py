@@ -28,7 +28,7 @@ from srs_twin.viewing.plots.style import (
 
 
 class Ghost(NamedTuple):
-    """Plant that is drawn translucently."""
+    """Plant that is drawn translucent next to the twin."""
 
     plant: str
     run: Trajectory
@@ -42,13 +42,11 @@ _MARK_RATIO = 0.005
 _OBSTACLE_ALPHA = 0.35
 _TEXT_COLOR = "#30333a"
 _GHOST_ALPHA = 0.13
-"""Opacity of a capsule of the ghost.
-
-The opacity is low, because four or five capsules overlap at each point.
+"""Opacity of the ghost's capsules, which is low because four or five capsules overlap.
 """
 
 _GHOST_CHORDS = 6
-"""Number of capsules per segment of the ghost."""
+"""Number of capsules per ghost segment."""
 
 _SCALE_BAR_M = 0.1
 _LINE_M = 0.001
@@ -58,8 +56,8 @@ _LINE_M = 0.001
 class Stage:
     """Scene of a run: robot and world of the scenario at the recorded positions.
 
-    The colour of a segment shows its pressure difference. The scene contains the path
-    of the centre of mass and the lines on the floor that extensions add.
+    Segments are coloured by pressure difference. The scene also contains the path of
+    the centre of mass and the floor lines added by extensions.
 
     Attributes:
         bench: whether the head is clamped.
@@ -74,8 +72,8 @@ class Stage:
         """Build the scene of a trajectory that has ``qpos`` columns."""
         if not run.has("qpos") or not len(run):
             raise InputError(
-                "there is nothing to draw, because the run has no positions of the"
-                " twin (columns qpos_1…)"
+                "the run contains no positions of the twin (columns qpos_1…) to draw;"
+                " run the scenario with the twin"
             )
         self.run = run
         self.bench = scenario.file.bench
@@ -110,7 +108,7 @@ class Stage:
 
     @property
     def legend(self) -> Mapping[str, str]:
-        """Colours of the lines on the floor, by label."""
+        """Colours of the floor lines, keyed by label."""
         pictures = added_to(self.run)
         return pictures.legend if pictures else {}
 
@@ -142,9 +140,9 @@ class Stage:
     def add_lines(
         self, scene: mujoco.MjvScene, row: int, half_width: float = _LINE_M
     ) -> None:
-        """Add the path of the centre of mass up to a sample and the lines on the floor.
+        """Add the floor lines and the path of the centre of mass up to a sample.
 
-        `half_width` is half the width of the lines (m).
+        `half_width` is half the line width (m).
         """
         if not self.bench:
             rows = np.append(self._trail_rows[self._trail_rows < row], row)
@@ -188,8 +186,7 @@ class Stage:
         skin = self._skins.geoms[0][0]
         height = self.data.geom_xpos[skin, 2]
         points = np.pad(line, ((0, 0), (0, 1)), constant_values=height)
-        # The ghost is slightly thinner than the twin, because coincident surfaces would
-        # flicker.
+        # Coincident surfaces would flicker, so the ghost is thinner than the twin.
         radius = 0.92 * self.model.geom_size[skin, 0]
         for begin, end in zip(points, points[1:], strict=False):
             if scene.ngeom == scene.maxgeom:
@@ -203,9 +200,9 @@ class Stage:
 
 
 def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return where connectors of a spatial snake touch the floor during a run.
+    """Return sample indices and points (m) of the floor contacts of a spatial snake.
 
-    The sample indices and the points (m) of at most `_MAX_MARKS` contacts are returned.
+    At most `_MAX_MARKS` contacts are returned.
     """
     if not run.has("load"):
         return np.empty(0, dtype=int), np.empty((0, 2))
@@ -223,18 +220,18 @@ def add_line(
     half_width: float,
     level: int = 1,
 ) -> None:
-    """Add a line on the floor to a scene, as long as the scene has free geoms.
+    """Add a floor line to a scene. The line is cut off if the scene has no free geoms.
 
     The line consists of flat boxes, because capsules would take longer to draw than the
     rest of the scene. Each box is slightly higher than the previous box, because MuJoCo
     lights coincident faces twice.
 
     Args:
-        scene: scene.
-        points: points, shape (n, 2), m.
+        scene: scene to which the line is added.
+        points: points of the line, shape (n, 2), m.
         color: colour, #rrggbb.
-        half_width: half the width of the line, m.
-        level: layer of the line, which covers all lines of lower layers.
+        half_width: half the line width, m.
+        level: layer of the line. Higher layers cover lower layers.
     """
     box = mujoco.mjtGeom.mjGEOM_BOX
     rgba = np.array(unit_rgba(color), dtype=np.float32)
@@ -277,7 +274,7 @@ class Skins:
     """Visible geoms of the segments, coloured by pressure."""
 
     def __init__(self, model: mujoco.MjModel, segments: int) -> None:
-        """Find the geoms, and reduce the light so that colours are not overexposed."""
+        """Find the geoms and dim the lights, so that colours are not overexposed."""
         model.vis.headlight.ambient = [0.45] * 3
         model.vis.headlight.diffuse = [0.2] * 3
         model.light_diffuse[:] = 0.45
@@ -299,7 +296,7 @@ class Skins:
 
         Args:
             pressure: pressures, shape (segments, 2).
-            full_scale: pressure difference that is drawn with the full colour, in the
+            full_scale: pressure difference drawn in the most saturated colour, in the
                 unit of `pressure`.
         """
         colors = pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale)

@@ -7,8 +7,8 @@ try:
 except (
     ValueError,
     OSError,
-) as error:  # matplotlib reads the user's settings when it is imported
+) as error:  # the import reads the user's settings
     raise InputError(
-        f"matplotlib cannot start: {error}; correct or remove your file matplotlibrc,"
-        " and the environment variable MPLBACKEND"
+        f"matplotlib cannot be imported: {error}; check your file matplotlibrc and the"
+        " environment variable MPLBACKEND"
     ) from error

@@ -38,7 +38,7 @@ def plan_view(
 ) -> Figure:
     """Plot centre-of-mass paths with bodies at a few equally spaced times (Fig. 36).
 
-    Bodies of the twin are filled, and bodies of other plants are outlines.
+    Bodies of the twin are filled. Bodies of other plants are drawn as outlines.
     """
     world = world or World()
     times = strobe_times(trajectories, spec.geometry)
@@ -82,7 +82,7 @@ def plan_view(
 def strobe_times(
     trajectories: Mapping[str, Trajectory], geometry: Geometry
 ) -> list[float]:
-    """Return at most six equally spaced times (s) at which bodies do not overlap."""
+    """Return up to six equally spaced times (s) at which the bodies do not overlap."""
     run = next(iter(trajectories.values()))
     end = min(float(trajectory.time[-1]) for trajectory in trajectories.values())
     distance = np.hypot(*(run.com - run.com[0]).T)
@@ -111,7 +111,7 @@ def draw_run(
     *,
     filled: bool,
 ) -> None:
-    """Draw the path of the centre of mass, and the body at the given times (s)."""
+    """Draw the centre-of-mass path and the body at the given times (s)."""
     for sample in samples_at(run, times):
         draw_body(axes, sample, geometry, style, filled=filled)
     axes.plot(*run.com.T, **style.line)
@@ -134,8 +134,7 @@ def object_outlines(
 ) -> list[np.ndarray]:
     """Return outlines of the movable objects at the given times (s), each (k, 2), m.
 
-    The outline of a cylinder includes a radius, which shows the rotation of the
-    cylinder.
+    The outline of a cylinder includes a radial line that shows the rotation.
     """
     if not run.has("object_x_1"):
         return []
@@ -161,9 +160,9 @@ def _outline(item: MovableObject) -> np.ndarray:
 def draw_body(
     axes: Axes, sample: Trajectory, geometry: Geometry, style: Style, *, filled: bool
 ) -> None:
-    """Draw the outline of a body with a dot at the head."""
+    """Draw the outline of a body and a dot at the head."""
     shape = LineString(body_line(sample, geometry)[0]).buffer(geometry.width / 2)
-    # The outline of a body that touches itself contains holes.
+    # If a body touches itself, the outline has holes.
     rings = [np.asarray(ring.coords) for ring in (shape.exterior, *shape.interiors)]
     if filled:
         outline = Path.make_compound_path(*map(Path, rings))
@@ -179,7 +178,7 @@ def draw_body(
 def bounds(
     trajectories: Mapping[str, Trajectory], geometry: Geometry, times: list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return two opposite corners of a rectangle that contains the bodies, m."""
+    """Return opposite corners of a rectangle that contains all bodies, m."""
     bodies = [
         row.position[0]
         for run in trajectories.values()

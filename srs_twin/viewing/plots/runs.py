@@ -1,7 +1,7 @@
 """Plots of runs and of the differences between plants.
 
-Lines differ in colour, dash pattern and width, so that they can be distinguished by
-colour-blind readers and in greyscale.
+Lines differ in colour, dash pattern and width, so that colour-blind readers can
+distinguish them, also in greyscale.
 """
 
 from __future__ import annotations
@@ -53,9 +53,7 @@ if TYPE_CHECKING:
 Runs = Mapping[str, Trajectory]
 
 _MAX_ROWS = 8
-"""Maximum number of panels. If the snake has more segments, evenly spaced segments
-are plotted.
-"""
+"""Maximum number of panels. For longer snakes, evenly spaced segments are plotted."""
 
 _PERIODS_SHOWN = 4
 """Number of gait periods in the plots of a long run."""
@@ -63,8 +61,7 @@ _PERIODS_SHOWN = 4
 _MAX_DOTS = 4000
 """Maximum number of sensor measurements in a plot."""
 
-# Label and factor (plotted value per SI value) of each difference from a measured
-# motion
+# Label of each difference from the measurement, and factor from SI to the plotted unit.
 _MEASURED_SIGNALS = {
     "shape_m": ("shape (mm)", 1e3),
     "path_m": ("CoM path (mm)", 1e3),
@@ -94,7 +91,7 @@ def pressure_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def speed_plot(trajectories: Runs) -> Figure:
-    """Plot the forward speed of the centre of mass and its mean over a gait period."""
+    """Plot the instantaneous and period-averaged forward speed of the centre of mass."""
     figure, (axes,) = panels(3.0)
     for style, run in runs_with_styles(trajectories):
         period = gait_period(run)
@@ -123,7 +120,7 @@ def speed_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
-    """Plot the differences of shape and path in mm and per cent of the body length."""
+    """Plot shape and path differences in mm and in per cent of the body length."""
     figure, (shape, path) = panels(4.0, 2, right=0.75)
     length = 1e3 * spec.geometry.body_length
     conversions = (
@@ -203,7 +200,7 @@ def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
 def _common_window(trajectories: Runs) -> _Window:
     """Return the time range of the last gait periods that all runs contain.
 
-    If the runs are short, the time range covers the whole runs.
+    For short runs, this is the whole time range.
     """
     first = min(float(run.time[0]) for run in trajectories.values())
     ends = [float(run.time[-1]) for run in trajectories.values()]
@@ -221,9 +218,9 @@ def _common_window(trajectories: Runs) -> _Window:
 def learning_plot(trajectories: Runs) -> Figure:
     """Plot bend amplitudes with targets and duty cycles, one row per module.
 
-    The left column contains the amplitudes, and the right column contains the duty
-    cycles of the valves. The colour shows the chamber, and the dash pattern shows the
-    plant. Targets are thin dotted lines.
+    The left column shows the amplitudes, and the right column shows the valve duty
+    cycles. Colours distinguish the chambers, and dash patterns distinguish the plants.
+    Targets are thin dotted lines.
     """
     runs = [
         (style, PeriodAmplitudes.from_trajectory(run))
@@ -287,12 +284,12 @@ def _plot_learning(
 
 @drawing
 def tracking_plot(trajectories: Runs) -> Figure:
-    """Plot reference, bends and measurements of the first segment, and valve states.
+    """Plot reference, bend, sensor readings and valve states of the first segment.
 
-    For a periodic reference, the plot shows the last four periods, otherwise the whole
-    run. As in the dissertation, the valve state is 1 if the valves drive positive
-    bends, −1 if the valves drive negative bends, and 0 if both valves hold the
-    pressure.
+    If the reference is periodic, the plot shows the last four periods, otherwise the
+    whole run. As in the dissertation, the valve state is 1 if the valves drive the bend
+    in the positive direction, −1 in the negative direction, and 0 if both valves hold
+    the pressure.
     """
     count = len(trajectories)
     figure, (bends, *valves) = panels(
@@ -316,7 +313,7 @@ def tracking_plot(trajectories: Runs) -> Figure:
             bends.plot(time, measured_bend, color=style.color, linewidth=0.4, alpha=0.3)
         bends.plot(time, run["bend_1"][shown], **style.line, zorder=style.zorder)
         state = (run["valve_plus_1"] - run["valve_minus_1"])[shown] / 2
-        # The valve states of a sample have been valid since the previous sample.
+        # A sample holds the valve states since the previous sample.
         axes.step(time, state, where="pre", color=style.color, linewidth=0.8)
         axes.set(ylim=(-1.3, 1.3), yticks=[-1, 0, 1])
         finish(axes, f"{plant}\nvalves")
@@ -328,9 +325,9 @@ def tracking_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def reading_plot(trajectories: Runs) -> Figure | None:
-    """Plot sensor measurements with their mean at each bend, and the mean error.
+    """Plot sensor readings, mean readings and mean errors against the bend.
 
-    The result is None if all sensors are ideal.
+    Return None if all sensors are ideal.
     """
     curves = [
         (style, run, curve)
@@ -363,7 +360,7 @@ def reading_plot(trajectories: Runs) -> Figure | None:
 def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | None:
     """Plot the RMS differences from the measured shape, path, heading and bends.
 
-    The result is None if no measurements exist.
+    Return None if there are no measurements.
     """
     if not differences:
         return None
@@ -393,18 +390,18 @@ _POSITIVE_COLOR = "#009E73"
 _NEGATIVE_COLOR = "#CC79A7"
 _REMAINDER_COLOR = "#8a8f98"
 _BAR_PITCH = 0.23
-"""Height of a bar including the gap to the next bar, inches."""
+"""Spacing between the centres of neighbouring bars, inches."""
 _PANEL_GAP = 0.7
-"""Height between two panels for tick labels and a heading, inches."""
+"""Space for tick labels and a heading between two panels, inches."""
 
 
 @drawing
 def attribution_plot(attribution: Attribution) -> Figure:
-    """Plot the contributions of the assumptions, sorted by size, one panel per measure.
+    """Plot the contributions of assumptions, sorted by size, one panel per measure.
 
-    A contribution depends on the order in which the assumptions are replaced. A thin
-    line shows the range of the contribution over all orders. The last two bars show the
-    unexplained part and the total difference, which is the sum of the other bars.
+    A contribution depends on the order in which assumptions are replaced, and a thin
+    line shows its range over all orders. The last two bars show the unexplained part
+    and the total difference, which is the sum of all other bars.
     """
     shares = _by_size(attribution.shares)
     names = [*(share.name for share in shares), "not explained", "twin − analytical"]

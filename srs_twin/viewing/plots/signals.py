@@ -1,4 +1,4 @@
-"""Signals of a trajectory for plots."""
+"""Signals computed from trajectories for plots."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from srs_twin.viewing.additions import added_to
 def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> Array:
     """Return the centre line from head to tail, shape (samples, points, 2), m."""
     lines = centre_lines(trajectory, geometry, chords)
-    # If the rigid gap is 0, the ends of an arc coincide with the connectors, so the
-    # duplicate points are omitted.
+    # Without a rigid gap, arc ends coincide with connectors and are omitted.
     unique = slice(0, -1) if geometry.rigid_gap else slice(1, -2)
     inner = lines[:, :, unique].reshape(len(lines), -1, 2)
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
@@ -39,9 +38,9 @@ def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> Array:
 
 
 def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
-    """Return the rotation of each wheel without slip, shape (samples, N, 2), rad.
+    """Return the angles of wheels that roll without slip, shape (samples, N, 2), rad.
 
-    A rotation is positive for forward motion.
+    The angle increases during forward motion.
     """
     centres = wheel_centres(trajectory, geometry)
     theta = trajectory.stack("connector_heading")
@@ -53,14 +52,14 @@ def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
 
 
 def pressure_difference(trajectory: Trajectory) -> Array:
-    """Return p⁺ − p⁻, shape (samples, segments), Pa, or NaN if it was not recorded."""
+    """Return p⁺ − p⁻ (NaN if not recorded), shape (samples, segments), Pa."""
     if not (trajectory.has("pressure_plus") and trajectory.has("pressure_minus")):
         return np.full_like(trajectory.stack("bend"), np.nan)
     return trajectory.stack("pressure_plus") - trajectory.stack("pressure_minus")
 
 
 def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
-    """Return the kind of experiment: gait, bench, learning or an extension's kind."""
+    """Return the experiment kind: gait, bench, learning or a kind of an extension."""
     runs = trajectories.values()
     for run in runs:
         if run.has("reference_1") or run.metadata.get("base") == "clamped":
@@ -80,7 +79,7 @@ def gait_period(trajectory: Trajectory) -> float | None:
 def reference_period(trajectory: Trajectory) -> float | None:
     """Return the period of the first segment's reference, s.
 
-    The result is None unless the reference is a sine wave or a square wave.
+    Return None if the reference is neither a sine wave nor a square wave.
     """
     if not trajectory.has("reference_1"):
         return None
@@ -105,11 +104,11 @@ def forward_speed(trajectory: Trajectory) -> Array:
 
 
 def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
-    """Return times (s) and the speed of the period-averaged path at these times (m/s).
+    """Return times (s) and the period-averaged speed at these times (m/s).
 
     The speed is the displacement over one gait period centred at each time, divided by
-    the period. The speed is negative if the displacement is opposite to the heading. If
-    the run is shorter than a period, the arrays are empty.
+    the period. It is negative if the displacement is opposite to the heading. If the
+    run is shorter than a period, the arrays are empty.
     """
     time = trajectory.time
     heading = trajectory["heading"]

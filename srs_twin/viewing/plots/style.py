@@ -1,8 +1,8 @@
-"""Colours, line styles and margins of all plots, and image files.
+"""Colours, line styles and margins of all plots, and export to image files.
 
-The settings are the defaults of Matplotlib, so that a `matplotlibrc` file or a style
-sheet of the user has no effect. Margins are fixed in inches, because the automatic
-layouts of Matplotlib double the drawing time.
+All plots use Matplotlib's default settings, so that the user's `matplotlibrc` file and
+style sheets have no effect. Margins are fixed in inches, because Matplotlib's automatic
+layouts double the drawing time.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _NO_PRESSURE = (225, 225, 222)
 """Colour of a segment whose pressure difference is 0, RGB."""
 
 PLUS_COLOR = "#aa3377"
-"""Colour of segments whose + chamber has the higher pressure."""
+"""Colour of segments with p⁺ > p⁻."""
 
 MINUS_COLOR = "#009e73"
-"""Colour of segments whose − chamber has the higher pressure."""
+"""Colour of segments with p⁺ < p⁻."""
 
 GOAL_COLOR = "#b03030"
 OBJECT_COLOR = "#db8f38"
@@ -55,7 +55,7 @@ MINUS_RGB = rgb(MINUS_COLOR)
 
 @dataclass(frozen=True)
 class Style:
-    """Style of a plant or another data source, with the palette of Okabe and Ito.
+    """Line style of a plant or another data source (palette of Okabe and Ito).
 
     Attributes:
         color: colour, #rrggbb.
@@ -109,7 +109,7 @@ _FURTHER_COLORS = ("#CC79A7", "#56B4E9", "#E69F00")
 
 
 def style_of(plant: str, index: int = 0) -> Style:
-    """Return the style of a plant. The index selects a colour for an unknown plant."""
+    """Return the style of a plant. For an unknown plant, `index` selects the colour."""
     return STYLES.get(plant) or Style(
         plant, _FURTHER_COLORS[index % len(_FURTHER_COLORS)], "-.", 1.5
     )
@@ -124,7 +124,8 @@ def pressure_colors(
 
     Args:
         difference: p⁺ − p⁻. NaN is shown in grey.
-        full_scale: magnitude with the full colour, or None for the maximum magnitude.
+        full_scale: magnitude shown in the most saturated colour, or None for the
+            maximum magnitude.
     """
     finite = np.nan_to_num(difference)
     if full_scale is None:
@@ -135,23 +136,21 @@ def pressure_colors(
     return np.concatenate([rgb, np.full_like(fraction, 255)], axis=-1).astype(np.uint8)
 
 
-# The backend does not affect figures, and reading this setting would import a backend.
+# The backend does not affect figures, and reading the setting would import a backend.
 _SETTINGS = {
     name: value for name, value in rcParamsDefault.items() if name != "backend"
 }
-# With a fixed salt, SVG files are reproducible. Text is stored as text instead of
-# paths.
+# A fixed salt makes SVG files reproducible. Text is stored as text, not as paths.
 _SETTINGS |= {"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}
 
 
 @contextmanager
 def own_settings() -> Iterator[None]:
-    """Draw with the settings of this program inside a `with` block.
+    """Apply the Matplotlib settings of this package inside a `with` block.
 
     The user's settings are restored at the end of the block.
     """
-    # Only settings that differ are set, because setting all values would take a
-    # millisecond.
+    # Setting all values would take a millisecond, so only different values are set.
     with rc_context(
         {name: value for name, value in _SETTINGS.items() if rcParams[name] != value}
     ):
@@ -182,14 +181,14 @@ def panels(
     share_y: bool = False,
     heights: Sequence[float] = (),
 ) -> tuple[Figure, list[Axes]]:
-    """Create a figure with panels in one column that share the x axis.
+    """Create a figure with one column of panels that share the x axis.
 
     Args:
         height: figure height, inches.
         rows: number of panels.
         right: right margin, inches.
         share_y: whether the panels also share the y axis.
-        heights: heights of the panels relative to each other.
+        heights: relative panel heights.
     """
     figure, grid = side_by_side(
         height,
@@ -226,7 +225,7 @@ def side_by_side(
         right: right margin, inches.
         top: top margin, inches.
         bottom: bottom margin, inches.
-        space: gap relative to the panel size.
+        space: gap between panels as a fraction of the panel size.
         options: arguments of `Figure.subplots`.
     """
     figure = Figure(figsize=(_WIDTH, height))
@@ -246,7 +245,7 @@ def side_by_side(
 def set_title(axes: Axes, title: str, loc: Alignment = "center") -> None:
     """Set the title of a panel at a fixed height.
 
-    The automatic placement by Matplotlib would take a tenth of the drawing time.
+    Matplotlib's automatic placement would take a tenth of the drawing time.
     """
     axes.set_title(title, fontsize=10, loc=loc, y=1.0)
 
@@ -274,14 +273,15 @@ FORMATS = (".png", ".svg")
 
 @drawing
 def save(figure: Figure, path: str | Path, dpi: float = 130) -> None:
-    """Write a figure as PNG (with `dpi` pixels per inch) or SVG atomically.
+    """Atomically write a figure as PNG (with `dpi` pixels per inch) or SVG.
 
-    Identical figures yield identical files.
+    Equal figures yield identical files.
     """
     target = Path(path)
     if target.suffix not in FORMATS:
         raise InputError(
-            f"{target.name}: the name of an image must end in {' or '.join(FORMATS)}"
+            f"{target.name}: the file name of an image must end in"
+            f" {' or '.join(FORMATS)}"
         )
     if target.suffix == ".png":
         metadata = {"Software": None}

@@ -1,4 +1,4 @@
-"""Initial layout of a recording, with the scene on the left and plots on the right."""
+"""Initial layout of a recording: scene on the left, plots on the right."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 from srs_twin.viewing.additions import FollowedSignal
 
 TIMELINE = "sim_time"
-"""Name of the timeline, which contains the simulated time (s)."""
+"""Name of the timeline of simulated time (s)."""
 
 _PERIODS_SHOWN = 4
 """Number of gait periods around the time cursor in the plots."""
@@ -31,14 +31,14 @@ class Layout:
         heading: initial heading, rad.
         body_length: body length, m.
         separation: maximum distance between two centres of mass, m.
-        period: gait period, s. Plots show a few periods around the time cursor. If the
-            period is None, plots show the whole run.
+        period: gait period, s. Plots show a few periods around the time cursor, or the
+            whole run if the period is None.
         compared: whether plants are compared.
-        signals: signals that are plotted before the other signals.
+        signals: signals plotted above the other signals.
         speeds: limits of the speed axis, m/s, or None for automatic limits.
         events: whether the run has events.
-        root: parent entity of the run if a recording contains several runs.
-        measured: quantities that are compared with a measured robot: shape, path and
+        root: parent entity of the run, used if a recording contains several runs.
+        measured: quantities compared with a measured robot, out of shape, path and
             bend.
     """
 
@@ -67,12 +67,11 @@ class Layout:
 
 
 def run_blueprint(layout: Layout) -> rrb.Blueprint:
-    """Return the layout of one run, with plots for its kind of experiment."""
+    """Return the layout of one run. The plots depend on the kind of experiment."""
     rows = _plots(layout)
     shares = [2] * (len(rows) - 1) + [3]
     if layout.events:
-        # A column with the plant is not needed, because the colour of an event shows
-        # the plant.
+        # The plant column is omitted because the colour of an event shows the plant.
         columns = rrb.TextLogColumns(
             timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]
         )
@@ -136,7 +135,7 @@ def _bench_plots(layout: Layout) -> Rows:
         _modules(layout, "/pressure", _PRESSURES),
     ]
     if measured := _measured_plots(layout):
-        # Bends are shown first, because often only bends are measured on a bench.
+        # Bends come first, because bench experiments often measure nothing else.
         plots.append(rrb.Tabs(*reversed(measured)))
     return plots
 
@@ -167,7 +166,7 @@ def _measured_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
 def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs:
     """Return one tab per module.
 
-    The middle tab is active, because the first module shows only small differences.
+    The middle tab is active, because differences are small in the first module.
     """
     views = [
         _plot(f"module/{j}{signal}", name.format(j), **options)
@@ -178,7 +177,7 @@ def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs
 
 
 def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
-    """Return the 3-D view. The camera follows the snakes on their right side."""
+    """Return the 3-D view, whose camera follows the snakes on the right side."""
     if not name:
         name = "Both plants, grid 0.1 m" if len(layout.plants) > 1 else "Grid 0.1 m"
     right = np.array([np.sin(layout.heading), -np.cos(layout.heading)])

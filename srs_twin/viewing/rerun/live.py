@@ -1,10 +1,14 @@
 """Live view of a robot in Rerun.
 
-The view shows the estimate with its uncertainty, the prediction, the innovations and
-the detected faults. The timeline is `sim_time`, in seconds since the start. The
-entities are `world/floor`, `world/robot/{body, connectors, spread, trail}`,
-`world/next/{path, fan}`, `lamps` (text with the detected faults), `bend/segment_j` and
-`off/{bends, poses, pressures}` (innovations in standard deviations).
+The view shows the estimated state with uncertainty, the prediction, the innovations and
+the detected faults. The timeline is `sim_time`, in seconds since the start. Entities:
+
+- `world/floor`
+- `world/robot/{body, connectors, spread, trail}`: estimate
+- `world/next/{path, fan}`: prediction
+- `lamps`: text with the detected faults
+- `bend/segment_j`
+- `off/{bends, poses, pressures}`: innovations in standard deviations
 """
 
 from __future__ import annotations
@@ -38,13 +42,13 @@ from srs_twin.viewing.rerun.viewer import (
 
 _BODY_HEIGHT_M = 0.02
 _FLOOR_HEIGHT_M = 0.003
-"""Height of lines and discs above the floor, which prevents flicker, m."""
+"""Height of lines and discs above the floor to prevent flicker, m."""
 
 _MAX_TRAIL_POINTS = 300
 _PREDICTION_COLOR = (242, 142, 43)
 _PREDICTION_ALPHA = 60
 _LOST_COLOR = (208, 32, 32)
-"""Colour of a body whose estimate is not reliable."""
+"""Colour of the body if the estimate is unreliable."""
 
 _Z95 = 1.96
 """Half width of the 95 % interval of the standard normal distribution."""
@@ -75,7 +79,7 @@ class LiveEstimate(Protocol):
 
     @property
     def lost(self) -> str | None:
-        """Reason why the estimate is not reliable, if any."""
+        """Reason why the estimate is unreliable, or None."""
 
     @property
     def off(self) -> Mapping[str, float]:
@@ -99,10 +103,10 @@ class LiveForecast(Protocol):
 
 
 class LiveView:
-    """Logger of estimates and predictions."""
+    """Logger that sends estimates and predictions to a Rerun viewer."""
 
     def __init__(self, spec: RobotSpec, log: rr.RecordingStream) -> None:
-        """Send the layout to the stream of a viewer."""
+        """Send the layout to a stream."""
         self._log = log
         self._spec = spec
         self._start = math.nan
@@ -194,8 +198,8 @@ def live_view(
 ) -> Iterator[tuple[LiveView, str]]:
     """Stream to viewers and to a file during a `with` block.
 
-    The block receives the view and the URL of the web page. The URL is an empty string
-    if there is no page.
+    The context manager yields the view and the URL of the web page. Without a web page,
+    the URL is an empty string.
     """
     log = rr.RecordingStream(APPLICATION)
     sinks: list[rr.FileSink | rr.GrpcSink] = []
@@ -205,7 +209,8 @@ def live_view(
     address = f"rerun+http://{HOST}:{port}/proxy"
     if window and lacks_display():
         raise InputError(
-            "no display was found for the viewer; use --web to show it in a browser"
+            "no display was found for the viewer; use `--web` to show the view in a"
+            " browser"
         )
     viewer = running_rerun("--port", str(port)) if window else nullcontext()
     page = serve_recordings((), data_port=port) if web else nullcontext(("", None))

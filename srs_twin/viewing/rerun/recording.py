@@ -11,8 +11,8 @@ Entities:
 - `events/<plant>`: text of controller events and contacts with obstacles
 
 The timeline is `sim_time`, the simulated time in seconds. Values have SI units, except
-pressures in kPa and differences in mm. A recording of several runs has one parent
-entity per run and shows the runs side by side.
+for pressures in kPa and distances between plants in mm. A recording of several runs has
+one parent entity per run and shows the runs side by side.
 """
 
 from __future__ import annotations
@@ -71,32 +71,32 @@ if TYPE_CHECKING:
 
 APPLICATION = "srs_twin"
 SCENE_HZ = 50.0
-"""Maximum sample rate of shapes, Hz. Signals are recorded at all samples."""
+"""Maximum sample rate of shapes, Hz. Signals keep all samples."""
 
 _CAMERA_TARGET = "eye"
 _WARNINGS = ("saturation", "fault", "reading_lost", "no_new_plan", "contact", "ended")
-"""Kinds of events that are logged as warnings."""
+"""Event kinds logged as warnings."""
 
 _READING_WIDTH = 0.6
-"""Line width of sensor measurements, points."""
+"""Line width of sensor readings, points."""
 
 _CHAMBER_COLORS = {"plus": PLUS_COLOR, "minus": MINUS_COLOR}
-# Unlike black, grey is visible on dark and on light backgrounds.
+# Unlike black, grey is visible on both dark and light backgrounds.
 _REFERENCE = replace(REFERENCE, color="#8a8a8a")
 
 
 def write_recording(path: str | Path, content: RunContent, *, title: str = "") -> None:
-    """Write the recording of a run with a scene and plots of the signals.
+    """Write a recording of a run with a scene and signal plots.
 
-    The default of `title` is the title of the robot.
+    By default, `title` is the title of the robot.
     """
     trajectories = content.trajectories
     residuals = {
         plant: _residuals(difference) for plant, difference in content.measured.items()
     }
     log = rr.RecordingStream(APPLICATION)
-    # `log.save` is not used, because it leaves an incomplete recording on a full disk,
-    # sometimes without an error.
+    # On a full disk, `log.save` would leave an incomplete recording, sometimes without
+    # an error.
     memory = log.memory_recording()
     send_blueprint(log, run_blueprint(_layout(content, residuals)))
     _begin(log, title or content.spec.title)
@@ -148,7 +148,7 @@ def _send_plant(
 def _drain(log: rr.RecordingStream, memory: rr.MemoryRecording) -> bytes:
     content: bytes = memory.drain_as_bytes()
     log.disconnect()
-    # Without this call, Rerun keeps the threads and the memory of closed streams.
+    # Without this call, Rerun would keep threads and memory of closed streams.
     bindings.flush_and_cleanup_orphaned_recordings()
     return content
 
@@ -164,10 +164,10 @@ def _residuals(difference: MeasuredDifference) -> dict[str, np.ndarray]:
 
 
 def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
-    """Send a blueprint like `log.send_blueprint`, and close the stream that sends it.
+    """Send a blueprint like `log.send_blueprint`, but close the auxiliary stream.
 
-    Rerun 0.41 does not close this stream, so each recording would leave two threads and
-    2 MB of memory.
+    Rerun 0.41 leaves this stream open, so that each recording would leak two threads
+    and 2 MB of memory.
     """
     carrier = rr.RecordingStream._from_native(  # noqa: SLF001
         bindings.new_blueprint(
@@ -180,14 +180,14 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     carrier.set_time("blueprint", sequence=0)
     blueprint._log_to_stream(carrier)  # noqa: SLF001
     content = carrier.memory_recording()
-    # The layout is set as the active layout and as the default. Otherwise the viewer
+    # The blueprint becomes the active and the default layout. Otherwise, the viewer
     # would reuse the layout of another robot.
     bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
     carrier.disconnect()
 
 
 def subsample(trajectory: Trajectory, rate_hz: float) -> Trajectory:
-    """Return every n-th sample so that the sample rate is about `rate_hz`."""
+    """Keep every n-th sample, so that the sample rate is about `rate_hz`."""
     steps = np.diff(trajectory.time[:2])
     stride = 1
     if len(steps) and steps[0] > 0:
@@ -285,11 +285,11 @@ def _send_floor(
 
 
 def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
-    """Log bends, pressures, valve states, sensor measurements and duty cycles.
+    """Log bends, pressures, valve states, sensor readings and duty cycles.
 
-    The valve state of a module is 1 if the valves drive positive bends, −1 if the
-    valves drive negative bends, and 0 if the valves have equal states. Measurements of
-    an ideal sensor are omitted.
+    The valve state of a module is 1 if the valves drive the bend in the positive
+    direction, −1 in the negative direction, and 0 if both valves have equal states.
+    Readings of an ideal sensor are omitted.
     """
 
     def send(name: str, values: np.ndarray, style: Style, steps: bool = False) -> None:
@@ -361,14 +361,14 @@ class _StoredRun:
 
     @property
     def snakes(self) -> list[str]:
-        """Names of the plants, read from the entities with a centre of mass."""
+        """Names of the plants, which are the entities with a centre of mass."""
         paths = (chunk.entity_path.split("/") for chunk in self.chunks)
         return list(
             dict.fromkeys(path[2] for path in paths if path[1::2] == ["world", "com"])
         )
 
     def points(self, entity: str, component: str, rows: int | None = 1) -> np.ndarray:
-        """Return the first rows (or all rows) of a point component, shape (n, 3)."""
+        """Return rows of a point component (all if `rows` is None), shape (n, 3)."""
         for chunk in self.chunks:
             if chunk.entity_path == entity and not chunk.is_static:
                 batch = chunk.to_record_batch()
@@ -378,7 +378,7 @@ class _StoredRun:
                         -1, 3
                     )
         raise InputError(
-            f"{self.name}: the file is not a recording of srs-twin, because {entity}"
+            f"{self.name}: the file was not recorded by srs-twin, because {entity}"
             f" has no {component}"
         )
 
@@ -386,7 +386,7 @@ class _StoredRun:
         snakes = self.snakes
         if not snakes:
             raise InputError(
-                f"{self.name}: the file is not a recording of srs-twin, because it"
+                f"{self.name}: the file was not recorded by srs-twin, because it"
                 " contains no snake"
             )
         followed = "twin" if "twin" in snakes else snakes[0]
@@ -414,7 +414,7 @@ class _StoredRun:
 
 
 def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None:
-    """Write one recording of several runs, each with its own floor and plots."""
+    """Write one recording that shows several runs, each with a floor and plots."""
     from rerun.chunk import RrdReader
 
     runs = []

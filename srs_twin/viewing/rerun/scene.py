@@ -1,4 +1,4 @@
-"""Scene of a recording: snakes, obstacles, contact forces and lines on the floor."""
+"""Scene of a recording: snakes, obstacles, contact forces and floor lines."""
 
 from __future__ import annotations
 
@@ -30,9 +30,7 @@ from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, pressure_colors, r
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 
 METRES_PER_NEWTON = 0.05
-"""Length of force arrows per newton in all recordings, m/N. Light robots weigh about
-2 N.
-"""
+"""Length of force arrows per newton, m/N. The weight of light robots is about 2 N."""
 
 FORCE_COLOR = "#d02020"
 _FORCE_RADIUS_M = 0.002
@@ -42,7 +40,7 @@ _OBSTACLE_HEIGHT_M = 0.06
 
 @dataclass(frozen=True)
 class Entities:
-    """Writer of entities with common sample times.
+    """Writer of entities that share sample times.
 
     Attributes:
         time: sample times, s.
@@ -54,7 +52,7 @@ class Entities:
     root: str = ""
 
     def static(self, name: str, shape: rr.AsComponents) -> None:
-        """Log static components, which override components that `send` has sent."""
+        """Log static components, which override components logged by `send`."""
         self.log.log(f"{self.root}{name}", shape, static=True)
 
     def send(
@@ -71,15 +69,14 @@ class Entities:
     ) -> None:
         """Send a signal as a line.
 
-        If `steps` is true, only the samples at which the value changes and the last
-        sample are sent.
+        If `steps` is true, only changes of the value and the last sample are sent.
         """
         entities = self
         mode = None
         if steps:
             changed = np.flatnonzero(np.append(True, values[1:] != values[:-1]))
             changes = np.append(changed, len(values) - 1)
-            # The value of a sample has been valid since the previous sample.
+            # A sample holds the value since the previous sample.
             begins = np.append(np.maximum(changed - 1, 0), changes[-1])
             entities = replace(self, time=self.time[begins])
             values = values[changes]
@@ -135,12 +132,11 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
 
 
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
-    """Log the contact forces exerted by obstacles on a snake as arrows.
+    """Log the forces that obstacles exert on a snake as arrows at a height in m.
 
-    An arrow starts at the centre of a connector. The arrow shows the force on the
-    connector and on the adjacent halves of the neighbouring segments. All samples are
-    used, because a contact may be shorter than the sample interval of the shapes. The
-    height of the arrows is in m.
+    An arrow starts at the centre of a connector. It shows the force on the connector
+    and on the adjacent halves of the neighbouring segments. All samples are logged,
+    because a contact may be shorter than the sample interval of the shapes.
     """
     if not run.has("obstacle_force_x"):
         return
@@ -151,8 +147,8 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     in_contact = np.any(touched, axis=1)
     if not in_contact.any():
         return
-    # The viewer shows a sample until the next sample, so the first sample after a
-    # contact must remove the arrows.
+    # The viewer shows the arrows until the next logged sample, so the first sample
+    # after a contact must remove them.
     ended = np.append(False, in_contact[:-1]) & ~in_contact
     rows = np.flatnonzero(in_contact | ended)
     origins = _at_height(run.position[rows][touched[rows]], height)
@@ -164,19 +160,18 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
 
 
 _LINE_HEIGHT_M = 0.001
-"""Height of lines above the floor, which prevents flicker, m."""
+"""Height of lines above the floor to prevent flicker, m."""
 
 CHORDS = 6
 """Number of capsules per arc.
 
-At a bend of 90° each capsule covers 15°, and the round ends of the capsules hide the
-corners.
+At a bend of 90°, each capsule covers 15°, and the round capsule ends hide the corners.
 """
 
 Rgba = tuple[int, int, int, int]
 _GHOST_ALPHA = 120
 _MAX_TRACKS = 20_000
-"""Maximum number of points that show where a spatial snake touched the floor."""
+"""Maximum number of points drawn where a spatial snake touched the floor."""
 _CONNECTOR_COLOR: Rgba = (70, 74, 82, 255)
 _WHEEL_COLOR: Rgba = (28, 30, 34, 255)
 _SPOKE_COLOR: Rgba = (200, 202, 206, 255)
@@ -187,7 +182,7 @@ def send_snake(
 ) -> None:
     """Log a snake.
 
-    A ghost has the colour of its plant. The colours of other snakes show pressures.
+    A ghost is drawn in the colour of its plant. Other snakes are coloured by pressure.
     """
     geometry = spec.geometry
     wheeled = spec.skin is None
@@ -225,7 +220,7 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
         name = f"body/segment_{j + 1}"
         line = lines[:, j]
         step = np.diff(line, axis=1)
-        # Chord lengths change by only 0.3 % up to a bend of 90°, so they are static.
+        # Chord lengths are static, because they vary by only 0.3 % for bends up to 90°.
         lengths = np.linalg.norm(step[0], axis=-1)
         tube = rr.Capsules3D.from_fields(
             lengths=lengths, radii=[geometry.width / 2], fill_mode="solid"
@@ -242,10 +237,10 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
 def _send_body_mesh(
     to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba
 ) -> None:
-    """Log the body as one hexagonal tube, because overlapping capsules look opaque."""
+    """Log the body as a single hexagonal tube, because overlapping capsules look opaque."""
     lines = spatial_centre_lines(snake, geometry, CHORDS)
-    # Duplicate points are omitted. Segments share their ends, and if the rigid gap is
-    # 0, the ends of an arc coincide with the connectors.
+    # Duplicate points are omitted: neighbouring segments share an end, and without a
+    # rigid gap, arc ends coincide with connectors.
     unique = slice(1, -2)
     if geometry.rigid_gap or snake.has("z"):
         unique = slice(0, -1)
@@ -256,8 +251,7 @@ def _send_body_mesh(
     left = np.cross([0.0, 0.0, 1.0], tangent)
     left /= np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
     up = np.cross(tangent, left)
-    # The tube is slightly thinner than the body of the other plant, because coincident
-    # surfaces would flicker.
+    # Coincident surfaces would flicker, so the tube is thinner than the other body.
     radius = 0.46 * geometry.width
     angle = np.arange(6)[:, None] * np.pi / 3
     around = np.cos(angle) * left[:, :, None] + np.sin(angle) * up[:, :, None]
@@ -272,7 +266,7 @@ def _send_body_mesh(
 
 
 def _tube_triangles(rings: int) -> np.ndarray:
-    """Return triangles between hexagonal rings, counter-clockwise seen from outside."""
+    """Return triangles between hexagonal rings, counter-clockwise from outside."""
     ring, corner = np.meshgrid(np.arange(rings - 1), np.arange(6), indexing="ij")
     first = 6 * ring + corner
     second = 6 * ring + (corner + 1) % 6
@@ -302,7 +296,7 @@ def _send_wheels(
 
 
 def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
-    """Log a bar on each wheel, which shows the rotation of the wheel."""
+    """Log a bar on each wheel that shows the rotation."""
     radius = geometry.wheel_radius
     half = [0.85 * radius, 0.22 * radius, 0.13 * radius]
     yaw = snake.stack("connector_heading")[:, :, None] / 2
@@ -325,7 +319,7 @@ def _send_solids(
     rotations: np.ndarray,
     **appearance: Any,
 ) -> None:
-    """Log an equal number of solids per sample."""
+    """Log solids whose number is the same in all samples."""
     to.static(name, shape.from_fields(fill_mode="solid", **appearance))
     poses = shape.columns(
         centers=centres, quaternions=rotations.reshape(-1, 4).astype(np.float32)
@@ -358,11 +352,8 @@ def _at_height(points: np.ndarray, height: float) -> np.ndarray:
 
 
 def _along(steps: np.ndarray) -> np.ndarray:
-    """Return quaternions xyzw, shape (n, 4), that rotate the z axis to steps.
-
-    The z axis is the axis of a Rerun capsule.
-    """
-    # If the rigid gap is 0, the first and the last step of a segment have the length 0.
+    """Return quaternions xyzw, shape (n, 4), that align Rerun capsules (z) with steps."""
+    # Without a rigid gap, the first and last step of a segment have length 0.
     length = np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12)
     x, y, z = np.moveaxis(steps / length, -1, 0)
     turn = np.stack([-y, x, 0.0 * x, 1.0 + z], axis=-1)
@@ -371,7 +362,7 @@ def _along(steps: np.ndarray) -> np.ndarray:
 
 
 def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
-    """Return quaternions xyzw, shape (n, 4), that rotate the z axis to a yaw angle."""
+    """Return quaternions xyzw, shape (n, 4), that turn the z axis to a yaw angle."""
     s = np.sin(yaw / 2)
     c = np.cos(yaw / 2)
     turns: np.ndarray = np.sqrt(0.5) * np.stack([-s, c, s, c], axis=-1)
@@ -379,5 +370,5 @@ def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
 
 
 def _packed(rgba: np.ndarray) -> np.ndarray:
-    """Convert bytes (n, 4) to integers 0xRRGGBBAA, which Rerun does not copy."""
+    """Pack bytes (n, 4) into integers 0xRRGGBBAA, which Rerun does not copy."""
     return np.ascontiguousarray(rgba).view(">u4").reshape(-1).astype(np.uint32)

@@ -1,9 +1,9 @@
 """Run the Rerun viewer in a child process or a browser, and verify recordings.
 
 The viewer accepts connections from this machine only. Rerun's web page loads fonts from
-the internet. The download delays the page without a network connection, and discloses
-its use with a connection. A proxy server therefore removes the links to the fonts and
-adds a Content-Security-Policy that makes the browser block all requests to other hosts.
+the internet, which discloses that the page is used, or delays it if there is no network.
+A proxy server therefore removes the links to the fonts. It also adds a
+Content-Security-Policy, so that the browser blocks all requests to other hosts.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _INSTALL = "pip install 'rerun-sdk>=0.41,<0.42'"
 
 
 def has_rerun() -> bool:
-    """Return whether Rerun is installed; without it, runs have no recording."""
+    """Return whether Rerun is installed. Without Rerun, runs are not recorded."""
     return find_spec("rerun") is not None
 
 
@@ -64,7 +64,7 @@ def lacks_display() -> bool:
 
 
 def open_recording(path: str | Path) -> None:
-    """Open a recording in the native viewer, and wait until the viewer is closed."""
+    """Open a recording in the native viewer and wait until the viewer is closed."""
     recording = _recording(path)
     program = rerun_executable()
     if lacks_display():
@@ -81,7 +81,7 @@ def open_recording(path: str | Path) -> None:
     ).returncode
     if exit_code > 0:
         raise InputError(
-            f"the viewer ended with exit code {exit_code}; see its message above"
+            f"the viewer failed with exit code {exit_code}; see the message above"
         )
 
 
@@ -90,7 +90,7 @@ def verify_recording(path: str | Path) -> None:
     recording = _recording(path)
     command = [str(rerun_executable()), "rrd", "verify", str(recording)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
-    # For a file of another format, the exit code is 0 and the output says "0 files
+    # If the file is no recording, the exit code is 0 and the output says "0 files
     # verified".
     if "1 file verified" not in done.stdout + done.stderr:
         lines = (done.stderr or done.stdout).strip().splitlines()
@@ -104,7 +104,8 @@ def _recording(path: str | Path) -> Path:
     recording = Path(path)
     if not recording.is_file():
         raise InputError(
-            f"{path}: this recording does not exist; `srs-twin run SCENARIO` writes one"
+            f"{path}: this recording does not exist; run `srs-twin run SCENARIO` to"
+            " write a recording"
         )
     return recording
 
@@ -120,11 +121,11 @@ Rerun = subprocess.Popen[bytes]
 
 @contextmanager
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
-    """Run Rerun, and yield the process and the file with the output of Rerun."""
+    """Run Rerun and yield the process and its output file."""
     command = [str(rerun_executable()), "--bind", HOST, *arguments]
     with tempfile.TemporaryFile() as output:
-        # The script `rerun` starts the actual program. With a process group, the script
-        # and the program can be stopped together.
+        # The script `rerun` starts the actual program in a child process. A process
+        # group allows both to be stopped together.
         rerun = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -146,7 +147,7 @@ def free_port() -> int:
 
 
 def output_lines(output: IO[bytes]) -> list[str]:
-    """Return the lines that Rerun has printed, at least one."""
+    """Return the lines that Rerun has printed, or "no output" as the only line."""
     output.seek(0)
     return output.read().decode(errors="replace").strip().splitlines() or ["no output"]
 
@@ -164,8 +165,8 @@ def _stop(rerun: Rerun) -> None:
 
 _START_TIMEOUT_S = 30.0
 _FETCH_TIMEOUT_S = 30.0
-# The policy allows what the viewer needs: WebAssembly, an inline script that starts the
-# viewer, and connections to the port of the recording.
+# The viewer needs WebAssembly, an inline start script, and connections to the port of
+# the recording.
 _POLICY = "; ".join(
     (
         "default-src 'self'",
@@ -185,13 +186,13 @@ def serve_recordings(
 ) -> Iterator[tuple[str, Callable[[], None]]]:
     """Serve recordings in the web viewer on 127.0.0.1.
 
-    The context manager yields the URL of the page, and a function that serves requests
-    until it is interrupted.
+    The context manager yields the URL of the page and a function that serves requests
+    until an interrupt.
 
     Args:
-        recordings: recordings.
+        recordings: paths of the recordings.
         port: port of the page, or 0 to select a free port.
-        data_port: port to which a running program may stream data, or None to select a
+        data_port: port on which the viewer accepts streamed data, or None to select a
             free port.
     """
     data_port = data_port or free_port()
@@ -205,7 +206,7 @@ def serve_recordings(
         )
     except (OSError, OverflowError) as error:
         raise InputError(
-            f"the port {port} cannot be used ({error}); omit --port to use a free one"
+            f"port {port} cannot be used ({error}); omit `--port` to use a free port"
         ) from error
     with (
         server,
@@ -213,13 +214,13 @@ def serve_recordings(
     ):
         if not is_served(rerun, [f"{upstream}/"], _START_TIMEOUT_S):
             raise InputError(
-                f"Rerun does not serve its viewer: {output_lines(output)[-1]}"
+                f"Rerun does not serve the web viewer: {output_lines(output)[-1]}"
             )
         yield f"http://{HOST}:{server.server_port}/", server.serve_forever
 
 
 class _ProxyHandler(BaseHTTPRequestHandler):
-    """Request handler that removes links to other hosts from the files of Rerun."""
+    """Request handler that removes links to other hosts from Rerun's files."""
 
     def __init__(self, source: str, query: str, *request: Any) -> None:
         self.source = source
@@ -257,14 +258,14 @@ class _ProxyHandler(BaseHTTPRequestHandler):
 
 
 def _opener() -> urllib.request.OpenerDirector:
-    """Return a URL opener that uses no proxy, for requests to this machine."""
+    """Return a URL opener without proxies, for requests to this machine."""
     return urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
 def is_served(
     server: subprocess.Popen[bytes], addresses: Sequence[str], timeout_s: float
 ) -> bool:
-    """Wait until a server answers at all addresses, and return whether it did."""
+    """Wait for answers from all addresses and return whether all of them answered."""
     deadline = time.monotonic() + timeout_s
     while server.poll() is None and time.monotonic() < deadline:
         try:

@@ -104,7 +104,7 @@ def test_samples_have_the_correlation_of_the_file():
     [
         (
             {"kind": "normal", "factor": 2.0},
-            "the distribution `normal` needs sd, but factor is given",
+            "the distribution `normal` needs sd, but factor was given",
         ),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.04},
@@ -112,11 +112,11 @@ def test_samples_have_the_correlation_of_the_file():
         ),
         (
             {"kind": "uniform", "low": 0.05, "high": 0.06},
-            "the number 0.043 lies outside its own range from 0.05 to 0.06",
+            "the number 0.043 lies outside the uniform range from 0.05 to 0.06",
         ),
         (
             {"kind": "uniform", "low": -1.0, "high": 0.06},
-            "the range from -1 to 0.06 is not allowed; it must lie between 0 and 10",
+            "the range from -1 to 0.06 exceeds the allowed range from 0 to 10",
         ),
         ({"kind": "normel", "sd": 1.0}, "normal"),
     ],
