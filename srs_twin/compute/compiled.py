@@ -60,7 +60,7 @@ def notify_first_compilation(notice: Callable[[], None]) -> None:
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Code of a part of a kernel, which remains in intermediate representation."""
+    """Code of a kernel part, kept in LLVM intermediate representation."""
 
     def finalize(self) -> None:
         """Declare the global variables that Numba sets, but generate no code."""
@@ -111,7 +111,7 @@ class _PartLibrary(JITCodeLibrary):
 
 
 class _PartCompiler(Compiler):
-    """Numba's compiler with a `_PartLibrary`."""
+    """Numba compiler that generates a `_PartLibrary`."""
 
     def __init__(
         self, typing_context: Any, target_context: Any, _: Any, *rest: Any
@@ -161,11 +161,10 @@ def compiled(function: Function) -> Kernel:
     lock.
 
     Numba's own cache is valid as long as the source file of the function is unchanged.
-    Numba does not detect changes in inlined functions from other files, such as a
-    corrected friction law. The cache of this module is valid as long as a digest of the
-    bytecode of the function, of all called kernels and of their constants is unchanged.
-    If no cache folder is writable, every process compiles its kernels and issues one
-    `CacheWarning`.
+    It does not detect changes in inlined functions from other files, such as a
+    corrected friction law. This cache is instead keyed by a digest of the bytecode and
+    constants of the function and of all kernels that it calls. If no cache folder is
+    writable, every process compiles its kernels and issues one `CacheWarning`.
     """
     return Kernel(function, _NO_REFCOUNTS)
 
@@ -214,7 +213,9 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Func
         kernel: Any = kernel_only(function)
 
         def call(*arguments: Any) -> None:
-            raise NotImplementedError(f"only kernels call {function.__name__}")
+            raise NotImplementedError(
+                f"{function.__name__} must be called from a kernel"
+            )
 
         @type_callable(call)
         def infer(context: Any) -> Function:
@@ -285,8 +286,8 @@ class _Cache(FunctionCache):
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
         except (ReferenceError, AttributeError, ModuleNotFoundError):
-            # The cache index is replaced by an empty index if it refers to a kernel
-            # from another process or to a function that no longer exists.
+            # A cache index that refers to a kernel from another process, or to a
+            # function that no longer exists, is replaced by an empty index.
             self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError):
             _warn(f"a file in {self._cache_path} is damaged; remove this folder")
@@ -307,13 +308,13 @@ def _why_unsafe(folder: Path) -> str | None:
         # file.
         sticky = path != folder and status.st_mode & stat.S_ISVTX
         if status.st_mode & stat.S_IWOTH and not sticky:
-            return f"{path} can be written by all users"
+            return f"{path} is writable by all users"
         if (
             status.st_mode & stat.S_IWGRP
             and not sticky
             and not _is_own_group(status.st_gid)
         ):
-            return f"{path} can be written by its group (chmod g-w forbids it)"
+            return f"{path} is writable by its group (to change this, use chmod g-w)"
     return None
 
 

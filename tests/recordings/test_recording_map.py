@@ -165,7 +165,7 @@ def test_insufficient_markers_are_refused_and_the_remedy_works(tmp_path):
         ),
         (
             {"log": {"valve_1": "a"}},
-            "log.valve_1: this is not a key of a log; allowed are time, carrier_hz",
+            "log.valve_1: unknown key; the section `log` has the keys time, carrier_hz",
         ),
         ({"log": {"carrier_hz": "30"}}, "log.carrier_hz: the value must be a number"),
         ({"marker": {}}, "marker: unknown key; did you mean markers?"),

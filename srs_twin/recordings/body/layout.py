@@ -9,7 +9,7 @@ The layouts are:
 - ``middles``: one marker per connector, and one at the middle of each segment.
 - ``head_middles``: like ``middles``, with one more marker in front of the head.
 
-The distance of markers on adjacent connectors never exceeds the length of a straight
+The distance between markers on adjacent connectors never exceeds the length of a straight
 segment, whereas markers on more distant connectors are sometimes farther apart. The
 minimum spanning tree of the maximum distances therefore yields the order of the markers
 along the body.
@@ -29,14 +29,13 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class LayoutSize(NamedTuple):
-    """Number of markers of a layout with N connectors: per_connector · N + extra."""
+    """Number of markers on N connectors: per_connector · N + extra."""
 
     per_connector: int
     extra: int
 
 
 Layout = Literal["single", "head", "pair", "middles", "head_middles"]
-"""Name of a layout."""
 
 LAYOUT_SIZES: dict[str, LayoutSize] = {
     "single": LayoutSize(1, 0),
@@ -45,13 +44,12 @@ LAYOUT_SIZES: dict[str, LayoutSize] = {
     "middles": LayoutSize(2, -1),
     "head_middles": LayoutSize(2, 0),
 }
-"""Number of markers for each layout."""
 
 LAYOUTS = ("auto", *LAYOUT_SIZES)
 """Names of the layouts. With "auto", the layout is detected from the markers."""
 
 MIN_COVERAGE = 0.2
-"""Minimum fraction of the frames on which a marker of the robot is visible."""
+"""Minimum fraction of frames in which a robot marker is visible."""
 _MAX_NEIGHBOUR_PITCH = 2.0
 """Maximum distance from a robot marker to the nearest marker, in segment lengths."""
 _MIN_EXTENT = 0.1
@@ -69,7 +67,7 @@ _CONSTANT_HEIGHT = 0.02
 _MAX_DISTANCE_RANGE = 0.5
 """Maximum relative range of the distance between two markers that move together."""
 _MIN_MOTION_RATIO = 0.2
-"""Minimum ratio of the motions of two markers that move together."""
+"""Minimum ratio of the mean displacements of two markers that move together."""
 
 
 def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
@@ -193,14 +191,14 @@ def _wrong_number(
     )
     return (
         f"{candidates} markers may belong to the robot, but {connectors} connectors"
-        f" need {listed}; the markers are visible on {fractions} of the frames. Give"
+        f" need {listed}; the markers are visible in {fractions} of the frames. Give"
         " --layout, export the recording without other markers, or give the place of"
         " each marker in a map (--map)"
     )
 
 
 def body_order(points: np.ndarray) -> np.ndarray:
-    """Return the markers in their order along the body, starting at either end."""
+    """Return the marker indices in order along the body, starting at either end."""
     from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
     # A high quantile is used instead of the maximum, because a few frames may be wrong.
@@ -212,7 +210,7 @@ def body_order(points: np.ndarray) -> np.ndarray:
     ends = np.flatnonzero(neighbours == 1)
     if len(ends) != 2:
         raise InputError(
-            "the markers do not lie along one body, because the line through them has"
+            "the markers do not form one line along the body; their connections have"
             f" {len(ends)} ends instead of 2"
         )
     return np.asarray(
@@ -254,8 +252,8 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
 def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return medians and standard deviations of distances, m, shape (markers, markers).
 
-    The standard deviations are computed from quartiles, so that a few wrong frames have
-    no effect.
+    The standard deviations are computed from quartiles, which are robust to a few wrong
+    frames.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     # The distance from a marker to itself is NaN, and so is the distance between two
@@ -269,7 +267,7 @@ def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
-    """Raise an error if the distances of the markers do not match the robot."""
+    """Raise an error if the marker distances do not match the size of the robot."""
     pitch = spec.geometry.pitch
     straight = spec.segments * spec.geometry.pitch
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
@@ -291,7 +289,7 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
 
 
 def unit_hint(ratio: float) -> str:
-    """Return a hint about the unit, given the ratio of measured to expected lengths."""
+    """Return a hint on the unit from the ratio of measured to expected lengths."""
     for unit, factor in LENGTHS.items():
         for correction, preposition in ((factor, "in"), (1 / factor, "not in")):
             if factor != 1 and 0.7 < ratio * correction < 1.1:
@@ -305,8 +303,8 @@ def unit_hint(ratio: float) -> str:
 def forward_distance(period: float, points: np.ndarray) -> float:
     """Return the distance travelled towards the first marker, m.
 
-    A motion towards the last marker is negative. `period` is the time between two
-    frames (s), and `points` contains the marker positions along the body (m).
+    The result is negative if the body moves towards the last marker. `period` is the
+    frame period (s), and `points` contains the marker positions along the body (m).
     """
     stride = max(1, round(0.25 / period))
     if len(points) > stride:

@@ -28,7 +28,7 @@ from srs_twin.recordings.signals.units import LENGTHS, symbol
 _BLOCK = 512
 """Size of a block in bytes."""
 _DEC = 85
-"""Processor type of DEC (VAX) floats, which have swapped words and other exponents."""
+"""Processor type of DEC (VAX) floats: swapped words, different exponent bias."""
 _BIG_ENDIAN = 86
 """Processor type for big-endian numbers (MIPS)."""
 
@@ -240,9 +240,9 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
 
     The frame numbers in the header have only 16 bits. For longer recordings, the number
     of frames is stated in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit
-    words each) or in POINT:LONG_FRAMES. Stated numbers of frames may be wrong, so the
-    largest number that is possible for the file size is used. If no number exceeds
-    65,535, the file is read to the end.
+    words each) or in POINT:LONG_FRAMES. These numbers may be wrong, so the largest
+    number that fits the file size is used. If the last frame number in the header is
+    65,535 and no larger number is stated, the file is read to the end.
     """
     scale = contents.number("POINT:SCALE", 12)
     is_float = scale < 0
@@ -297,8 +297,8 @@ def _analog_values(
 ) -> int:
     """Return the number of analog values per frame.
 
-    If the header and the parameters contradict each other, the number that matches the
-    size of the data section is used.
+    If the header and the parameters disagree, the number that matches the size of the
+    data section is used.
     """
     by_header = contents.header_word(4)
     if "ANALOG:USED" not in contents.parameters:

@@ -1,4 +1,4 @@
-"""Frame grid of a recording, and outliers and gaps of tracks."""
+"""Frame grid of a recording, and treatment of outliers and gaps in tracks."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ class FrameGrid:
 
     Attributes:
         time: times in ascending order, s, shape (frames,).
-        rows: row of the file for each frame, shape (frames,). The row of a missing
-            frame is −1.
+        rows: file row of each frame, or −1 for a missing frame, shape (frames,).
         corrections: notes on changes to the data.
     """
 
@@ -53,7 +52,7 @@ def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
     backward = int((np.diff(time) < 0).sum())
     if backward:
         notes = [
-            f"the rows were not in the order of time ({backward} steps back) and"
+            f"the rows were not in chronological order ({backward} steps back) and"
             " were sorted"
         ]
     else:
@@ -122,7 +121,7 @@ def _on_grid(
 
 
 def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
-    """Return the values of all frames. The values of a missing frame are NaN."""
+    """Return the values at all frames, with NaN at missing frames."""
     picked = values[frames.rows]
     picked[frames.rows < 0] = np.nan
     return np.asarray(picked)
@@ -183,8 +182,7 @@ def _track_outliers(
         (rows.ravel(), columns.ravel(), 5 * np.arange(len(middle) + 1)),
         (len(middle), len(frames)),
     )
-    # For every sample k, `projection` is |a_k·r| and `size` is |a_k|, with A =
-    # `cubics`.
+    # For every sample k, `projection` is |a_k·r| and `size` is |a_k|. `cubics` is A.
     projection = np.linalg.norm(cubics.T @ (cubics @ points), axis=1)
     size = np.sqrt((cubics**2).sum(axis=0))
     score = projection / size
@@ -198,9 +196,9 @@ def _track_outliers(
     )
     large = projection > min_jump * size**2
     outlier = large & (score > _OUTLIER_RATIO * _STD_PER_MAD * usual) & (score >= peak)
-    # The first two and the last two samples are in too few cubic polynomials to be
-    # tested. The score includes these samples, so that their errors do not affect other
-    # samples.
+    # The first two and the last two samples cannot be tested, because they are in too
+    # few cubic polynomials. Their scores are included in the peak, so that their errors
+    # do not affect other samples.
     outlier[[0, 1, -2, -1]] = False
     return np.asarray(outlier)
 
@@ -241,7 +239,7 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
 def fill_gaps(time: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
     """Interpolate the gaps of tracks whose first and last position are known.
 
-    The degree of the spline is 1 for tracks with few samples.
+    Tracks with at most `degree` samples are interpolated linearly.
     """
     from scipy.interpolate import make_interp_spline
 
