@@ -1,10 +1,10 @@
 """Numba compilation with a disk cache that detects changes in inlined functions.
 
 By default, Numba optimises every function separately and again in each caller, and
-generates machine code for each function. Here a function that a kernel calls is a
-*part* of the kernel (`_PartLibrary`). Machine code is generated only once, for the
-function that Python calls together with its parts. Only the function that Python calls
-has a Python wrapper and a cache on disk.
+generates machine code for each function. Here, functions called by a kernel are *parts*
+of the kernel (`_PartLibrary`). Machine code is generated only once, for the kernel with
+its parts. Only functions that are called from Python have a Python wrapper and a cache
+on disk.
 """
 
 # ruff: noqa: SLF001 - caches and code libraries of numba have no public names
@@ -34,8 +34,7 @@ from srs_twin.errors import CacheWarning
 
 Function = Callable[..., Any]
 
-# These optimisations may change the order of sums, but they preserve the treatment of
-# infinities and NaN.
+# These optimisations may reorder sums, but they preserve infinities and NaN.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {
     "nogil": True,
@@ -120,8 +119,8 @@ class _PartCompiler(Compiler):
         super().__init__(typing_context, target_context, library, *rest)  # type: ignore[no-untyped-call]  # numba has no types
 
 
-# Compiling a Python wrapper for a function with records of arrays as arguments takes
-# longer than compiling the function.
+# For functions whose arguments are records of arrays, compiling the Python wrapper
+# would take longer than compiling the function.
 _PART_OPTIONS: Any = _OPTIONS | {
     "no_cpython_wrapper": True,
     "pipeline_class": _PartCompiler,
@@ -138,7 +137,6 @@ class Kernel:
     """
 
     def __init__(self, function: Function, options: Mapping[str, Any]) -> None:
-        """Prepare the compilation with additional Numba options."""
         functools.update_wrapper(self, function)
         self.py_func = function
         self.entry = _with_cache(njit(**_OPTIONS, **options)(function), function)
@@ -183,8 +181,7 @@ def kernel_only(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """Copy a function that only kernels call into its callers before optimisation.
 
-    The order of sums in a kernel then does not depend on the division of the kernel
-    into functions.
+    The order of sums then does not depend on how a kernel is divided into functions.
     """
     part: Function = njit(**_PART_OPTIONS, **_NO_REFCOUNTS, inline="always")(function)
     return part
@@ -198,15 +195,15 @@ overload_part: Function = functools.partial(
 
 
 def is_given(kind: types.Type) -> bool:
-    """Return whether an argument with a numba type is not None."""
+    """Return whether an argument of this Numba type is not None."""
     return not isinstance(kind, types.NoneType)
 
 
 def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Function:
-    """Return a decorator like `kernel_only` for calls that a condition enables.
+    """Return a decorator like `kernel_only` for calls that depend on a condition.
 
-    The condition is a function of the Numba type of the first argument. A disabled call
-    generates no code and returns `otherwise`.
+    The condition is evaluated for the Numba type of the first argument. If it is false,
+    the call generates no code and returns `otherwise`.
     """
 
     def decorate(function: Function) -> Function:
@@ -382,7 +379,6 @@ def _code_parts(
 def _value_parts(
     name: str, values: Iterable[object], seen: set[CodeType]
 ) -> Iterator[str]:
-    """Yield the values of a global name as text."""
     for value in values:
         function = getattr(value, "py_func", value)
         if isinstance(function, FunctionType):

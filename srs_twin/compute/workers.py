@@ -131,8 +131,8 @@ _WARNINGS = (
 _ENVIRONMENT = {
     # Workers must not import modules from the current folder.
     "PYTHONSAFEPATH": "1",
-    # Each library in a worker may use only one thread, because there is one worker per
-    # processor, and a forked process should have a single thread.
+    # Libraries in a worker use a single thread, because there is one worker per
+    # processor, and a process should have a single thread when it is forked.
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
 }
@@ -248,8 +248,6 @@ def run_tasks(
 
 
 class _TaskRun:
-    """State of one call of `run_tasks`: waiting tasks, finished tasks and workers."""
-
     def __init__(
         self, program: bytes, packed: Sequence[bytes], count: int, attempts: int
     ) -> None:
@@ -353,8 +351,7 @@ class _Worker:
         self.ready = False
         self.number: int | None = None
         self.pipe, remote_pipe = Pipe()
-        # The fork server may have started before the extensions of this process were
-        # loaded.
+        # The fork server may have started before this process loaded its extensions.
         plugins = os.environ.get(PLUGINS, "")
         self.process = _start_process(_worker_main, (remote_pipe, program, plugins))
         remote_pipe.close()
@@ -431,8 +428,7 @@ def _call_and_pickle(call: Callable[[], object]) -> bytes:
         return pickle.dumps((call(), None))
     except Exception as error:  # any error is reported, and the worker continues
         reported = error if isinstance(error, SrsError) else TaskFailedError(error)
-        # Tracebacks cannot be pickled, so the traceback is added to the error as a
-        # note.
+        # Tracebacks cannot be pickled, so the traceback becomes a note of the error.
         reported.add_note("".join(traceback.format_exception(error)))
         try:
             return pickle.dumps((None, reported))

@@ -175,7 +175,7 @@ class CsvTable:
 
 
 def not_used(names: Sequence[str]) -> list[str]:
-    """Return a list with a note on unused columns, or an empty list."""
+    """Return a note on unused columns, as a list that may be empty."""
     if not names:
         return []
     listed = [*names[:_LISTED], *["…"] * (len(names) > _LISTED)]

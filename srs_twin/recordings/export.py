@@ -15,7 +15,7 @@ The topics of a plant, for example ``twin``, are:
   ``chambers``.
 
 Time stamps and log times are simulated times since the start of the run. All poses and
-shapes are given in the frame ``world``. The poses of planar robots have the height 0.
+shapes are given in the frame ``world``, where planar robots have the height 0.
 """
 
 from __future__ import annotations
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 WORLD = "world"
-"""Reference frame of all poses."""
 
 _NS = 1_000_000_000
 _SIDES = ("plus", "minus")

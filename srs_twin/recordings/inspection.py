@@ -82,13 +82,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _RIGID_NOISE_RATIO = 1.3
-"""Maximum ratio of the variation of a constant distance to the noise."""
+"""Maximum variation of a constant distance, divided by the noise."""
 _DISTANCE_FRAMES = 2000
-"""Number of frames from which distances are computed."""
 _MIN_CRAWLED = 0.3
 """Minimum displacement from which the head is inferred, in marker spacings."""
 _MAX_SIGNALS = 200
-"""Maximum number of signals that are described."""
 _QUANTITY_TEXTS = {
     "time": "time",
     "valve": "valve states",
@@ -115,8 +113,8 @@ class Scene:
 
     Attributes:
         places: marker positions, m, shape (frames, markers, 2 or 3).
-        order: indices of the markers in their order along the body. The tuple is empty
-            if the order is unknown.
+        order: marker indices in order along the body, or an empty tuple if the order is
+            unknown.
     """
 
     places: np.ndarray

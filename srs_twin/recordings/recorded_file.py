@@ -45,7 +45,6 @@ MAX_VALUES = 1 << 26
 """Maximum number of cells of a table. This many numbers need half a gigabyte."""
 
 MAX_COLUMNS = 20_000
-"""Maximum number of columns of a table."""
 
 BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
 """Cell texts that mean a missing value."""
@@ -69,8 +68,7 @@ _REPORTED_CELL = re.compile(
 _COMMENT = re.compile(r"\s*#|sep=.$", re.IGNORECASE)  # "sep=" is an Excel directive
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
-# This pattern matches a decimal comma that cannot separate thousands, as in 0,5 or
-# 1234,5.
+# Decimal comma that cannot be a thousands separator, as in 0,5 or 1234,5.
 _DECIMAL_COMMA = re.compile(
     rb"(?<![\d,])(?:0|\d{4,}),\d|\d,(?:\d{1,2}|\d{4,})(?![\d,])"
 )
@@ -86,7 +84,6 @@ _EPOCH_RANGE = (1e9, 4.2e9)
 _MAX_EPOCH_STEP = 100.0
 """Maximum step between times since 1970, s. A longer step indicates a wrong unit."""
 _MAX_COMMENT_LINES = 1000
-"""Maximum number of comment lines above the header."""
 
 
 class Dialect(NamedTuple):
@@ -174,7 +171,7 @@ class RecordedFile:
     def error(
         self, problem: str, line: int | None = None, column: int | None = None
     ) -> InputError:
-        """Return an error that states the line and the column, counted from 1."""
+        """Return an error with its position. Line and column are counted from 1."""
         position = "".join(
             f":{number}" for number in (line, column) if number is not None
         )
@@ -299,8 +296,8 @@ class RecordedFile:
         if not _are_since_1970(time, unit):
             with np.errstate(over="ignore"):
                 return Times(time * TIMES[unit or "s"], notes, None)
-        # Times are parsed as exact numbers, because the resolution of times since 1970
-        # in a double is only 256 ns.
+        # Unix times are parsed as exact numbers, because a double resolves them only to
+        # 256 ns.
         (texts,) = self._parsed(cut, top, [clock], width, pa.string())
         numbers = (text.replace(self.decimal, ".") for text in texts.to_pylist())
         return _since_1970([*map(Decimal, numbers)], unit or "s", notes)
@@ -378,7 +375,7 @@ class RecordedFile:
             return self.error(problem, header_lines + 1)
         lines = enumerate(rows.split(b"\n"), start=header_lines + 1)
         filled = [number for number, line in lines if line.strip(b"\r")]
-        # A quotation mark can join several lines into one cell.
+        # A quotation mark may join several lines into one cell.
         text = escape_unprintable(cell["text"].strip()[:60])
         problem = f"'{text}' is not a number; give a number or leave the cell empty"
         if re.search(r"\d,\d", cell["text"]):

@@ -70,7 +70,7 @@ _CARRIER_S = 0.07
 Shorter intervals are due to a carrier.
 """
 _STILL_S = 1e-9
-"""Tolerance of times, s."""
+"""Tolerance for comparing times, s."""
 _MAX_EMPTY_PA = 1e3
 """Maximum gauge pressure of an empty chamber, Pa."""
 
@@ -104,7 +104,7 @@ class ValveLog:
         return replace(self, time=self.time + offset)
 
     def schedule(self) -> Schedule:
-        """Return the valve states as a schedule from the first row to the last row."""
+        """Return the valve states as a schedule from the first to the last row."""
         states = self.values.astype(np.int8)
         changes = np.append(
             0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1
@@ -168,7 +168,7 @@ class ValveLog:
 def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the values of the last row at or before each time.
 
-    At times before the first row, the values of the first row are returned.
+    Before the first row, the values of the first row are returned.
     """
     return np.asarray(
         values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)]

@@ -194,7 +194,6 @@ class RecordingMap(StrictModel):
 
 
 NO_MAP = RecordingMap()
-"""Empty recording map."""
 
 
 def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:

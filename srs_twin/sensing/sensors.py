@@ -236,7 +236,6 @@ class DriftedSensor(_AlteredSensor):
     """Sensors that have drifted by individual amounts since their calibration.
 
     Attributes:
-        sensor: sensors without drift.
         gain: factor that multiplies the reading, shape (segments,), dimensionless.
         bias: offset added to the reading, shape (segments,), rad.
     """
@@ -279,7 +278,6 @@ class FaultySensor(_AlteredSensor):
     """Sensors that have failed in some segments.
 
     Attributes:
-        sensor: sensors without faults.
         dead: faults of individual segments.
     """
 

@@ -361,7 +361,7 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "an unknown unit",
         STATIC.replace(b"kpa", b"ata", 1),
-        ":1:1: pressure_plus_1_ata: the unit 'ata' is not known",
+        ":1:1: pressure_plus_1_ata: unknown unit 'ata'",
     ),
     Malformed(
         "a word", STATIC.replace(b"10,0", b"ten,0"), ":4:1: 'ten' is not a number"

@@ -277,7 +277,8 @@ def test_foreign_databases_are_refused(tmp_path):
     with sqlite3.connect(tmp_path / "a.db3") as base:
         base.execute("CREATE TABLE notes (text)")
     with pytest.raises(
-        InputError, match=r"not a ROS 2 bag; it lacks the tables `topics` and `messages`"
+        InputError,
+        match=r"not a ROS 2 bag; it lacks the tables `topics` and `messages`",
     ):
         read_markers(tmp_path / "a.db3")
     with sqlite3.connect(tmp_path / "b.db3") as base:

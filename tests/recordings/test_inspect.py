@@ -112,7 +112,7 @@ def test_the_map_names_no_markers_that_change_their_columns(tmp_path):
     path.write_text(text := proposed_map([facts]))
     proposed = load_model(RecordingMap, path)
     assert proposed.up == facts.up and not proposed.markers
-    assert "markers change" in text and "left out" in text
+    assert "markers switch columns" in text and "states no places" in text
     read_motion(tmp_path / "take.csv", SPEC, map=proposed)
 
 

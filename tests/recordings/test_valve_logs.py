@@ -261,7 +261,7 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
         (
             "valve_plus_1",
             "valve_plus_1_kpa",
-            "valves.csv:1:2: valve_plus_1_kpa: the unit 'kpa' is not known",
+            "valves.csv:1:2: valve_plus_1_kpa: unknown unit 'kpa'",
         ),
         (
             "valve_plus_1",

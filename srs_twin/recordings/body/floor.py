@@ -39,7 +39,7 @@ from srs_twin.errors import InputError
 from srs_twin.recordings.body.tracking import pairwise_distances
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
-"""Axis of a file that points up."""
+"""File axis that points up."""
 
 MAPS = {
     "z": ((0, 1), (1, 1), (2, 1)),
@@ -58,7 +58,6 @@ _SAMPLES = 20_000
 _LAG_FRACTIONS = (60, 30, 10)
 """Ratios of the recording duration to the time lag of a displacement."""
 _NORMALS = 400
-"""Number of candidate normals."""
 _LIFT_FRACTION = 0.01
 """Assumed RMS lift of a snake in phase with the motion, relative to the body length."""
 _CERTAIN_RATIO = 2.0
@@ -66,7 +65,7 @@ _CERTAIN_RATIO = 2.0
 _EXTENT_FRAMES = 200
 """Number of sampled frames from which the body length is computed."""
 _FIT_ITERATIONS = 8
-"""Number of iterations of the robust fit of the gradients."""
+"""Number of iterations of the robust gradient fit."""
 _MAX_SHIFT = 1e-3
 """Maximum shift of high relative to low markers due to an ignored tilt, m."""
 _PLANE_RATIO = 3.0
@@ -169,8 +168,7 @@ def _find_floor(
             " axes; rotate the recording, or give the vertical axis with --up x, y or"
             " z, or with `up` in a map"
         )
-    # A calibration square on the floor defines the origin, so all markers must be above
-    # the origin.
+    # A calibration square on the floor defines the origin, so the markers are above it.
     height = float(np.median(visible[:, axis]))
     up = ("-" if height < -1e-3 else "") + "xyz"[axis]
     notes = [f"up is {up}: markers stay within {1e3 * spread[0]:.1f} mm of a plane"]

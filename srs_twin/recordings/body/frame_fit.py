@@ -56,7 +56,6 @@ This weak prior prevents singular matrices.
 _MAX_ANGLE_STEP = 0.3
 """Maximum change of heading and bends in a Gauss-Newton step, rad."""
 _MAX_STEPS = 15
-"""Maximum number of Gauss-Newton steps."""
 _CONVERGED_STEP = 1e-5
 """Convergence tolerance of the Gauss-Newton step, rad and m.
 
@@ -83,7 +82,7 @@ class _Kinematics(NamedTuple):
 
 @dataclass(frozen=True)
 class MarkerPlacement:
-    """Positions of markers on the body.
+    """Placement of the markers on the body.
 
     Attributes:
         station: station of each marker, shape (markers,).
@@ -145,7 +144,7 @@ class MarkerPlacement:
 
 
 def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return E(φ) and dE/dφ for the bend φ (rad)."""
+    """Return E(φ) and dE/dφ for a bend φ (rad)."""
     cosine, sine, arc, derivative, _ = half_angle_terms(turn)
     rotation = cosine - 1j * sine
     return arc * rotation, (derivative - 0.5j * arc) * rotation
@@ -193,8 +192,8 @@ def marker_offsets(
             side_distance = abs(sides[0] - sides[1]) if all(sides) else 1
             offsets[group] = [distance * side / side_distance for side in sides]
             continue
-        # The argument of this ratio is the angle between the marker pair and the line
-        # through the adjacent stations.
+        # The complex argument of this ratio is the angle between the marker pair and the
+        # line through the adjacent stations.
         ratio = line / (centres[max(k - 1, 0)] - centres[min(k + 1, len(centres) - 1)])
         visible = ~missing[:, group].any(axis=1)
         ratio = ratio[visible] if visible.any() else ratio
@@ -300,7 +299,7 @@ def fit_frames(
             markers, the fit keeps the bends close to the initial bends q̂.
         measured: complex marker positions, m, shape (frames, markers). The positions of
             hidden markers are interpolated.
-        placement: positions of the markers on the body.
+        placement: placement of the markers on the body.
         prior: prior distribution of the state.
         missing: mask of hidden markers, shape (frames, markers), or None if all markers
             are visible.
@@ -324,8 +323,7 @@ def fit_frames(
     for _ in range(_MAX_STEPS):
         body = placement.kinematics(state[active])
         residual[active] = difference = measured[active] - body.marker
-        # The matrix `inner` is the Gauss-Newton matrix without the information matrix
-        # of the prior.
+        # `inner` is the Gauss-Newton matrix without the prior information.
         weighted = (body.jacobian.conj() * weight[active][..., None]).transpose(0, 2, 1)
         data[active] = inner = (weighted @ body.jacobian).real
         gradient = (weighted @ difference[..., None])[..., 0].real

@@ -46,7 +46,7 @@ LAYOUT_SIZES: dict[str, LayoutSize] = {
 }
 
 LAYOUTS = ("auto", *LAYOUT_SIZES)
-"""Names of the layouts. With "auto", the layout is detected from the markers."""
+"""Layout names. With "auto", the layout is detected from the markers."""
 
 MIN_COVERAGE = 0.2
 """Minimum fraction of frames in which a robot marker is visible."""
@@ -57,7 +57,6 @@ _MIN_EXTENT = 0.1
 _MAX_NEAREST_PITCH = 2.5
 """Maximum distance between the two closest markers, in segment lengths."""
 _DISTANCE_FRAMES = 2000
-"""Number of sampled frames from which distances are computed."""
 _NEIGHBOUR_FRAMES = 300
 """Number of sampled frames in which the nearest marker is determined."""
 _SAME_HEIGHT = 0.05
@@ -93,8 +92,8 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     ]
     height_range = {k: _range(heights[k]) for k in different}
     candidates = [k for k in different if height_range[k] <= _CONSTANT_HEIGHT]
-    # The search is repeated because a marker may move together with a marker that has
-    # just been accepted.
+    # The search is repeated, because a marker may move together with a newly accepted
+    # marker.
     while accepted := [
         k
         for k in candidates
@@ -142,16 +141,15 @@ def robot_markers(
         points: positions of all tracks, m, shape (frames, tracks, 2).
         connectors: number N of connectors.
         pitch: length of a straight segment, m.
-        layout: layout, one of `LAYOUTS`. With "auto", all layouts that have the visible
-            number of markers are possible.
+        layout: layout, one of `LAYOUTS`. With "auto", every layout with the visible
+            number of markers is possible.
         named: number of columns whose names state a place on the robot.
     """
     visible = ~np.isnan(points[..., 0])
     coverage = visible.mean(axis=0)
     candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
     if len(candidates) > connectors and not named:
-        # A robot marker is close to another marker in most frames in which the robot
-        # marker is visible.
+        # In most frames in which it is visible, a robot marker is close to another one.
         limit = _MAX_NEIGHBOUR_PITCH * pitch
         has_neighbour = (
             pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit
@@ -231,9 +229,9 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
-    # The distance between markers of two pairs may be as small and as constant as the
-    # distance within a pair. If the distances are ambiguous, the order along the body
-    # determines the pairs.
+    # Distances between two pairs may be as small and as constant as the distance within
+    # a pair. The pairs that follow from the order along the body are therefore an
+    # alternative.
     try:
         in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
     except InputError:
@@ -256,8 +254,7 @@ def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     frames.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    # The distance from a marker to itself is NaN, and so is the distance between two
-    # markers that are never visible in the same frame.
+    # Markers that are never visible in the same frame have no distance (NaN).
     distance[:, np.isnan(distance).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
         low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)

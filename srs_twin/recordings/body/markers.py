@@ -44,7 +44,7 @@ _NOTED_STRETCH = 0.05
 _MAX_FIXED_STD = 0.03
 """Maximum standard deviation of constant segment lengths, relative to their mean."""
 _COMPARED_FRAMES = 600
-"""Number of frames in which alternative assignments are compared."""
+"""Number of frames used to compare alternative assignments."""
 _CLEAR_NOISE_RATIO = 1.3
 """Minimum ratio of the second smallest to the smallest noise for a clear decision."""
 _MAX_LENGTH_RATIO = 1.15
@@ -87,7 +87,7 @@ class CapturedMarkers:
         ]
 
     def thinned(self) -> CapturedMarkers:
-        """Return the markers in a sample of the frames."""
+        """Return the markers in a subset of the frames."""
         frames = sample_frames(len(self.time), _COMPARED_FRAMES)
         return replace(
             self,
@@ -130,8 +130,7 @@ def tracked_body(
 ) -> TrackedBody:
     """Assign markers to the body and fit the shape of the body.
 
-    `head` is the column name of a marker at the head. If `head` is None, the head is
-    detected.
+    `head` is the column name of a marker at the head, or None to detect the head.
     """
     options: list[_Assignment] = []
     refused: list[str] = []

@@ -43,7 +43,6 @@ _DEFAULT_NOISE = 5e-4
 _MAX_DIFFERENCE_ORDER = 8
 """Maximum order of the differences from which the noise is estimated."""
 _NOISE_FRAMES = 20_000
-"""Number of frames from which the noise is estimated."""
 _MIN_REDUNDANCY = 0.3
 """Minimum number of redundant coordinates per frame for a noise estimate."""
 _MIN_MOTION_RATIO = 0.5
@@ -54,9 +53,7 @@ _INITIAL_LENGTH_STD = 0.1
 _INITIAL_ALTERNATING_STD = 0.3
 """Initial value of the standard deviation σ_ε, rad."""
 _EM_FRAMES = 400
-"""Number of frames used in the expectation-maximisation."""
 _EM_ITERATIONS = 12
-"""Number of iterations of the expectation-maximisation."""
 
 _MAX_BEND_STD = 0.15
 """Maximum standard error of a bend that the markers determine, rad."""
@@ -82,7 +79,7 @@ class LengthModel(Enum):
     """Assumption on the segment lengths."""
 
     FREE = "free"
-    """Segment lengths may vary. The markers determine the bends for any lengths."""
+    """Segment lengths may vary, because the markers alone determine the bends."""
     FIXED = "fixed"
     """Segment lengths are constant.
 
@@ -328,8 +325,8 @@ def _estimated_prior(
             prior.length_mean = np.median(length, axis=0)
         else:
             prior.length_mean = length.mean(axis=0)
-        # The variance of the fitted lengths does not include the uncertainty of each
-        # length, so this uncertainty is added.
+        # The spread of the fitted lengths does not include their standard errors, so
+        # the variances of the fit are added.
         prior.length_std = float(
             np.sqrt(((length - prior.length_mean) ** 2 + variance).mean())
         )
@@ -352,8 +349,8 @@ def _estimated_prior(
                 scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS
             ):
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
-        # With constant lengths a new prior may change the best ε, so the search starts
-        # again from the coarse grid.
+        # With constant lengths, a new prior may change the best ε, so the coarse grid is
+        # searched again.
         if fixed:
             start = initial_states(measured, placement, prior)
         else:

@@ -50,7 +50,7 @@ _VELOCITY_FRAMES = 4
 _MAX_REACH_RATIO = 6.0
 """Maximum ratio of the reach after a long gap to the reach after a short gap."""
 _PAST_SAMPLES = 100
-"""Number of past samples from which the range of marker distances is computed."""
+"""Maximum number of past samples used for the range of marker distances."""
 _RANGE_COST = 3.0
 """Weight of distances outside their past ranges in the assignment cost."""
 _FORBIDDEN_COST = 1e6
@@ -270,7 +270,7 @@ class _Tracker:
     ) -> np.ndarray:
         """Return the cost of each assignment, m, shape (tracklets, tracks).
 
-        The maximum assignment distance increases with the duration of a gap, up to the
+        The maximum assignment distance grows with the length of the gap, up to the
         factor `_MAX_REACH_RATIO`.
         """
         gap = frame - self._end[tracks]

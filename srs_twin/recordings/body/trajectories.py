@@ -73,7 +73,7 @@ class LogSummary:
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
         frames_read: number of rows of the file that were used.
         samples_filled: number of interpolated positions or bends in the trajectory.
-        markers: counts and errors of the markers, or None for a bend log.
+        markers: marker statistics, or None for a bend log.
     """
 
     source: str
@@ -214,7 +214,7 @@ _UNITS = {
     "bend_rate_": "rad/s",
 }
 _UNITS |= {"bend_error_": "rad", "length_": "m"}
-"""Units of the columns that only measured trajectories contain, by name prefix."""
+"""Units of columns that exist only in measured trajectories, by name prefix."""
 
 MEASURED = "measured"
 """Value of the key `plant` in the metadata of a measured trajectory."""
@@ -227,10 +227,7 @@ def body_trajectory(
     summary: LogSummary,
     gait_frequency_hz: float | None,
 ) -> Trajectory:
-    """Return the trajectory of a tracked body.
-
-    The centre of mass is computed from the masses in `spec`.
-    """
+    """Return the trajectory of a tracked body, with the centre of mass from `spec`."""
     shape = body.shape
     mass_fraction = spec.mass.array() / spec.mass.total
     com = np.einsum("i,fij->fj", mass_fraction, shape.position)
@@ -255,7 +252,7 @@ def body_trajectory(
 def pose_columns(
     com: np.ndarray, heading: np.ndarray, connector: np.ndarray, theta: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a trajectory that contain poses.
+    """Return the pose columns of a trajectory.
 
     The positions of the centre of mass and of the connectors are complex numbers x + i
     y in m. The headings are in rad.

@@ -46,7 +46,7 @@ _NOT_A_POSITION = re.compile(
 
 
 class Unstated(NamedTuple):
-    """Information that a file may lack and that a map or options then provide.
+    """Information from a map or options that a file may lack.
 
     Attributes:
         rate_hz: frame rate, Hz, for DeepLabCut, plain CSV without times, and Qualisys
@@ -98,7 +98,7 @@ class MarkerTable:
 
     @property
     def usual_up(self) -> str:
-        """Usual vertical axis in files of this format."""
+        """Vertical axis that is common in files of this format."""
         if self.kind.startswith(("Motive", "TRC")):
             return "y"
         return "z"
@@ -182,7 +182,7 @@ def length_unit(
 
 
 def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float:
-    """Return the frame rate (Hz) that a file or a map states."""
+    """Return the frame rate (Hz) stated in a file or a map."""
     with suppress(ValueError):
         if 0 < float(given) < 1e6:
             return float(given)
@@ -324,8 +324,8 @@ def marker_table(
 def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
     """Return the mask of hidden markers that some programs write as 0, 0, 0.
 
-    A measured position is never exactly 0 in several frames. A rigid body may stay at
-    the origin, because odometry starts there.
+    A measured position is never exactly 0 in several frames. Rigid bodies are excluded,
+    because odometry starts at the origin.
     """
     zero = (points == 0).all(axis=-1)
     zero[:, zero.sum(axis=0) < _MIN_ZEROS] = False

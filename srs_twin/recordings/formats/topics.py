@@ -47,7 +47,7 @@ Decoded = Any
 """Decoded message: an object of `rosbags`, or a namespace for a JSON message."""
 
 _MIN_EPOCH_NS = 10**17
-"""Minimum log time that is interpreted as a time since 1970, ns."""
+"""Minimum log time that is interpreted as Unix time, ns."""
 _OTHER_CLOCK_S = 1e6
 """Minimum difference between stamp and log time that indicates a simulated clock, s."""
 _NOTED_DIFFERENCE_S = 1.0
@@ -357,8 +357,7 @@ class _Topics:
             notes.append(f"the bodies are in different frames: {listed}")
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
-        # A simulated clock may start at any time, so the times are shifted to start at
-        # 0.
+        # A simulated clock may start at any time, so its times are shifted to start at 0.
         time = frames.time
         other_clock = abs(time[0]) > _OTHER_CLOCK_S
         if other_clock:

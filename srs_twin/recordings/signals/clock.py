@@ -38,7 +38,7 @@ MIN_RIVAL_RATIO = 1.5
 """Minimum ratio of the second smallest to the smallest minimum of S."""
 
 MIN_EXPLAINED = 0.5
-"""Minimum fraction of the variance of the bends that the best offset explains."""
+"""Minimum fraction of the bend variance that the best offset explains."""
 
 _MIN_STEP = 1 / 500
 """Minimum step between delays, s."""
@@ -47,7 +47,7 @@ _MAX_SAMPLES = 1 << 20
 _MODEL_STEP = 0.002
 """Time step of the modelled bends, s."""
 _SETTLED_TIME_CONSTANTS = 5.0
-"""Number of time constants after which unknown initial pressures have no effect."""
+"""Number of time constants until unknown initial pressures have decayed."""
 
 
 @dataclass(frozen=True)
@@ -144,9 +144,8 @@ def _losses(
     count = np.rint(correlate(ones, other_ones))[:, 0]
     enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
-    # The sums for each delay include the common samples of motion and log. Squares and
-    # products are computed about the means. In the names, b is the measured bend, m the
-    # modelled bend and s a sum.
+    # For each delay, the sums include the common samples of motion and log. Names: b is
+    # the measured bend, m the modelled bend, and s a sum.
     sb = correlate(bends, other_ones)
     sm = correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n

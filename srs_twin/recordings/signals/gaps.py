@@ -15,7 +15,7 @@ MIN_FRAMES = 12
 _GRID_TOLERANCE = 0.2
 """Maximum deviation of a time from a multiple of the frame period, in periods."""
 _MAX_FRAMES_PER_ROW = 10
-"""Maximum ratio of the number of frames on the grid to the number of rows."""
+"""Maximum ratio of grid frames to file rows."""
 _MAX_TIME = 1e9
 """Maximum time, s. A larger value indicates a wrong unit."""
 
@@ -128,11 +128,11 @@ def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
 
 
 _NEIGHBOURS = np.array([-2, -1, 1, 2])
-"""Relative positions of the samples that predict a sample."""
+"""Relative indices of the samples that predict a sample."""
 _OUTLIER_RATIO = 8.0
 """Minimum deviation of an outlier from its prediction, in standard deviations."""
 _STD_PER_MAD = 1.4826
-"""Ratio of standard deviation to median absolute deviation of normal values."""
+"""Ratio of standard deviation to median absolute deviation of a normal variable."""
 
 
 def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
@@ -156,10 +156,10 @@ def _track_outliers(
     """Return the mask of outliers in one track, shape (samples,).
 
     The residuals r = A p are deviations of the samples p from cubic polynomials. Each
-    polynomial passes through the two samples before a sample and the two samples after
-    it. The error of the polynomial is proportional to the product of the four time
-    differences between these samples and the sample in the middle. The product is 4
-    frames⁴ if there are no gaps. Each row of A is divided by the product. An outlier of
+    polynomial passes through the two samples before and the two samples after the
+    tested sample. The polynomial error is proportional to the product of the four time
+    differences between these samples and the tested sample, which is 4 frames⁴ if there
+    are no gaps. Each row of A is divided by this product. An outlier of
     size d at sample k adds d a_k to the residuals, where a_k is column k of A.
     Therefore |a_k·r| / |a_k| has its maximum at the outlier, and |a_k·r| / |a_k|² is
     the size of the outlier.
@@ -204,10 +204,7 @@ def _track_outliers(
 
 
 def runs(missing: np.ndarray) -> np.ndarray:
-    """Return the start and the end (exclusive) of each interval of True values.
-
-    The result has the shape (intervals, 2).
-    """
+    """Return the start and end (exclusive) of each True run, shape (runs, 2)."""
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8))
     )

@@ -64,7 +64,6 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")
-"""Sides of a segment in column names."""
 AIR = ("pressure", "setpoint")
 """Kinds of logs that contain pressures. The other kinds are "valve" and "duty"."""
 
@@ -103,8 +102,8 @@ def read_bends(
 ) -> Recording:
     """Read the longest interval of a bend log in which all bends are known.
 
-    In the returned recording, the head is at the origin with the heading 0. The gait
-    frequency (Hz) is None if the motion is not periodic.
+    In the returned recording, the head is at the origin with the heading 0.
+    `gait_frequency_hz` (Hz) is None if the motion is not periodic.
     """
     table = _table(path, as_map(map), ("bend",))
     clock = table.clock(
@@ -293,7 +292,6 @@ def _checked_values(
     notes: list[str],
     error: Callable[[int, int, str], InputError],
 ) -> np.ndarray:
-    """Check and return valve states, duties or gauge pressures."""
     if kind in AIR:
         if ambient:
             notes.append(
@@ -341,7 +339,7 @@ def _log(
     with named_in_errors(source.name):
         check_times(time)
         order, moved = time_order(time)
-        # If several commands have the same time, a valve executes the last command.
+        # Of several commands with equal times, a valve executes the last one.
         kept = np.append(np.diff(time[order]) > 0, True)
         notes += moved
         if not kept.all():
@@ -401,7 +399,7 @@ def _switched_valves(
 
 
 def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
-    """Transform a recording to the frame of its clamp.
+    """Transform a recording to the clamp frame.
 
     The origin of this frame is the centre of mass that a straight body would have.
     """

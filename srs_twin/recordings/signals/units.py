@@ -191,7 +191,7 @@ _CLOCK_QUALIFIER = re.compile(
 
 
 def is_clock(name: str) -> bool:
-    """Return whether a column name, such as t_ms or timestamp [ns], denotes a time."""
+    """Return whether a column name such as `t_ms` or `timestamp [ns]` means a time."""
     bare, _ = bracketed(clean(name))
     if re.search(r"\d", bare):
         return False
@@ -217,4 +217,3 @@ ABSOLUTE = (
     "The pressures look absolute; to subtract the ambient pressure, set `log:"
     " {ambient_kpa: 101.3}` in a map"
 )
-"""Hint for pressures that are probably absolute."""
