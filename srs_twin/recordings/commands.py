@@ -254,8 +254,7 @@ class FormatOptions:
             return Path(out).suffix[1:]
         if len(names) != 1:
             raise InputError(
-                "give exactly one output format, which is one of"
-                f" --{', --'.join(_FORMATS)}"
+                f"give exactly one of the output formats --{', --'.join(_FORMATS)}"
             )
         return names[0]
 

@@ -209,11 +209,11 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
             lines += [
                 f"# {100 * file.in_other_columns:.2g} % of the positions are not in the"
                 " columns of their markers,",
-                "# because markers switch columns. The map therefore states no places, and"
-                " the markers",
-                "# are identified by their motion. Use --layout and --head if the motion"
-                " does not",
-                "# determine them.",
+                "# because markers switch columns. The map therefore states no places,"
+                " and the markers",
+                "# are identified by their motion. Use --layout and --head if the"
+                " motion does not",
+                "# determine the layout and the head.",
             ]
         else:
             lines += _marker_lines(file)
@@ -278,7 +278,7 @@ def in_words(facts: RecordingFacts) -> str:
             count = f"{facts.rows} rows, {facts.rate_hz:.4g} rows per second"
         lines.append(f"{count}, {facts.duration_s:.4g} s")
     if facts.up is not None:
-        summary = [f"up: {facts.up}", f"{facts.tracks or 0} lasting markers"]
+        summary = [f"up: {facts.up}", f"{facts.tracks or 0} persistent markers"]
         if facts.noise_mm is not None:
             summary.insert(1, f"noise {facts.noise_mm:.2g} mm")
         lines.append("; ".join(summary))
@@ -294,7 +294,7 @@ def in_words(facts: RecordingFacts) -> str:
         lines.append(text)
     if facts.layouts is not None:
         fitting = [
-            f"{name} of {count} connectors"
+            f"{name} ({count} connectors)"
             for name, count in facts.layouts.items()
             if count > 1
         ]

@@ -280,7 +280,9 @@ def _body_facts(
     scene = Scene(places, names, (), ())
     complete = places[np.isfinite(places[..., 0]).all(axis=1)]
     if len(complete) < MIN_FRAMES or count < 2:
-        facts.notes.append(f"{len(complete)} frames show all {count} lasting markers")
+        facts.notes.append(
+            f"{len(complete)} frames show all {count} persistent markers"
+        )
         return scene
     facts.layouts = _possible_layouts(count, bodies=table.bodies)
     noise = marker_noise(places)

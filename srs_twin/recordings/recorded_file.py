@@ -245,8 +245,8 @@ class RecordedFile:
         if stop < len(raw) and not section:
             line = raw.count(b"\n", 0, stop) + 1
             notes.append(
-                f"line {line}, the last one, was left out, because it has no line end"
-                " and may be cut off"
+                f"the last line ({line}) was left out, because it has no line end and"
+                " may be cut off"
             )
         count = raw.count(b"\n", start, stop)
         if width > MAX_COLUMNS or count * width > MAX_VALUES:

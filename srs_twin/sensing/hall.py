@@ -261,8 +261,8 @@ class HallSensor:
     The sensitivity and the noise are estimated from data sheets of Hall sensors of type
     49E, to which the AH49E of the dissertation belongs. The data sheets state a
     sensitivity of 1.6 to 2.0 mV/G at 5 V. The stated noise of 90 µV in a bandwidth of
-    10 kHz corresponds to 25 µV in the amplifier's bandwidth of 500 Hz. The 5 V rails and
-    the 10-bit converter match the Arduino Pro Mini in generation 3 (Section 2.3.2).
+    10 kHz corresponds to 25 µV in the amplifier's bandwidth of 500 Hz. The 5 V rails
+    and the 10-bit converter match the Arduino Pro Mini in generation 3 (Section 2.3.2).
 
     Attributes:
         strip: geometry and magnet.

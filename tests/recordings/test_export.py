@@ -217,7 +217,7 @@ def test_the_command_writes_each_format(run, srs_twin, tmp_path):
     ("words", "message"),
     [
         ((), "give one of --mcap, --csv, --npz"),
-        (("--csv", "--npz"), "give exactly one output format"),
+        (("--csv", "--npz"), "give exactly one of the output formats"),
         (
             ("--csv", "--out", "run.parquet"),
             "the name of a file for --csv must end in .csv",

@@ -153,7 +153,7 @@ def _find_floor(
             raise InputError(
                 "the vertical axis cannot be determined, because the markers spread"
                 f" {1e3 * spread[0]:.0f} mm and {1e3 * spread[1]:.0f} mm in two"
-                " directions; give it with --up x, y or z, or with `up` in a map"
+                " directions; set it with --up x, y or z, or with `up` in a map"
             )
         note = (
             f"up is assumed to be {usual}, as usual in such files, because the markers"

@@ -95,7 +95,7 @@ class MarkerPlacement:
     geometry: Geometry
 
     def kinematics(self, state: np.ndarray) -> _Kinematics:
-        """Return marker positions with their Jacobian, and connector positions and headings.
+        """Return markers with their Jacobian, and connector positions and headings.
 
         `state` contains the position x, y, the heading θ_1, the bends and the segment
         lengths, shape (frames, 3 + 2 segments).
@@ -192,8 +192,8 @@ def marker_offsets(
             side_distance = abs(sides[0] - sides[1]) if all(sides) else 1
             offsets[group] = [distance * side / side_distance for side in sides]
             continue
-        # The complex argument of this ratio is the angle between the marker pair and the
-        # line through the adjacent stations.
+        # The argument of this complex ratio is the angle between the marker pair and
+        # the line through the adjacent stations.
         ratio = line / (centres[max(k - 1, 0)] - centres[min(k + 1, len(centres) - 1)])
         visible = ~missing[:, group].any(axis=1)
         ratio = ratio[visible] if visible.any() else ratio

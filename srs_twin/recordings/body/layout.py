@@ -9,10 +9,10 @@ The layouts are:
 - ``middles``: one marker per connector, and one at the middle of each segment.
 - ``head_middles``: like ``middles``, with one more marker in front of the head.
 
-The distance between markers on adjacent connectors never exceeds the length of a straight
-segment, whereas markers on more distant connectors are sometimes farther apart. The
-minimum spanning tree of the maximum distances therefore yields the order of the markers
-along the body.
+The distance between markers on adjacent connectors never exceeds the length of a
+straight segment, whereas markers on more distant connectors are sometimes farther
+apart. The minimum spanning tree of the maximum distances therefore yields the order of
+the markers along the body.
 """
 
 from __future__ import annotations

@@ -178,7 +178,7 @@ def _fit_body(
     if model is LengthModel.FIXED:
         notes.append(
             "with one marker per connector, alternating bends of a nearly straight"
-            " body have an error of up to 0.2 rad"
+            " body have an uncertainty of 0.2 rad"
         )
     return shape, station, notes
 

@@ -349,8 +349,8 @@ def _estimated_prior(
                 scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS
             ):
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
-        # With constant lengths, a new prior may change the best ε, so the coarse grid is
-        # searched again.
+        # With constant lengths, a new prior may change the best ε, so the coarse grid
+        # is searched again.
         if fixed:
             start = initial_states(measured, placement, prior)
         else:

@@ -152,7 +152,7 @@ class LogSummary:
                     f"markers: layout {counts.layout}; head: {counts.head}; up:"
                     f" {counts.up}"
                 ),
-                f"changes of column: {counts.moves}",
+                f"column changes: {counts.moves}",
                 (
                     f"rejected: {counts.samples_rejected} outliers,"
                     f" {counts.samples_other} positions that do not belong to the robot"

@@ -38,12 +38,24 @@ _TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
 _EXPORT = "export CSV or C3D instead"
 # Unreadable formats: suffix or pattern of the first bytes, description, and remedy.
 _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
-    (".tak", "a take of Motive", "export it there (File, Export Tracking Data, CSV)"),
-    (".qtm", "a measurement of Qualisys", "export it there (File, Export, To TSV)"),
-    (rb"#ROSBAG", "a bag of an older ROS", "convert it: `rosbag fix in.bag out.bag`"),
+    (
+        ".tak",
+        "a take of Motive",
+        "export it in Motive (File, Export Tracking Data, CSV)",
+    ),
+    (
+        ".qtm",
+        "a measurement of Qualisys",
+        "export it in Qualisys (File, Export, To TSV)",
+    ),
+    (
+        rb"#ROSBAG",
+        "a bag of an older ROS version",
+        "convert it: `rosbag fix in.bag out.bag`",
+    ),
     (
         rb"\x28\xb5\x2f\xfd",
-        "a Zstandard archive, as of compressed bags",
+        "a Zstandard archive, such as a compressed bag,",
         "unpack it: `zstd -d FILE`",
     ),
     (

@@ -223,8 +223,8 @@ def _units(
     if given and unknown:
         of_points = [given if unit in unknown else unit for unit in of_points]
         notes.append(
-            f"POINT:UNITS {', '.join(unknown)} is not a known unit, so {given} is"
-            " used, as given"
+            f"POINT:UNITS {', '.join(unknown)} is not a known unit, so the given unit"
+            f" {given} is used"
         )
     return [length_unit(file, unit) for unit in of_points], notes
 
@@ -319,7 +319,7 @@ def _analog_values(
     if len(filling) != 1:
         raise file.error(
             f"the header states {by_header} analog values per frame, but the"
-            f" parameters state {by_parameters}, and the size of the file does not"
-            " decide between them; export it again"
+            f" parameters state {by_parameters}, and the file size does not show"
+            " which number is right; export the file again"
         )
     return filling[0]

@@ -293,7 +293,7 @@ class _Topics:
         self.numbers += 1 + len(values)
         if self.numbers > MAX_VALUES or len(series) > MAX_COLUMNS:
             raise self.file.error(
-                f"the file has too many values; at most {MAX_VALUES} numbers of"
+                f"the file has too many values; at most {MAX_VALUES} numbers in"
                 f" {MAX_COLUMNS} signals are allowed"
             )
 
@@ -357,7 +357,8 @@ class _Topics:
             notes.append(f"the bodies are in different frames: {listed}")
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
-        # A simulated clock may start at any time, so its times are shifted to start at 0.
+        # A simulated clock may start at any time, so its times are shifted to begin
+        # at 0.
         time = frames.time
         other_clock = abs(time[0]) > _OTHER_CLOCK_S
         if other_clock:

@@ -332,8 +332,8 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     known = clock >= settled
     if known.sum() < MIN_FRAMES:
         raise InputError(
-            f"{log.source}: {span:g} s are too short to estimate the clock offset;"
-            " give the offset with --offset"
+            f"{log.source}: the log lasts only {span:g} s, which is too short to"
+            " estimate the clock offset; give the offset with --offset"
         )
     return log.time[0] + clock[known], trace.bend[known]
 

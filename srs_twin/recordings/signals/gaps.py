@@ -97,7 +97,7 @@ def _on_grid(
     if np.abs(steps - whole * period).max() > _GRID_TOLERANCE * period:
         if np.abs(steps / period - 1).max() > _GRID_TOLERANCE:
             notes.append(
-                "the frames are not evenly spaced in time and are used as they are"
+                "the frames are not evenly spaced in time, and their times are kept"
             )
         return time, rows
     indices = np.append(0, np.cumsum(whole)).astype(int)

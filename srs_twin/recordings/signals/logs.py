@@ -258,8 +258,8 @@ def log_of_topics(
             listed = ", ".join(list(topics.signals)[:12]) or "none"
             raise InputError(
                 f"the signals of the {spec.segments} segments are not known. Assign"
-                " them in a map with log: {valve_plus_1: SIGNAL, valve_minus_1:"
-                f" SIGNAL, …}}, where SIGNAL is one of the recorded signals {listed}"
+                " them in a map with `log: {valve_plus_1: SIGNAL, valve_minus_1:"
+                f" SIGNAL, …}}`, where SIGNAL is one of the recorded signals {listed}"
             )
         (kind,) = kinds
         chosen = [names[key] for key in required]
@@ -387,7 +387,7 @@ def _switched_valves(
         )
     if (time[-1] - time[0]) * carrier_hz > _MAX_PERIODS:
         raise InputError(
-            f"the log has more than {_MAX_PERIODS} carrier periods; shorten it"
+            f"the log has more than {_MAX_PERIODS} carrier periods; use a shorter log"
         )
     starts = np.arange(time[0], time[-1], 1 / carrier_hz)
     duty = held_values(starts + 1e-9, time, duty)
