@@ -1,1 +1,1 @@
-"""Compiled kernels, array checks, threads, worker processes and claims of objects."""
+"""Compiled kernels, array checks, threads, worker processes and object claims."""

@@ -16,7 +16,6 @@ from threadpoolctl import ThreadpoolController
 from srs_twin.errors import InputError
 
 Array = NDArray[np.float64]
-"""Array of floating-point numbers."""
 
 LARGEST_PLAUSIBLE = 1e9
 """Maximum plausible magnitude of any quantity in SI units. Pressures of a snake
@@ -28,8 +27,8 @@ _BLAS_LOCK = threading.RLock()
 
 def is_plausible(*quantities: Any) -> bool:
     """Return whether all elements are finite and smaller than `LARGEST_PLAUSIBLE`."""
-    # The test of the sum of squares decides almost all cases in half a microsecond per
-    # array, without warnings.
+    # The sum of squares decides almost all cases in half a microsecond per array,
+    # without warnings.
     if sum(np.vdot(values, values) for values in quantities) < LARGEST_PLAUSIBLE**2:
         return True
     return all(first_implausible(values) is None for values in quantities)
@@ -60,11 +59,10 @@ def check_positive(name: str, value: Any, unit: str = "") -> None:
 def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread in a `with` block, so that results are reproducible.
 
-    OpenBLAS splits sums between its threads. The last digits of products of matrices
-    larger than about 100 × 100 therefore depend on the number of threads. The limit
-    applies to the whole process. Therefore only one Python thread at a time can execute
-    a block with this limit. Otherwise the end of one block would remove the limit for
-    the other blocks.
+    OpenBLAS splits sums between its threads, so the last digits of products of matrices
+    larger than about 100 × 100 depend on the number of threads. The limit applies to
+    the whole process, so only one Python thread at a time may run such a block.
+    Otherwise the end of one block would remove the limit for the others.
     """
     with _BLAS_LOCK, ThreadpoolController().limit(limits=1, user_api="blas"):
         yield

@@ -3,8 +3,8 @@
 Plants, controllers, batches and environments change while they run. A second thread
 would continue from an incomplete time step, or crash the physics engine. `rollout`
 therefore claims its plant and its controller until it ends. A method listed in
-`claiming_methods` claims its object while the method runs. A thread may claim an object
-that it has already claimed.
+`claiming_methods` claims its object while the method runs. A thread may claim the same
+object again.
 
 Claims are stored outside the objects, so that copies and pickles of an object are not
 claimed.
@@ -24,7 +24,7 @@ from srs_twin.errors import InputError
 from srs_twin.io.saved_state import DeepCopied
 
 _HOLDERS: dict[int, int] = {}
-"""Identifier of the thread that claimed each object, by the `id` of the object."""
+"""Identifier of the thread that claimed each object, by object `id`."""
 
 if hasattr(os, "register_at_fork"):
     # After a fork, the other threads of the parent process do not exist in the child
@@ -91,7 +91,7 @@ def claim(item: object) -> Iterator[None]:
 def _acquire(item: object, thread: int) -> None:
     if _HOLDERS.setdefault(id(item), thread) != thread:
         raise InputError(
-            f"this {type(item).__name__} is in use by another thread; build another"
-            " one for this thread. `run_many` runs several jobs on threads, each with"
-            " its own plant and controller"
+            f"this {type(item).__name__} is in use by another thread; create a separate"
+            " object for this thread. `run_many` runs several jobs on threads, each"
+            " with its own plant and controller"
         )

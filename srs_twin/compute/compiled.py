@@ -1,10 +1,10 @@
 """Numba compilation with a disk cache that detects changes in inlined functions.
 
 By default, Numba optimises every function separately and again in each caller, and
-generates machine code for each function. Here a function that a kernel calls is a
-*part* of the kernel (`_PartLibrary`). Machine code is generated only once, for the
-function that Python calls together with its parts. Only the function that Python calls
-has a Python wrapper and a cache on disk.
+generates machine code for each function. Here, functions called by a kernel are *parts*
+of the kernel (`_PartLibrary`). Machine code is generated only once, for the kernel with
+its parts. Only functions that are called from Python have a Python wrapper and a cache
+on disk.
 """
 
 # ruff: noqa: SLF001 - caches and code libraries of numba have no public names
@@ -34,8 +34,7 @@ from srs_twin.errors import CacheWarning
 
 Function = Callable[..., Any]
 
-# These optimisations may change the order of sums, but they preserve the treatment of
-# infinities and NaN.
+# These optimisations may reorder sums, but they preserve infinities and NaN.
 _FASTMATH = {"contract", "reassoc", "arcp", "nsz"}
 _OPTIONS: Any = {
     "nogil": True,
@@ -60,7 +59,7 @@ def notify_first_compilation(notice: Callable[[], None]) -> None:
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Code of a part of a kernel, which remains in intermediate representation."""
+    """Code of a kernel part, kept in LLVM intermediate representation."""
 
     def finalize(self) -> None:
         """Declare the global variables that Numba sets, but generate no code."""
@@ -111,7 +110,7 @@ class _PartLibrary(JITCodeLibrary):
 
 
 class _PartCompiler(Compiler):
-    """Numba's compiler with a `_PartLibrary`."""
+    """Numba compiler that generates a `_PartLibrary`."""
 
     def __init__(
         self, typing_context: Any, target_context: Any, _: Any, *rest: Any
@@ -120,8 +119,8 @@ class _PartCompiler(Compiler):
         super().__init__(typing_context, target_context, library, *rest)  # type: ignore[no-untyped-call]  # numba has no types
 
 
-# Compiling a Python wrapper for a function with records of arrays as arguments takes
-# longer than compiling the function.
+# For functions whose arguments are records of arrays, compiling the Python wrapper
+# would take longer than compiling the function.
 _PART_OPTIONS: Any = _OPTIONS | {
     "no_cpython_wrapper": True,
     "pipeline_class": _PartCompiler,
@@ -138,7 +137,6 @@ class Kernel:
     """
 
     def __init__(self, function: Function, options: Mapping[str, Any]) -> None:
-        """Prepare the compilation with additional Numba options."""
         functools.update_wrapper(self, function)
         self.py_func = function
         self.entry = _with_cache(njit(**_OPTIONS, **options)(function), function)
@@ -161,11 +159,10 @@ def compiled(function: Function) -> Kernel:
     lock.
 
     Numba's own cache is valid as long as the source file of the function is unchanged.
-    Numba does not detect changes in inlined functions from other files, such as a
-    corrected friction law. The cache of this module is valid as long as a digest of the
-    bytecode of the function, of all called kernels and of their constants is unchanged.
-    If no cache folder is writable, every process compiles its kernels and issues one
-    `CacheWarning`.
+    It does not detect changes in inlined functions from other files, such as a
+    corrected friction law. This cache is instead keyed by a digest of the bytecode and
+    constants of the function and of all kernels that it calls. If no cache folder is
+    writable, every process compiles its kernels and issues one `CacheWarning`.
     """
     return Kernel(function, _NO_REFCOUNTS)
 
@@ -184,8 +181,7 @@ def kernel_only(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """Copy a function that only kernels call into its callers before optimisation.
 
-    The order of sums in a kernel then does not depend on the division of the kernel
-    into functions.
+    The order of sums then does not depend on how a kernel is divided into functions.
     """
     part: Function = njit(**_PART_OPTIONS, **_NO_REFCOUNTS, inline="always")(function)
     return part
@@ -199,22 +195,24 @@ overload_part: Function = functools.partial(
 
 
 def is_given(kind: types.Type) -> bool:
-    """Return whether an argument with a numba type is not None."""
+    """Return whether an argument of this Numba type is not None."""
     return not isinstance(kind, types.NoneType)
 
 
 def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Function:
-    """Return a decorator like `kernel_only` for calls that a condition enables.
+    """Return a decorator like `kernel_only` for calls that depend on a condition.
 
-    The condition is a function of the Numba type of the first argument. A disabled call
-    generates no code and returns `otherwise`.
+    The condition is evaluated for the Numba type of the first argument. If it is false,
+    the call generates no code and returns `otherwise`.
     """
 
     def decorate(function: Function) -> Function:
         kernel: Any = kernel_only(function)
 
         def call(*arguments: Any) -> None:
-            raise NotImplementedError(f"only kernels call {function.__name__}")
+            raise NotImplementedError(
+                f"{function.__name__} must be called from a kernel"
+            )
 
         @type_callable(call)
         def infer(context: Any) -> Function:
@@ -285,8 +283,8 @@ class _Cache(FunctionCache):
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
         except (ReferenceError, AttributeError, ModuleNotFoundError):
-            # The cache index is replaced by an empty index if it refers to a kernel
-            # from another process or to a function that no longer exists.
+            # A cache index that refers to a kernel from another process, or to a
+            # function that no longer exists, is replaced by an empty index.
             self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError):
             _warn(f"a file in {self._cache_path} is damaged; remove this folder")
@@ -307,13 +305,13 @@ def _why_unsafe(folder: Path) -> str | None:
         # file.
         sticky = path != folder and status.st_mode & stat.S_ISVTX
         if status.st_mode & stat.S_IWOTH and not sticky:
-            return f"{path} can be written by all users"
+            return f"{path} is writable by all users"
         if (
             status.st_mode & stat.S_IWGRP
             and not sticky
             and not _is_own_group(status.st_gid)
         ):
-            return f"{path} can be written by its group (chmod g-w forbids it)"
+            return f"{path} is writable by its group (to change this, use chmod g-w)"
     return None
 
 
@@ -381,7 +379,6 @@ def _code_parts(
 def _value_parts(
     name: str, values: Iterable[object], seen: set[CodeType]
 ) -> Iterator[str]:
-    """Yield the values of a global name as text."""
     for value in values:
         function = getattr(value, "py_func", value)
         if isinstance(function, FunctionType):

@@ -5,9 +5,9 @@
 
 On Linux, worker processes are forked from the fork server of `multiprocessing`. The
 fork server is a separate process that has imported the required modules once. A forked
-worker starts in hundredths of a second, while a new process takes one or two seconds.
-On other systems, where forks are unsafe, every worker is a new process. The page
-docs/decisions/worker-processes.md compares this design with the process pools of
+worker starts within hundredths of a second, whereas a new process takes one or two
+seconds. On other systems, where forks are unsafe, every worker is a new process. The
+page docs/decisions/worker-processes.md compares this design with existing process pool
 libraries.
 """
 
@@ -72,15 +72,15 @@ class Workers:
         """Execute the tasks 0 … count − 1 and return their results in order.
 
         If several tasks fail, the error of the task with the smallest number is raised,
-        as in a loop. All tasks with smaller numbers have then finished. An interrupt
-        (Ctrl-C) is raised when the running tasks have ended.
+        as in a loop. All tasks with smaller numbers have finished by then. An interrupt
+        (Ctrl-C) is raised after the running tasks have ended.
 
         Args:
             count: number of tasks.
-            task: function of the task number and of an `IsCancelled` function. A
+            task: function called with the task number and an `IsCancelled` function. A
                 cancelled task may return any value or raise any exception.
-            progress: function of the number of finished tasks, called on the calling
-                thread.
+            progress: function called on the calling thread with the number of finished
+                tasks.
         """
         progress = progress or (lambda done: None)
         if self._pool is None:
@@ -131,8 +131,8 @@ _WARNINGS = (
 _ENVIRONMENT = {
     # Workers must not import modules from the current folder.
     "PYTHONSAFEPATH": "1",
-    # Each library in a worker may use only one thread, because there is one worker per
-    # processor, and a forked process should have a single thread.
+    # Libraries in a worker use a single thread, because there is one worker per
+    # processor, and a process should have a single thread when it is forked.
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
 }
@@ -183,9 +183,9 @@ def _interrupts_blocked() -> Iterator[None]:
 def _empty_main_module() -> Iterator[None]:
     """Replace the main module by an empty module, like the main module of a worker.
 
-    Otherwise `multiprocessing` would import the main program in each worker, and would
-    execute a script without ``__name__ == "__main__"`` again. With the empty module,
-    pickling fails immediately for objects that only the main program defines.
+    Otherwise `multiprocessing` would import the main program in each worker. A script
+    without the guard ``if __name__ == "__main__"`` would then run again. With the empty
+    module, pickling fails immediately for objects that only the main program defines.
     """
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -201,8 +201,8 @@ class TaskResult(Generic[Result]):
 
     Attributes:
         error: `SrsError` that the task raised, `TaskFailedError` if the task raised
-            another exception, `WorkerDiedError` if the workers of the task died, or
-            None.
+            another exception, `WorkerDiedError` if too many workers died during the
+            task, or None.
     """
 
     number: int
@@ -229,7 +229,7 @@ def run_tasks(
         arguments: one argument per task.
         workers: number of processes, by default one per processor and at most one per
             task.
-        attempts: number of workers that may die during a task before the task fails.
+        attempts: number of worker deaths during a task after which the task fails.
     """
     count = processor_count() if workers is None else workers
     for name, value in (("workers", count), ("attempts", attempts)):
@@ -248,8 +248,6 @@ def run_tasks(
 
 
 class _TaskRun:
-    """State of one call of `run_tasks`: waiting tasks, finished tasks and workers."""
-
     def __init__(
         self, program: bytes, packed: Sequence[bytes], count: int, attempts: int
     ) -> None:
@@ -353,15 +351,14 @@ class _Worker:
         self.ready = False
         self.number: int | None = None
         self.pipe, remote_pipe = Pipe()
-        # The fork server may have started before the extensions of this process were
-        # loaded.
+        # The fork server may have started before this process loaded its extensions.
         plugins = os.environ.get(PLUGINS, "")
         self.process = _start_process(_worker_main, (remote_pipe, program, plugins))
         remote_pipe.close()
 
     def receive(self) -> tuple[object, Exception | None]:
-        """Return the result of a task and None, or None and the error of the task."""
-        # If the fork server has died, the pipe does not report the end of the file.
+        """Return (result, None), or (None, error) if the task failed."""
+        # If the fork server has died, the pipe does not signal the end of the file.
         if not self.pipe.poll():
             raise EOFError
         answer: tuple[object, Exception | None] = pickle.loads(self.pipe.recv_bytes())
@@ -431,8 +428,7 @@ def _call_and_pickle(call: Callable[[], object]) -> bytes:
         return pickle.dumps((call(), None))
     except Exception as error:  # any error is reported, and the worker continues
         reported = error if isinstance(error, SrsError) else TaskFailedError(error)
-        # Tracebacks cannot be pickled, so the traceback is added to the error as a
-        # note.
+        # Tracebacks cannot be pickled, so the traceback becomes a note of the error.
         reported.add_note("".join(traceback.format_exception(error)))
         try:
             return pickle.dumps((None, reported))

@@ -1,4 +1,4 @@
-"""Conversion of recorded files of robots to trajectories."""
+"""Conversion of recorded robot motion to trajectories."""
 
 from typing import TYPE_CHECKING
 

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 
 _LOGS = (
-    "Log with valve states or pressures. Give one log for each FILE, and then one log"
-    " for each --validate. [default: NAME.valves.csv in the folder of the recording]"
+    "Log of valve states or pressures. Repeat the option for each FILE, and then for"
+    " each --validate file. [default: NAME.valves.csv in the folder of the recording]"
 )
 
 
@@ -49,7 +49,7 @@ FrequencyOption = Annotated[
     float | None,
     option(
         "--frequency HZ",
-        "Frequency of the gait in Hz. [default: from the valve pattern]",
+        "Gait frequency in Hz. [default: computed from the valve pattern]",
     ),
 ]
 
@@ -64,10 +64,9 @@ class TableOptions:
         units: Unit of lengths if the file does not state it: m, cm, mm, in or ft.
         rate: Frame rate in Hz if the file contains no times.
         columns: Column names of a text file without a header, for example time,x_1,y_1.
-        separator: Character between the cells of a text file: one of the characters , ;
-            | or one of the words tab and space. [default: detected]
-        decimal: Decimal mark of the numbers in a text file: a point or a comma.
-            [default: detected]
+        separator: Cell separator of a text file: a comma, a semicolon, | or one of the
+            words tab and space. [default: detected]
+        decimal: Decimal mark of a text file: a point or a comma. [default: detected]
     """
 
     map: Annotated[str | None, option("--map FILE.yaml")] = None
@@ -102,8 +101,8 @@ class ReadingOptions(TableOptions):
             head_middles (see docs/recordings.md), or auto to detect it.
         head: Name of the marker at the head. [default: the marker at the end that leads
             the motion]
-        longest_gap: Fill gaps in the track of a marker that last at most this time in
-            seconds. [default: 0.2]
+        longest_gap: Maximum duration in seconds of a marker gap that is interpolated.
+            [default: 0.2]
         marker: Position of a marker on the body, for example "tip=connector 3" or
             "m1=middle 1". Can be repeated.
     """
@@ -115,7 +114,7 @@ class ReadingOptions(TableOptions):
     marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
 
     def given(self) -> dict[str, Any]:
-        """Return the given options as attributes of `RecordingReader`."""
+        """Return the options that were given, by attribute of `RecordingReader`."""
         values = {
             "up": self.up,
             "layout": self.layout,
@@ -159,7 +158,7 @@ def inspect(
         robot: Robot for which the recordings are checked, as the name of a shipped
             robot or the path of a robot file.
         picture: Draw the markers from above and write the picture to this file. With
-            several recordings, each picture's name begins with the recording's name.
+            several recordings, each file name is prefixed by the recording name.
         write_map: Write the proposed recording map to this file.
     """
     from srs_twin.io.files import escape_unprintable, write_text
@@ -178,7 +177,7 @@ def inspect(
         options = table
         if table.map is None and beside.is_file():
             options = replace(table, map=str(beside))
-            say(f"read with {beside}")
+            say(f"using the recording map {beside}")
         try:
             facts, scene = inspect_file(path, read_map(options.map_data()), spec)
         except InputError as error:
@@ -249,14 +248,13 @@ class FormatOptions:
     npz: Annotated[bool, option("--npz")] = False
 
     def chosen(self, out: str | None) -> str:
-        """Return the chosen format, which the suffix of `out` determines by default."""
+        """Return the chosen format. By default, the suffix of `out` determines it."""
         names = [name for name, chosen in vars(self).items() if chosen]
         if not names and out and Path(out).suffix[1:] in _FORMATS:
             return Path(out).suffix[1:]
         if len(names) != 1:
             raise InputError(
-                "exactly one output format is needed; give one of"
-                f" --{', --'.join(_FORMATS)}"
+                f"give exactly one of the output formats --{', --'.join(_FORMATS)}"
             )
         return names[0]
 
@@ -275,13 +273,12 @@ def export(
 ) -> None:
     """Export a run as MCAP (ROS 2), CSV or NumPy archive.
 
-    An MCAP file contains all models of the run. Next to it, the command writes a
-    recording map, with which `inspect` and `replay` read the file, and a Foxglove
-    layout.
+    An MCAP file contains all models of the run. With an MCAP file, the command also
+    writes a Foxglove layout, and a recording map for `inspect` and `replay`.
 
     Options:
         run: Folder of a run, or name of a folder in runs/.
-        file: Output file, as with --out. The suffix of the name selects the format.
+        file: Output file, as with --out. The suffix selects the format.
         plant: Trajectory to export: analytical, twin or measured. [default: all
             trajectories in an MCAP file, only the twin in other files]
         out: Output file. [default: a file in the folder of the run, such as

@@ -1,8 +1,8 @@
 """Plain tables whose columns are converted to SI units.
 
 The first line of a plain table contains the column names, for example ``x_1``,
-``x_1_mm``, ``pressure_plus_2 (kPa)`` or ``time_ms``. A column whose name contains no
-unit is in SI units.
+``x_1_mm``, ``pressure_plus_2 (kPa)`` or ``time_ms``. Columns without a unit in their
+name are assumed to be in SI units.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ _NAME = re.compile(
 
 
 class TimedRows(NamedTuple):
-    """Rows of a table with their times.
+    """Table rows and their times.
 
     Attributes:
         values: numbers in SI units, shape (rows, columns).
-        epoch_ns: offset that was subtracted from times since 1970, ns, or None if the
-            times have another origin.
+        epoch_ns: Unix time that was subtracted from the times, ns, or None if the file
+            contains no Unix times.
     """
 
     time: np.ndarray
@@ -73,7 +73,7 @@ class CsvColumn:
 
     Attributes:
         name: base name, for example "x".
-        number: number at the end of the column name, or 0 if there is no number.
+        number: numeric suffix of the column name, or 0 without a suffix.
         unit: unit symbol from the column name or the recording map, or an empty string
             if no unit is stated.
     """
@@ -88,7 +88,7 @@ class CsvColumn:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Plain table with its known columns and the names of its unused columns."""
+    """Recognized columns of a plain table, and the names of the unused columns."""
 
     file: RecordedFile
     columns: tuple[CsvColumn, ...]
@@ -98,7 +98,7 @@ class CsvTable:
     def error(
         self, column: CsvColumn, problem: str, row: int | None = None
     ) -> InputError:
-        """Return an error at the header of a column, or at a row, counted from 0."""
+        """Return an error that points to a column header, or to a row (from 0)."""
         if row is None:
             line = self.file.header_lines or 1
         else:
@@ -108,7 +108,7 @@ class CsvTable:
     def clock(self, missing: str) -> CsvColumn:
         """Return the time column.
 
-        `missing` is the error message if there is no time column.
+        `missing` is the error message for a table without a time column.
         """
         column = next((column for column in self.columns if column.name in CLOCK), None)
         if column is None:
@@ -130,7 +130,7 @@ class CsvTable:
         for name, segment in required:
             if (name, segment) not in by_key:
                 raise self.file.error(
-                    f"the column '{name}_{segment}' is missing, because {robot} has"
+                    f"the column '{name}_{segment}' is missing; {robot} has"
                     f" {segments} segments",
                     1,
                 )
@@ -138,8 +138,8 @@ class CsvTable:
             if key not in required:
                 raise self.error(
                     column,
-                    f"the column '{column.text}' belongs to no segment,"
-                    f" because {robot} has {segments} segments",
+                    f"the column '{column.text}' does not match any segment;"
+                    f" {robot} has {segments} segments",
                 )
         return [by_key[key] for key in required]
 
@@ -160,13 +160,13 @@ class CsvTable:
     ) -> TimedRows:
         """Read columns in SI units with their times.
 
-        If there is no time column, the times are computed from the row numbers and the
-        frame rate.
+        Without a time column, the times are computed from the row numbers and the frame
+        rate.
         """
         values, notes = self.read(columns)
         if clock is None:
             rate = rate_hz or 1.0
-            counted = f"frames counted, {rate:g} per second"
+            counted = f"times computed from row numbers at {rate:g} frames per second"
             time = np.arange(len(values)) / rate
             return TimedRows(time, values, [*notes, counted], None)
         times = self.file.times(clock.place, clock.unit)
@@ -175,7 +175,7 @@ class CsvTable:
 
 
 def not_used(names: Sequence[str]) -> list[str]:
-    """Return a list with a note on unused columns, or an empty list."""
+    """Return a note on unused columns, as a list that may be empty."""
     if not names:
         return []
     listed = [*names[:_LISTED], *["…"] * (len(names) > _LISTED)]
@@ -189,9 +189,8 @@ def read_table(
 ) -> CsvTable:
     """Read the header of a plain table.
 
-    `known` contains the accepted units of each base name, with their conversion factors
-    to SI units. `meanings` contains the meanings of the columns that a recording map
-    mentions.
+    `known` maps each base name to its accepted units and their conversion factors to SI
+    units. `meanings` maps column names to the meanings stated in a recording map.
     """
     file = laid_out(file)
     line = file.header_lines or 1
@@ -208,7 +207,7 @@ def read_table(
                 column, note = _mapped_column(place, text, known, meaning)
                 if note:
                     notes.append(note)
-            elif bracketed(text)[0] in taken:  # a column of the map has priority
+            elif bracketed(text)[0] in taken:  # the column in the map has priority
                 column = None
             else:
                 column = _own_column(place, text, known)
@@ -250,7 +249,7 @@ def _own_column(
         return None
     name, number, trailing = match[1].lower(), match[2], match[3]
     if name not in known and trailing and number is None:
-        # The last word is a part of the name and not a unit.
+        # The last word is part of the name, not a unit.
         name = f"{name}_{trailing.lower()}"
         trailing = None
     if name not in known or name == "time":
@@ -260,7 +259,7 @@ def _own_column(
     unit = symbol(stated, units)
     if stated and not unit:
         raise InputError(
-            f"{text}: the unit '{stated}' is not known; allowed are"
+            f"{text}: unknown unit '{stated}'; allowed units:"
             f" {', '.join(units) or 'none'}"
         )
     factor = units.get(unit, 1.0)

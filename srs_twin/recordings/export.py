@@ -8,14 +8,14 @@ The topics of a plant, for example ``twin``, are:
 - ``/twin/body`` (visualization_msgs/MarkerArray): connectors, centre line of the soft
   segments, and the name of the plant. Foxglove and RViz draw these shapes.
 - ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left, and bend
-  rates, rad/s. The rates are computed from differences of the recorded bends.
+  rates, rad/s. The rates are finite differences of the recorded bends.
 - ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute chamber pressure, Pa.
 - ``/twin/valves`` (std_msgs/Int8MultiArray): valve states in the order ``plus_1``,
   ``minus_1``, ``plus_2`` and so on. The layout has the dimensions ``segments`` and
   ``chambers``.
 
 Time stamps and log times are simulated times since the start of the run. All poses and
-shapes are given in the frame ``world``. The poses of planar robots have the height 0.
+shapes are given in the frame ``world``, where planar robots have the height 0.
 """
 
 from __future__ import annotations
@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 WORLD = "world"
-"""Reference frame of all poses."""
 
 _NS = 1_000_000_000
 _SIDES = ("plus", "minus")
@@ -57,7 +56,7 @@ _NUMBERED = (
 )
 
 _CHORDS = 6
-"""Number of straight parts that draw the arc of a segment."""
+"""Number of straight lines that approximate the arc of a segment."""
 
 
 def write_csv(path: Path, run: Trajectory) -> None:
@@ -93,9 +92,9 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory], geometry: Geometry) -
     An existing file is replaced.
 
     Args:
-        path: name of the file.
+        path: output file.
         runs: trajectory of each plant, keyed by name.
-        geometry: dimensions of the body, which the markers show.
+        geometry: body dimensions for the drawn shapes.
     """
     try:
         from mcap.writer import Writer
@@ -190,12 +189,13 @@ class _Motion:
     Attributes:
         positions: positions of the connectors, shape (samples, N, 3), m. The height of
             a planar robot is 0.
-        drawn: positions of the connectors in pictures, above the floor, equal shape, m.
+        drawn: positions at which the connectors are drawn, above the floor, shape
+            (samples, N, 3), m.
         rotations: quaternions x, y, z, w of the connectors, shape (samples, N, 4).
         line: centre line of the body, shape (samples, points, 3), m.
-        rates: rates of the bends, computed from differences of the recorded bends,
-            shape (samples, segments), rad/s.
-        columns: numbered columns of the run as arrays, keyed by their common name,
+        rates: finite differences of the recorded bends, shape (samples, segments),
+            rad/s.
+        columns: numbered columns such as `bend_1…`, stacked under their base name,
             shape (samples, segments).
     """
 
@@ -239,7 +239,7 @@ class _Sample(NamedTuple):
     make: Mapping[str, Any]
 
     def values(self, name: str) -> np.ndarray:
-        """Return the values of the columns `name_1`, `name_2` and so on, if any."""
+        """Return `name_1`, `name_2`, … in this row, or an empty array."""
         columns = self.motion.columns
         return columns[name][self.row] if name in columns else np.zeros(0)
 
@@ -336,7 +336,7 @@ def _body_messages(sample: _Sample) -> Iterator[_Message]:
 def _marker(
     sample: _Sample, number: int, shape: int, size: Sequence[float], **content: Any
 ) -> Any:
-    """Return a marker in the frame `world` that keeps its defaults but for `content`."""
+    """Return a marker in the `world` frame. `content` overrides default fields."""
     make = sample.make
     no_time = make["Duration"](sec=0, nanosec=0)
     no_stamp = make["Time"](sec=0, nanosec=0)

@@ -34,8 +34,7 @@ Pair = Annotated[list[str], Field(min_length=2, max_length=2)]
 
 
 class _Facts(StrictModel):
-    # NumPy scalars are converted to Python numbers, because JSON does not support NumPy
-    # scalars.
+    # Validation converts NumPy scalars, which JSON does not support, to Python numbers.
     model_config = ConfigDict(strict=False, frozen=False, validate_assignment=True)
 
 
@@ -45,9 +44,9 @@ class MarkerFacts(_Facts):
     name: str
     """Name of the column."""
     rigid_body: bool
-    """Whether the column is a rigid body with a rotation instead of a marker."""
+    """Whether the column is a rigid body with a rotation, rather than a marker."""
     coverage: Ratio
-    """Fraction of the frames on which the marker was detected."""
+    """Fraction of the frames in which the marker was detected."""
     gaps: Count
     """Number of gaps between the first and the last detection."""
     longest_gap_s: Seconds
@@ -72,7 +71,7 @@ class DistanceFacts(_Facts):
 
 
 class HeadFacts(_Facts):
-    """End of the body that may be the head."""
+    """Candidate for the head, at one end of the body."""
 
     marker: str
     """Name of the marker."""
@@ -81,7 +80,7 @@ class HeadFacts(_Facts):
 
 
 class SignalFacts(_Facts):
-    """Column or topic with numbers over time."""
+    """Column or topic that contains a numeric signal."""
 
     name: str
     """Name of the column or topic."""
@@ -162,7 +161,7 @@ class RecordingFacts(_Facts):
     bodies: list[str] | None = None
     """Names of the rigid bodies with a rotation."""
     tracks: Count | None = None
-    """Number of possible robot markers that are detected on at least 20 % of frames."""
+    """Number of possible robot markers that are detected in at least 20 % of frames."""
     positions_of_nothing: Count | None = None
     """Number of positions that do not belong to a tracked marker."""
     in_other_columns: Ratio | None = None
@@ -210,11 +209,11 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
             lines += [
                 f"# {100 * file.in_other_columns:.2g} % of the positions are not in the"
                 " columns of their markers,",
-                "# because markers change their columns. Places by name are therefore"
-                " left out: the",
-                "# markers are identified by their motion, and --layout and --head"
-                " give what it does",
-                "# not determine.",
+                "# because markers switch columns. The map therefore states no places,"
+                " and the markers",
+                "# are identified by their motion. Use --layout and --head if the"
+                " motion does not",
+                "# determine the layout and the head.",
             ]
         else:
             lines += _marker_lines(file)
@@ -271,7 +270,7 @@ def _marker_lines(facts: RecordingFacts) -> list[str]:
 
 
 def in_words(facts: RecordingFacts) -> str:
-    """Return the facts as text with one fact per line."""
+    """Return the facts as text, one fact per line."""
     lines = [f"{facts.file}: {facts.format}, {facts.content}"]
     if facts.rate_hz:
         count = f"{facts.frames} frames, {facts.rate_hz:.4g} Hz"
@@ -279,7 +278,7 @@ def in_words(facts: RecordingFacts) -> str:
             count = f"{facts.rows} rows, {facts.rate_hz:.4g} rows per second"
         lines.append(f"{count}, {facts.duration_s:.4g} s")
     if facts.up is not None:
-        summary = [f"up: {facts.up}", f"{facts.tracks or 0} lasting markers"]
+        summary = [f"up: {facts.up}", f"{facts.tracks or 0} persistent markers"]
         if facts.noise_mm is not None:
             summary.insert(1, f"noise {facts.noise_mm:.2g} mm")
         lines.append("; ".join(summary))
@@ -295,7 +294,7 @@ def in_words(facts: RecordingFacts) -> str:
         lines.append(text)
     if facts.layouts is not None:
         fitting = [
-            f"{name} of {count} connectors"
+            f"{name} ({count} connectors)"
             for name, count in facts.layouts.items()
             if count > 1
         ]
@@ -311,7 +310,7 @@ def in_words(facts: RecordingFacts) -> str:
 
 def _marker_text(marker: MarkerFacts) -> str:
     parts = [
-        f"{marker.name}: seen on {100 * marker.coverage:.1f} % of the frames",
+        f"{marker.name}: seen in {100 * marker.coverage:.1f} % of the frames",
         f"{marker.gaps} gaps up to {marker.longest_gap_s:.3g} s",
     ]
     if marker.noise_mm is None:

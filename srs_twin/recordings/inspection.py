@@ -82,13 +82,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _RIGID_NOISE_RATIO = 1.3
-"""Maximum ratio of the variation of a constant distance to the noise."""
+"""Maximum variation of a constant distance, divided by the noise."""
 _DISTANCE_FRAMES = 2000
-"""Number of frames from which distances are computed."""
 _MIN_CRAWLED = 0.3
-"""Minimum displacement that identifies the head, in distances of adjacent markers."""
+"""Minimum displacement from which the head is inferred, in marker spacings."""
 _MAX_SIGNALS = 200
-"""Maximum number of described signals."""
 _QUANTITY_TEXTS = {
     "time": "time",
     "valve": "valve states",
@@ -115,8 +113,8 @@ class Scene:
 
     Attributes:
         places: marker positions, m, shape (frames, markers, 2 or 3).
-        order: indices of the markers in their order along the body. The tuple is empty
-            if the order is unknown.
+        order: marker indices in order along the body, or an empty tuple if the order is
+            unknown.
     """
 
     places: np.ndarray
@@ -132,12 +130,12 @@ def inspect(
     map: RecordingMap | Mapping[str, object] | StrPath = NO_MAP,  # noqa: A002
     robot: StrPath | RobotSpec | None = None,
 ) -> RecordingFacts:
-    """Describe a recording and propose a map, as the command `srs-twin inspect` does.
+    """Describe a recording and propose a map, like the command `srs-twin inspect`.
 
     Args:
         path: path of a recording or a log.
-        map: recording map, its known entries, or its path.
-        robot: robot for which the file is checked, or None to omit the check.
+        map: recording map, its entries, or its path.
+        robot: robot for which the file is checked, or None to skip this check.
 
     Raises:
         InputError: the file cannot be read.
@@ -282,7 +280,9 @@ def _body_facts(
     scene = Scene(places, names, (), ())
     complete = places[np.isfinite(places[..., 0]).all(axis=1)]
     if len(complete) < MIN_FRAMES or count < 2:
-        facts.notes.append(f"{len(complete)} frames have all {count} lasting markers")
+        facts.notes.append(
+            f"{len(complete)} frames show all {count} persistent markers"
+        )
         return scene
     facts.layouts = _possible_layouts(count, bodies=table.bodies)
     noise = marker_noise(places)
@@ -332,8 +332,8 @@ def _rigid_pairs(
     closest = np.nanmin(median, axis=0)
     constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
     rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
-    # On a body that hardly bends, many distances are nearly constant. A marker can have
-    # a constant distance to only one other marker.
+    # On a body that hardly bends, many distances are nearly constant. Markers with more
+    # than one constant distance are therefore excluded.
     single = rigid.sum(axis=0) == 1
     return tuple(
         (int(a), int(b))
@@ -355,8 +355,8 @@ def _marker_names(
     if away > 0:
         facts.notes.append(
             f"{100 * facts.in_other_columns:.2g} % of the positions are not in the"
-            " columns of their markers, because markers change their columns; a map"
-            " by their names is therefore not valid for all frames"
+            " columns of their markers, because markers switch columns; a map that"
+            " assigns markers by column name is therefore wrong in some frames"
         )
     return tuple(labels[k] for k in chosen)
 
@@ -550,8 +550,7 @@ def markers_view(scene: Scene) -> Figure:
             axes.annotate(
                 name, place, (1, 4), textcoords="offset points", rotation=60, fontsize=7
             )
-        # The names are written above the markers. Without this space they would cover
-        # the title.
+        # The names above the markers need this space, or they would cover the title.
         metres_per_inch = max(wide / 8.0, deep / (5.6 - name_height))
         top = places[complete[0], :, 1].max() + name_height * metres_per_inch
         axes.update_datalim([(low[0], top)])

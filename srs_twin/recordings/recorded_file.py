@@ -1,7 +1,7 @@
 """Recorded files in memory, and the rows of plain tables.
 
 `laid_out` detects comments, cell separator and decimal mark unless a `Dialect` states
-them. Error messages state the line and the column of a table.
+them. Error messages state the line and column.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pyarrow.csv import InvalidRow
 
 MAX_BYTES = 256 << 20
-"""Maximum file size in bytes. One hour of ten markers at 120 Hz needs half of it."""
+"""Maximum file size in bytes, twice the size of one hour of ten markers at 120 Hz."""
 
 MAX_HEADER_BYTES = 4 << 20
 """Maximum header size in bytes.
@@ -42,18 +42,17 @@ The header of a recording with thousands of columns has about 1 MB.
 """
 
 MAX_VALUES = 1 << 26
-"""Maximum product of the numbers of rows and columns, which needs half a gigabyte."""
+"""Maximum number of cells of a table. This many numbers need half a gigabyte."""
 
 MAX_COLUMNS = 20_000
-"""Maximum number of columns of a table."""
 
 BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
-"""Texts of a cell that has no value."""
+"""Cell texts that mean a missing value."""
 
 _PEEK = 1 << 16
 """Number of bytes that are read to detect the format."""
 _BLOCK = 8 << 20
-"""Number of bytes that Arrow reads at once. A line must not be longer."""
+"""Number of bytes per block that Arrow reads, and maximum length of a line."""
 _BLANKS = re.compile(rb"(?<=[,;|\t\n]) +(?=[,;|\t\r\n])|^ +(?=[,;|\t])")
 """Pattern of a cell that contains only spaces."""
 _EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
@@ -69,8 +68,7 @@ _REPORTED_CELL = re.compile(
 _COMMENT = re.compile(r"\s*#|sep=.$", re.IGNORECASE)  # "sep=" is an Excel directive
 _ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
-# This pattern matches a decimal comma that cannot separate thousands, as in 0,5 or
-# 1234,5.
+# Decimal comma that cannot be a thousands separator, as in 0,5 or 1234,5.
 _DECIMAL_COMMA = re.compile(
     rb"(?<![\d,])(?:0|\d{4,}),\d|\d,(?:\d{1,2}|\d{4,})(?![\d,])"
 )
@@ -86,7 +84,6 @@ _EPOCH_RANGE = (1e9, 4.2e9)
 _MAX_EPOCH_STEP = 100.0
 """Maximum step between times since 1970, s. A longer step indicates a wrong unit."""
 _MAX_COMMENT_LINES = 1000
-"""Maximum number of comment lines above the header."""
 
 
 class Dialect(NamedTuple):
@@ -103,15 +100,15 @@ class Dialect(NamedTuple):
 
 
 AS_FOUND = Dialect()
-"""Dialect of which every attribute is detected."""
+"""Dialect in which every attribute is detected."""
 
 
 class Times(NamedTuple):
     """Times of the rows.
 
     Attributes:
-        epoch_ns: offset that was subtracted from times since 1970, ns, or None if the
-            times have another origin.
+        epoch_ns: Unix time that was subtracted from the times, ns, or None if the file
+            contains no Unix times.
     """
 
     time: np.ndarray
@@ -174,7 +171,7 @@ class RecordedFile:
     def error(
         self, problem: str, line: int | None = None, column: int | None = None
     ) -> InputError:
-        """Return an error that states the line and the column, counted from 1."""
+        """Return an error with its position. Line and column are counted from 1."""
         position = "".join(
             f":{number}" for number in (line, column) if number is not None
         )
@@ -183,7 +180,7 @@ class RecordedFile:
     def head(self, lines: int, after: int = 0) -> list[list[str]]:
         """Return the cells of header lines, without the first `after` lines.
 
-        The cells have no surrounding spaces.
+        Spaces around cells are removed.
         """
         start = self.offset_of(after)
         split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
@@ -223,7 +220,7 @@ class RecordedFile:
     ) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
 
-        A last line without a line end is ignored, because the line may end inside a
+        A last line without a line end is ignored, because it may be cut off inside a
         number.
 
         Args:
@@ -248,8 +245,8 @@ class RecordedFile:
         if stop < len(raw) and not section:
             line = raw.count(b"\n", 0, stop) + 1
             notes.append(
-                f"line {line}, the last one, was left out, because it has no line end"
-                " and may be cut off"
+                f"the last line ({line}) was left out, because it has no line end and"
+                " may be cut off"
             )
         count = raw.count(b"\n", start, stop)
         if width > MAX_COLUMNS or count * width > MAX_VALUES:
@@ -299,8 +296,8 @@ class RecordedFile:
         if not _are_since_1970(time, unit):
             with np.errstate(over="ignore"):
                 return Times(time * TIMES[unit or "s"], notes, None)
-        # Times are parsed as exact numbers, because the resolution of times since 1970
-        # in a double is only 256 ns.
+        # Unix times are parsed as exact numbers, because a double resolves them only to
+        # 256 ns.
         (texts,) = self._parsed(cut, top, [clock], width, pa.string())
         numbers = (text.replace(self.decimal, ".") for text in texts.to_pylist())
         return _since_1970([*map(Decimal, numbers)], unit or "s", notes)
@@ -352,8 +349,8 @@ class RecordedFile:
             try:
                 return read(cut)
             except pa.ArrowInvalid:
-                # Arrow does not accept a cell of spaces as blank. Cells of spaces are
-                # rare, so these cells are removed only after an error.
+                # Arrow does not accept a cell of spaces as blank. Such cells are rare,
+                # so the spaces are removed only after an error.
                 return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
             if uneven:
@@ -366,7 +363,7 @@ class RecordedFile:
     def _not_a_number(
         self, rows: bytes, header_lines: int, reported: str
     ) -> InputError:
-        """Return an error at the cell that Arrow reports.
+        """Return an error that points to the cell reported by Arrow.
 
         Arrow does not count empty lines.
         """
@@ -378,7 +375,7 @@ class RecordedFile:
             return self.error(problem, header_lines + 1)
         lines = enumerate(rows.split(b"\n"), start=header_lines + 1)
         filled = [number for number, line in lines if line.strip(b"\r")]
-        # A quotation mark can join several lines into one cell.
+        # A quotation mark may join several lines into one cell.
         text = escape_unprintable(cell["text"].strip()[:60])
         problem = f"'{text}' is not a number; give a number or leave the cell empty"
         if re.search(r"\d,\d", cell["text"]):
@@ -446,8 +443,8 @@ def _bytes(place: Path, limit: int) -> bytes:
 def read_file(path: StrPath) -> RecordedFile:
     """Read a recorded text file."""
     file = read_bytes(path)
-    # A zero byte means that the file is not text, except in UTF-16 files, for which
-    # another error is raised.
+    # A zero byte means that the file is not text. UTF-16 files, which may contain zero
+    # bytes, raise another error.
     zero = file.data.find(b"\0")
     if zero >= 0 and not file.data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise file.error(
@@ -461,7 +458,7 @@ def read_file(path: StrPath) -> RecordedFile:
 def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
     """Return a file with its column names, cell separator and decimal mark.
 
-    Values that `dialect` does not state are detected.
+    Attributes that `dialect` leaves empty are detected.
     """
     if file.names or file.problem:
         return file
@@ -537,13 +534,13 @@ def _header(
         comments = comments[:-1]
     notes = []
     if comments:
-        notes.append(f"{len(comments)} lines of comments above the names were skipped")
+        notes.append(f"{len(comments)} comment lines above the header were skipped")
     if has_names:
         if columns:
             notes.insert(
                 0,
-                "the file names its columns, so the names of --columns or of the map"
-                " are not used",
+                "the file has column names, so the names in --columns or in the map"
+                " are ignored",
             )
         return _Header(cells, top + 1, notes)
     if columns:

@@ -6,7 +6,7 @@ with the time constant τ₂, as in `lag`. If the drive is u₀ + m t,
 
 $$ x(t) = u_0 + m (t - \tau_2) + (x_0 - u_0 + m \tau_2)\, e^{-t/\tau_2}. $$
 
-Valve commands have no effect. The pneumatic energy is unknown, so it is 0.
+Valve commands have no effect. The pneumatic energy is unknown and is reported as 0.
 """
 
 from __future__ import annotations
@@ -40,12 +40,11 @@ class RecordedPressures(Pneumatics):
 
         Args:
             spec: recorded robot.
-            time: times of the samples since the start of the run in ascending order, s.
-                Times before the start are negative.
+            time: sample times since the start of the run, s, in ascending order. Times
+                before the start are negative.
             pressure: gauge pressures, Pa, shape (samples, segments, 2).
-            supply_pa: gauge supply pressure, Pa, from which only `max_pressure_ratio`
-                is computed.
-            layout: valve layout of the commands of the controller.
+            supply_pa: gauge supply pressure, Pa, used only for `max_pressure_ratio`.
+            layout: valve layout of the controller commands.
         """
         if pressure.shape != (len(time), spec.segments, 2):
             raise InputError(

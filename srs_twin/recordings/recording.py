@@ -1,4 +1,4 @@
-"""Recorded motion of a robot as a trajectory, with a log of valves or pressures."""
+"""Recorded robot motion as a trajectory, with a valve or pressure log."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ _REACH = 0.8
 """Maximum distance of a marker from its expected position, in segment lengths."""
 
 _MIN_OPENINGS = 4
-"""Minimum number of openings of a chamber for an estimate of the gait frequency."""
+"""Minimum number of openings per chamber for estimating the gait frequency."""
 _MAX_UNEVENNESS = 0.05
 """Maximum deviation of an opening time from a periodic pattern, in periods."""
 _CARRIER_S = 0.07
@@ -70,7 +70,7 @@ _CARRIER_S = 0.07
 Shorter intervals are due to a carrier.
 """
 _STILL_S = 1e-9
-"""Tolerance of times, s."""
+"""Tolerance for comparing times, s."""
 _MAX_EMPTY_PA = 1e3
 """Maximum gauge pressure of an empty chamber, Pa."""
 
@@ -85,9 +85,8 @@ class ValveLog:
         values: valve states or gauge pressures (Pa), shape (rows, segments, 2). The
             last axis is (+ chamber, − chamber). A valve state is valid until the next
             row.
-        epoch_ns: time since 1970 that corresponds to 0 s, ns, or None if the clock of
-            the file has another origin.
-        holds: whether the pressures are set points, which are constant until the next
+        epoch_ns: Unix time at 0 s, ns, or None if the file contains no Unix times.
+        holds: whether the values are pressure set points, which hold until the next
             row. Measured pressures are interpolated.
     """
 
@@ -101,11 +100,11 @@ class ValveLog:
     holds: bool = False
 
     def shifted(self, offset: float) -> ValveLog:
-        """Return the log with `offset` (s) added to the times of the log."""
+        """Return a copy with `offset` (s) added to all times."""
         return replace(self, time=self.time + offset)
 
     def schedule(self) -> Schedule:
-        """Return the valve states as a schedule from the first row to the last row."""
+        """Return the valve states as a schedule from the first to the last row."""
         states = self.values.astype(np.int8)
         changes = np.append(
             0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1
@@ -125,10 +124,10 @@ class ValveLog:
         return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
 
     def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the times and pressures of a piecewise linear function.
+        """Return the times and pressures of the breakpoints.
 
-        The function has the values that `at` returns. A step between set points has two
-        breakpoints.
+        Linear interpolation between the breakpoints gives the values that `at` returns.
+        A step between set points has two breakpoints.
         """
         if not self.holds:
             return self.time, self.values
@@ -140,9 +139,9 @@ class ValveLog:
     def gait_frequency(self) -> float | None:
         """Return the gait frequency (Hz), or None if the log is not periodic.
 
-        The gait frequency is the frequency at which all chambers open. The first
-        opening is ignored, because a gait may start within a period. Several openings
-        within a short time are due to a carrier and are counted as one opening.
+        The gait frequency is the frequency at which each chamber opens. The first
+        opening is ignored, because a gait may start within a period. Openings in quick
+        succession are due to a carrier and are counted as one opening.
         """
         if self.kind != "valve":
             return None
@@ -169,7 +168,7 @@ class ValveLog:
 def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the values of the last row at or before each time.
 
-    At times before the first row, the values of the first row are returned.
+    Before the first row, the values of the first row are returned.
     """
     return np.asarray(
         values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)]
@@ -181,11 +180,10 @@ class Recording:
     """Measured motion of a robot.
 
     Attributes:
-        trajectory: measured motion with the columns of a plant. Bends have the rates
-            ``bend_rate_1…``. If the motion was measured with markers, the trajectory
-            also has the columns ``residual``, ``com_velocity_x``, ``com_velocity_y``,
-            ``yaw_rate`` and ``filled_1…`` (1 if a marker of the connector was
-            interpolated).
+        trajectory: measured motion with the columns of a plant and the bend rates
+            ``bend_rate_1…``. A motion measured with markers also has the columns
+            ``residual``, ``com_velocity_x``, ``com_velocity_y``, ``yaw_rate`` and
+            ``filled_1…`` (1 if a marker of the connector was interpolated).
         valves: log of valve states or pressures on the clock of the trajectory, or None
             before `join`.
     """
@@ -215,7 +213,7 @@ class Recording:
     def commands(self, name: str) -> Schedule:
         """Return the valve states since the first sample.
 
-        If pressures were recorded instead, all chambers vent. `name` is the name of the
+        If pressures were recorded instead, all chambers vent. `name` identifies the
         recording in error messages.
         """
         log = self.valves
@@ -265,7 +263,7 @@ class Recording:
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Add a file name to the messages of errors that are raised in the block."""
+    """Prefix a file name to errors raised in a `with` block."""
     try:
         yield
     except UnknownNameError as error:
@@ -295,8 +293,8 @@ def read_motion(
         layout: marker layout, one of `body.layout.LAYOUTS`.
         head: column name of the marker at the head. If `head` is None, the head is the
             end in the direction of motion.
-        map: recording map with the places of markers and rigid bodies and with
-            information that the file lacks, or the path of this map.
+        map: recording map, its entries, or its path. The map states the places of
+            markers and rigid bodies, and information that the file lacks.
         longest_gap_s: maximum duration of a gap that is interpolated, s.
         gait_frequency_hz: gait frequency, Hz, or None if the motion is not periodic.
 
@@ -357,8 +355,8 @@ def _captured_markers(
 ) -> tuple[CapturedMarkers, list[str]]:
     geometry = spec.geometry
     slots = in_slots(table, points)
-    # The tracking compares distances with the robot, so an error in the unit of length
-    # must be reported before the tracking.
+    # A wrong unit of length must be reported before the tracking, which compares
+    # distances with the robot.
     check_scale(slots.points[..., :2], spec)
     tracks, notes = robot_tracks(
         table, slots, longest_gap_s / frames.period, _REACH * geometry.pitch
@@ -392,7 +390,7 @@ def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) ->
         complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
         raise InputError(
             f"no {MIN_FRAMES} successive frames contain all {points.shape[1]} markers"
-            f" with gaps of at most {longest_gap_s:g} s. All markers are visible on"
+            f" with gaps of at most {longest_gap_s:g} s. All markers are visible in"
             f" {complete:.0f} % of the {len(frames.time)} frames at"
             f" {1 / frames.period:.4g} Hz; allow longer gaps with --longest-gap"
         )
@@ -476,7 +474,7 @@ def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
         slots = pack_slots(points)
     if (count := slots.points.shape[1]) > MAX_MARKERS:
         raise InputError(
-            f"{count} markers are on the same frame, but at most {MAX_MARKERS} can be"
+            f"{count} markers are in the same frame, but at most {MAX_MARKERS} can be"
             " tracked"
         )
     return slots

@@ -58,7 +58,7 @@ class MarkerPlace(StrictModel):
 
 
 class LogColumn(StrictModel):
-    """Column or signal of a log, with the unit."""
+    """Log column or signal with its unit."""
 
     column: str
     """Name of the column."""
@@ -194,7 +194,6 @@ class RecordingMap(StrictModel):
 
 
 NO_MAP = RecordingMap()
-"""Recording map without entries."""
 
 
 def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
@@ -204,20 +203,20 @@ def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
             yield "the value must be a number"
         return
     if meaning is None:
-        yield f"this is not a key of a log; allowed are {_LOG_KEYS}"
+        yield f"unknown key; the section `log` has the keys {_LOG_KEYS}"
         return
     if isinstance(value, float):
-        yield "must be the name of a column, as text"
+        yield "the value must be the name of a column"
     units = QUANTITIES[meaning.kind]
     given = value.unit if isinstance(value, LogColumn) else ""
     for unit in (meaning.default, given):
         if unit and not symbol(unit, units):
             allowed = ", ".join(units) or "none"
-            yield f"the unit '{unit}' is not known; allowed are {allowed}"
+            yield f"unknown unit '{unit}'; allowed units: {allowed}"
 
 
 def log_meaning(key: str) -> Meaning | None:
-    """Return the meaning of a log key such as pressure_kpa_plus_1."""
+    """Return the meaning of a log key such as `pressure_kpa_plus_1`."""
     if key == "time":
         return Meaning("time", "time")
     match = _LOG_NAME.fullmatch(key)
@@ -230,7 +229,7 @@ def log_meaning(key: str) -> Meaning | None:
 def given_map(
     path: str | None, options: Mapping[str, object], markers: Sequence[str]
 ) -> dict[str, object]:
-    """Combine a map file, options and marker places to plain data.
+    """Combine a map file, options and marker places into plain data.
 
     The options override the values of the file unless they are None. A marker place has
     the form "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or
@@ -296,7 +295,7 @@ def as_map(given: RecordingMap | Mapping[str, object] | StrPath) -> RecordingMap
 
 
 def canonical_key(name: str) -> str:
-    """Return the map key of a column, such as pressure_plus_1, without a unit."""
+    """Return the map key of a column without the unit, such as `pressure_plus_1`."""
     match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
     if match:
         return match[1]

@@ -1,4 +1,4 @@
-"""Recordings with logs, for fits and for scenarios that replay the recordings.
+"""Recordings with their logs, for parameter fits and replay scenarios.
 
 The default log of ``walk.csv`` is ``walk.valves.csv`` in the same folder.
 """
@@ -82,8 +82,7 @@ class RecordingReader:
     ) -> Recording:
         """Read a captured motion with `read_motion`.
 
-        `frequency` is the gait frequency (Hz) that is used if the reader has no gait
-        frequency.
+        `frequency` (Hz) is used if `gait_frequency_hz` is None.
         """
         return read_motion(
             path,
@@ -118,7 +117,7 @@ class RecordingReader:
     ) -> Recording:
         """Synchronise a motion with a log.
 
-        If motion and log are from one file, the clock offset is 0.
+        If motion and log are in one file, the default clock offset is 0.
         """
         offset = 0.0 if one_file and self.offset_s is None else self.offset_s
         return join(body, log, spec, offset=offset)
@@ -128,7 +127,7 @@ class RecordingReader:
         try:
             log = read_valves(valves, spec, self.map)
         except InputError:
-            # An error of the motion has priority, because the path of the motion
+            # Errors in the motion are reported first, because the path of the motion
             # determines the default path of the log.
             self.body(path, spec)
             raise
@@ -167,7 +166,7 @@ def _log_of(take: Path) -> str:
 
 
 class ReplayFile(ControllerSection):
-    """Controller that replays recorded valve states or pressures of a recording."""
+    """Controller that replays the valve states or pressures of a recording."""
 
     kind: Literal["replay"]
     """Kind of controller."""
@@ -328,7 +327,7 @@ def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | 
     try:
         return read()
     except UnknownNameError as error:
-        # The file exists, so the error concerns a missing marker or column.
+        # An unknown name refers to a marker or column, not to a missing file.
         document.report(
             ("recording", "head" if document.get("recording", "head") else "map"),
             str(error),

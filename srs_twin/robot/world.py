@@ -303,8 +303,8 @@ def peg_field(
     """
     if not 2 * (radius + jitter) < spacing:
         raise InputError(
-            f"at a spacing of {spacing:g} m, pegs of radius {radius:g} m that are"
-            f" displaced by up to {jitter:g} m may overlap; the spacing must be above"
+            f"pegs of radius {radius:g} m that are displaced by up to {jitter:g} m may"
+            f" overlap at a spacing of {spacing:g} m; the spacing must be above"
             f" {2 * (radius + jitter):g} m"
         )
     shifts = np.random.default_rng(seed).uniform(-jitter, jitter, (columns, rows, 2))

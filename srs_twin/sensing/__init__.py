@@ -1,4 +1,4 @@
-"""Curvature sensors, which measure the bends for the controllers."""
+"""Curvature sensors that provide measured bends to the controllers."""
 
 from __future__ import annotations
 
@@ -38,10 +38,8 @@ def make_sensor(
     The sensors of a spatial robot measure the bends about two axes.
 
     Args:
-        kind: name in `KINDS`, name of an extension (`extensions.part`), or a `Sensor`
-            that is used without change.
-        spec: robot specification, which determines the length of the strips and the
-            drift of each sensor.
+        kind: name in `KINDS`, name of an extension (`extensions.part`), or a `Sensor`.
+        spec: robot specification, which states the strip length and the sensor drift.
         span: maximum bend to either side for which a Hall sensor is calibrated, rad.
             Unless `gain` is given, the gain of the amplifier is chosen for the span.
             Other sensors ignore the span.

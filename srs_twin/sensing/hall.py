@@ -24,17 +24,17 @@ of the whole segment, the reading would be neither linear nor monotonic over ±9
 
 **Chambers.** A rectangular chamber becomes round when it is filled, and presses on the
 adjacent strip (Section 2.2.2, Fig. 14a, c). The filled chamber is on the outside of the
-bend, so the chamber bends the strip in the opposite direction. When the chamber is
-round, it displaces the strip no further. If the factor b describes the strength of the
-pressing and q_c is the bend at which the chamber is nearly round, the bend of the strip
-is
+bend, so the chamber bends the strip in the opposite direction. Once the chamber is
+round, it displaces the strip no further. With a dimensionless factor b for the strength
+of this effect, and the bend q_c at which the chamber is nearly round, the bend of the
+strip is
 
 $$ q_s = q - b\,q_c \tanh(q / q_c) . $$
 
 The derivative of q_s is 1 − b at q = 0, negative for b > 1, and 1 for |q| ≫ q_c. The
 dissertation states that readings with rectangular chambers are not monotonic at small
-angles. The figure with the values is not available, so b and q_c are estimates. The
-model of the pressing chamber depends only on the bend, not on the pressure.
+angles. The figure with the values is not available, so b and q_c are estimates. This
+model depends only on the bend, not on the pressure.
 
 **Electronics.** The reading is produced by a Hall element, an amplifier and a
 converter:
@@ -51,12 +51,12 @@ the calibration, which are due to temperature, supply voltage or displacement of
 magnet.
 
 **Calibration.** As in Section 3.4.3, a straight line is fitted to the bending angle as
-a function of the voltage. The angles are evenly spaced over the range ± span. The
-readings contain no noise, as if they were averaged for a long time. The line is fitted
-by least
-squares:
+a function of the voltage by least squares:
 
 $$ q \approx a V + b. $$
+
+The angles are evenly spaced over the range ± span. The readings contain no noise, as if
+they were averaged over a long time.
 
 Nonlinearity due to the field, the rails or a chamber that presses on the strip remains
 as an error of the readings. The maximum error is stored in `worst_error`.
@@ -197,8 +197,8 @@ def dipole(x: Array, y: Array, m_x: float, m_y: float) -> tuple[Array, Array]:
 
     Args:
         x: x coordinate relative to the dipole, any shape, m.
-        y: y coordinate relative to the dipole, with the shape of x, m. The coordinates
-            must not be 0 at the same time.
+        y: y coordinate relative to the dipole, with the shape of x, m. x and y must not
+            both be 0.
         m_x: moment along x, A·m².
         m_y: moment along y, A·m².
     """
@@ -261,9 +261,8 @@ class HallSensor:
     The sensitivity and the noise are estimated from data sheets of Hall sensors of type
     49E, to which the AH49E of the dissertation belongs. The data sheets state a
     sensitivity of 1.6 to 2.0 mV/G at 5 V. The stated noise of 90 µV in a bandwidth of
-    10 kHz corresponds to 25 µV in the amplifier's bandwidth of 500 Hz. The rails of 5 V
-    and the converter of 10 bits are those of the Arduino Pro Mini in generation 3
-    (Section 2.3.2).
+    10 kHz corresponds to 25 µV in the amplifier's bandwidth of 500 Hz. The 5 V rails
+    and the 10-bit converter match the Arduino Pro Mini in generation 3 (Section 2.3.2).
 
     Attributes:
         strip: geometry and magnet.
@@ -296,7 +295,7 @@ class HallSensor:
             "sensitivity", self.sensitivity, self.sensitivity != 0, "other than 0 V/T"
         )
         _check("noise", self.noise, self.noise >= 0, "at least 0 V")
-        _check("bias", self.bias, True, "a voltage")
+        _check("bias", self.bias, True, "in V")
         _check("gain_error", self.gain_error, self.gain_error > -1, "above -1")
         for name in ("rails", "converter_range"):
             low, high = getattr(self, name)
@@ -369,8 +368,7 @@ class HallSensor:
         Args:
             bend: bend of any shape, rad. If the bend is NaN, the voltage is NaN, so
                 that a diverged state does not look valid.
-            noise: standard normal random numbers, whose shape can be broadcast with the
-                bends.
+            noise: standard normal random numbers, which are broadcast with the bends.
         """
         random = self.noise * np.asarray(noise)
         element = self.sensitivity * self.field_change(bend) + random
@@ -401,7 +399,7 @@ def _check(name: str, value: float, ok: bool, allowed: str) -> None:
 
 
 ANGLES = 181
-"""Number of angles in a calibration, which is one per degree for ±90°."""
+"""Number of angles in a calibration (one per degree for ±90°)."""
 
 LEAST_R_SQUARED = 0.5
 """Minimum fraction of the variance that the line of a usable sensor explains."""
@@ -482,11 +480,11 @@ def fit_line(voltage: Array, angle: Array) -> HallCalibration:
 
 
 def calibrate(sensor: HallSensor, span: float = SPAN) -> HallCalibration:
-    """Calibrate a sensor without its drift.
+    """Calibrate a sensor, ignoring its drift.
 
     Args:
-        sensor: Hall sensor. The `bias` and the `gain_error` of the sensor are ignored,
-            because drift begins after the calibration.
+        sensor: Hall sensor. Its `bias` and `gain_error` are ignored, because drift
+            begins after the calibration.
         span: maximum angle to either side, rad.
 
     Raises:

@@ -13,9 +13,9 @@ ms. The Box-Muller transform converts the uniform outputs to a normally distribu
 number. Each combination of seed and segment starts at a different position in the
 sequence.
 
-Computing a single number takes as long as computing a thousand numbers at once. Because
-a controller requests one time after another, numbers are computed in blocks of slots
-and cached.
+A vectorised computation of a thousand numbers takes as long as the computation of a
+single number. Because a controller reads one time after another, numbers are computed
+and cached in blocks of slots.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ class Sensor(ABC):
 
     Attributes:
         kind: short name of the sensor.
-        axes: number of readings per segment, 1 or 2. If the number is 2, arrays of
-            bends and readings have an additional last axis with the components to the
-            left and upwards.
+        axes: number of readings per segment, 1 or 2. With 2 readings, arrays of bends
+            and readings have an additional last axis with the components to the left
+            and upwards.
     """
 
     kind: str = "own"
@@ -103,8 +103,8 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
     Args:
         seed: any integer. Seeds that are equal modulo 2⁶⁴ produce equal numbers.
         time: times, shape (…,), s. Times are rounded to the nearest slot.
-        segments: number of segments. Additional segments do not change the numbers of
-            the first segments.
+        segments: number of segments. Additional segments do not change the random
+            numbers of the first segments.
 
     Raises:
         InputError: a time is not finite, or is too large for exact slot numbers.
@@ -236,7 +236,6 @@ class DriftedSensor(_AlteredSensor):
     """Sensors that have drifted by individual amounts since their calibration.
 
     Attributes:
-        sensor: sensors without drift.
         gain: factor that multiplies the reading, shape (segments,), dimensionless.
         bias: offset added to the reading, shape (segments,), rad.
     """
@@ -261,7 +260,7 @@ class DriftedSensor(_AlteredSensor):
 
 @dataclass(frozen=True)
 class DeadSensor:
-    """Fault of a segment's sensor, which no longer responds to the bend.
+    """Failure of one segment's sensor, which no longer responds to the bend.
 
     Attributes:
         segment: segment number, counted from 1 at the head.
@@ -279,7 +278,6 @@ class FaultySensor(_AlteredSensor):
     """Sensors that have failed in some segments.
 
     Attributes:
-        sensor: sensors without faults.
         dead: faults of individual segments.
     """
 

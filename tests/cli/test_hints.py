@@ -176,8 +176,8 @@ def test_inspect_reads_the_map_beside_an_export(srs_twin, tmp_path, shipped_run)
     )
     done = srs_twin("inspect", "a.mcap", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert done.stderr == "read with a.map.yaml\n"
-    assert "/twin/connector_1/pose: seen on 100.0 %" in done.stdout
+    assert done.stderr == "using the recording map a.map.yaml\n"
+    assert "/twin/connector_1/pose: seen in 100.0 %" in done.stdout
 
 
 def test_compare_writes_a_junit_report(srs_twin, tmp_path):

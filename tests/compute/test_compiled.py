@@ -75,9 +75,9 @@ def foreign(folder):
 @pytest.mark.parametrize(
     ("place", "change", "reason"),
     [
-        ("folder", writable, "can be written by all users"),
-        ("folder", lambda folder: folder.chmod(0o1777), "can be written by all users"),
-        ("parent", writable, "can be written by all users"),
+        ("folder", writable, "is writable by all users"),
+        ("folder", lambda folder: folder.chmod(0o1777), "is writable by all users"),
+        ("parent", writable, "is writable by all users"),
         ("folder", foreign, "belongs to another user"),
     ],
 )

@@ -46,7 +46,7 @@ GAIT = Gait(2.0)
 GAIT.reset(SPEC, 0.02)
 VALVES = np.tile(np.array([1, -1], dtype=np.int8), (4, 1))
 IN_USE = (
-    r"this \w+ is in use by another thread; build another one for this thread\."
+    r"this \w+ is in use by another thread; create a separate object for this thread\."
     r" `run_many` runs"
 )
 

@@ -107,7 +107,7 @@ MOTIVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "older format version",
         _edited(MOTIVE, "1.21", "0.9"),
-        ":1:2: the format version '0.9' cannot be read; allowed are 1.0",
+        ":1:2: the format version '0.9' cannot be read; supported: 1.0",
     ),
     Malformed(
         "no version",
@@ -327,7 +327,7 @@ VALVE_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "missing chamber",
         _edited(VALVES, "valve_minus_3", "valve_minus_8"),
-        ":1: the column 'valve_minus_3' is missing, because gen2 has 4 segments",
+        ":1: the column 'valve_minus_3' is missing; gen2 has 4 segments",
     ),
     Malformed(
         "one row",
@@ -361,7 +361,7 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "an unknown unit",
         STATIC.replace(b"kpa", b"ata", 1),
-        ":1:1: pressure_plus_1_ata: the unit 'ata' is not known",
+        ":1:1: pressure_plus_1_ata: unknown unit 'ata'",
     ),
     Malformed(
         "a word", STATIC.replace(b"10,0", b"ten,0"), ":4:1: 'ten' is not a number"

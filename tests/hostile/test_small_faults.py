@@ -170,7 +170,7 @@ def test_kernels_of_a_folder_that_a_group_can_write_are_not_trusted(
     folder.mkdir()
     folder.chmod(0o775)
     monkeypatch.setattr("srs_twin.compute.compiled._is_own_group", lambda number: False)
-    assert "can be written by its group" in str(_why_unsafe(folder))
+    assert "is writable by its group" in str(_why_unsafe(folder))
     folder.chmod(0o755)
     assert _why_unsafe(folder) is None
 

@@ -64,7 +64,7 @@ def test_a_table_of_pulls_is_read(tmp_path):
         ),
         (
             PULLS.replace("along_mm", "along_kg"),
-            r"pulls.csv:1:1: along_kg: the unit 'kg' is not known",
+            r"pulls.csv:1:1: along_kg: unknown unit 'kg'",
         ),
         (
             PULLS.replace(",mass_kg", ",weight"),

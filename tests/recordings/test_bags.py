@@ -215,7 +215,7 @@ def test_transforms_relative_to_another_body_are_composed(tmp_path):
     tip = table.points[:, table.labels.index("tip")]
     assert np.abs(tip - PLACE[:, 0] - [np.cos(0.6), np.sin(0.6), 0.0]).max() < 1e-9
     assert (
-        "1 transforms are relative to another body and were composed"
+        "1 transforms relative to another body were converted to the root frame"
         in table.corrections
     )
 
@@ -277,7 +277,8 @@ def test_foreign_databases_are_refused(tmp_path):
     with sqlite3.connect(tmp_path / "a.db3") as base:
         base.execute("CREATE TABLE notes (text)")
     with pytest.raises(
-        InputError, match=r"not a ROS 2 bag \(it lacks the tables topics and messages\)"
+        InputError,
+        match=r"not a ROS 2 bag; it lacks the tables `topics` and `messages`",
     ):
         read_markers(tmp_path / "a.db3")
     with sqlite3.connect(tmp_path / "b.db3") as base:

@@ -367,6 +367,6 @@ def test_an_unknown_unit_is_settled_by_the_given_one(tmp_path):
     found = read_markers(tmp_path / "a.c3d", Unstated(unit="mm"))
     assert np.abs(found.points - 1e-3 * points).max() < 1e-4
     assert any(
-        "is not a known unit, so mm is used, as given" in note
+        "is not a known unit, so the given unit mm is used" in note
         for note in found.corrections
     )

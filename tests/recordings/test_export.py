@@ -216,8 +216,8 @@ def test_the_command_writes_each_format(run, srs_twin, tmp_path):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "give one of --mcap, --csv, --npz"),
-        (("--csv", "--npz"), "exactly one output format is needed"),
+        ((), "output formats --mcap, --csv, --npz"),
+        (("--csv", "--npz"), "give exactly one of the output formats"),
         (
             ("--csv", "--out", "run.parquet"),
             "the name of a file for --csv must end in .csv",

@@ -103,7 +103,7 @@ def test_a_wrong_unit_of_length_is_noted(tmp_path):
 
 def test_changes_of_columns_are_noted(tmp_path):
     facts, _ = inspected(tmp_path, Take(swaps=20, seed=2))
-    assert any("markers change their columns" in each for each in facts.notes)
+    assert any("markers switch columns" in each for each in facts.notes)
 
 
 def test_the_map_names_no_markers_that_change_their_columns(tmp_path):
@@ -112,7 +112,7 @@ def test_the_map_names_no_markers_that_change_their_columns(tmp_path):
     path.write_text(text := proposed_map([facts]))
     proposed = load_model(RecordingMap, path)
     assert proposed.up == facts.up and not proposed.markers
-    assert "markers change" in text and "left out" in text
+    assert "markers switch columns" in text and "states no places" in text
     read_motion(tmp_path / "take.csv", SPEC, map=proposed)
 
 

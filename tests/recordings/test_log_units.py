@@ -115,7 +115,7 @@ def test_unit_in_the_header_has_precedence_over_the_key(tmp_path, header, unit, 
     expected = PASCALS[unit] * scale * RAW
     assert found.values[:, 0, 0] == pytest.approx(expected, rel=1e-6)
     default = {"kpa": 1e3, "psi": 6894.757, "Pa": 1}[key.split("_")[1]]
-    assert any("according to its name" in note for note in found.corrections) == (
+    assert any("as its name states" in note for note in found.corrections) == (
         PASCALS[unit] != default
     )
 
@@ -225,13 +225,13 @@ def test_chambers_called_pa_and_pb_have_no_unit(tmp_path):
     [
         (
             {"pressure_plus_1": {"column": "P1", "unit": "mpa"}},
-            "unit 'mpa' is not known; allowed are Pa, kPa, bar",
+            "unknown unit 'mpa'; allowed units: Pa, kPa, bar",
         ),
-        ({"pressure_mpa_plus_1": "P1"}, "unit 'mpa' is not known"),
-        ({"valve_bar_plus_1": "P1"}, "unit 'bar' is not known; allowed are none"),
+        ({"pressure_mpa_plus_1": "P1"}, "unknown unit 'mpa'"),
+        ({"valve_bar_plus_1": "P1"}, "unknown unit 'bar'; allowed units: none"),
         (
             {"time": {"column": "t", "unit": "kPa"}},
-            "unit 'kPa' is not known; allowed are s, ms",
+            "unknown unit 'kPa'; allowed units: s, ms",
         ),
         ({"ambient_kpa": "P1"}, "the value must be a number"),
         ({"pressure_plus_1": {"column": "P1", "units": "bar"}}, "units"),

@@ -398,7 +398,7 @@ def test_lengths_of_longer_segments_are_measured(tmp_path):
     path.write_text(plain_csv(motion()))
     found = read_motion(path, replace(SPEC, geometry=geometry))
     assert any(
-        each.startswith("the segments are longer than those of gen2 by +2.")
+        each.startswith("the segment lengths differ from those of gen2 by +2.")
         for each in found.summary.corrections
     )
     assert (

@@ -291,8 +291,8 @@ def test_given_names_apply_only_to_files_without_names(tmp_path):
     found = read_valves(path, MODULE, read_map({"columns": ["time", "x_1", "y_1"]}))
     assert found.values[0, 0].tolist() == [1, -1]
     assert (
-        "the file names its columns, so the names of --columns or of the map are not"
-        " used" in found.corrections
+        "the file has column names, so the names in --columns or in the map are"
+        " ignored" in found.corrections
     )
     path.write_text("0;1;0\n1,5;0;1\n")
     found = read_valves(

@@ -75,7 +75,7 @@ REFUSED = {
         "a BVH file, .*, cannot be read; export CSV or C3D instead. Readable formats are"
         " C3D, MCAP",
     ),
-    "a.tak": (lambda: b"\x01\x02\x03\0binary", "a take of Motive.*export it there"),
+    "a.tak": (lambda: b"\x01\x02\x03\0binary", "a take of Motive.*export it in Motive"),
     "a.csv.gz": (lambda: gzip.compress(b"time,x_1"), "a gzip archive"),
     "old.bag": (lambda: b"#ROSBAG V1.2\n" + bytes(99), "a bag of an older ROS"),
     "walk.db3.zstd": (lambda: b"\x28\xb5\x2f\xfd" + bytes(99), "a Zstandard archive"),

@@ -221,9 +221,9 @@ def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
         ),
         (
             "time,bend_1,bend_2\n0,0,0\n",
-            "x.csv:1:3: the column 'bend_2' belongs to no segment, because gen4_module",
+            "x.csv:1:3: the column 'bend_2' does not match any segment; gen4_module",
         ),
-        ("time,bend_1_turns\n0,0\n", "unit 'turns' is not known; allowed are rad, deg"),
+        ("time,bend_1_turns\n0,0\n", "unknown unit 'turns'; allowed units: rad, deg"),
         (
             "time,bend_1\n0,0\n0.1,47.9\n",
             r"x.csv:3:2: bend_1: a bend of 47.9 rad is not allowed.*bend_1_deg",

@@ -244,12 +244,12 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
         (
             "valve_plus_1",
             "valve_plus_9",
-            "valves.csv:1: the column 'valve_plus_1' is missing, because gen2 has 4 segments",
+            "valves.csv:1: the column 'valve_plus_1' is missing; gen2 has 4 segments",
         ),
         (
             "valve_minus_4",
             "valve_minus_4,valve_plus_5",
-            "the column 'valve_plus_5' belongs to no segment, because gen2 has 4 segments",
+            "the column 'valve_plus_5' does not match any segment; gen2 has 4 segments",
         ),
         ("time", "clock", "valves.csv:1: the column 'time' is missing"),
         (
@@ -261,7 +261,7 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
         (
             "valve_plus_1",
             "valve_plus_1_kpa",
-            "valves.csv:1:2: valve_plus_1_kpa: the unit 'kpa' is not known",
+            "valves.csv:1:2: valve_plus_1_kpa: unknown unit 'kpa'",
         ),
         (
             "valve_plus_1",

@@ -620,7 +620,7 @@ def test_sensors_are_selected_by_name():
         ),
         (
             {"bias": math.inf},
-            "`bias` inf is not allowed; it must be finite and a voltage",
+            "`bias` inf is not allowed; it must be finite and in V",
         ),
         ({"sensitivity": 0.0}, "`sensitivity` 0.0 is not allowed"),
         ({"bits": 0}, "`bits` 0 is not allowed; it must be between 1 and 32, or None"),

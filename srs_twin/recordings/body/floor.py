@@ -39,7 +39,7 @@ from srs_twin.errors import InputError
 from srs_twin.recordings.body.tracking import pairwise_distances
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
-"""Axis of a file that points up."""
+"""File axis that points up."""
 
 MAPS = {
     "z": ((0, 1), (1, 1), (2, 1)),
@@ -49,26 +49,25 @@ MAPS = {
     "-y": ((0, 1), (2, 1), (1, -1)),
     "-x": ((1, 1), (2, -1), (0, -1)),
 }
-"""File axis and sign of the floor coordinates x, y and height, per vertical axis."""
+"""File axis and sign of each floor coordinate (x, y, height), by vertical axis."""
 
 UPS = ("auto", *MAPS)
 
 _SAMPLES = 20_000
 """Maximum number of positions or displacements that are evaluated."""
 _LAG_FRACTIONS = (60, 30, 10)
-"""Ratios of the duration of a recording to the duration of a displacement."""
+"""Ratios of the recording duration to the time lag of a displacement."""
 _NORMALS = 400
-"""Number of candidate normals."""
 _LIFT_FRACTION = 0.01
 """Assumed RMS lift of a snake in phase with the motion, relative to the body length."""
 _CERTAIN_RATIO = 2.0
-"""Minimum ratio of the gradient of a certain tilt to the gradient due to a lift."""
+"""Minimum ratio of a gradient treated as a tilt to the gradient due to a lift."""
 _EXTENT_FRAMES = 200
 """Number of sampled frames from which the body length is computed."""
 _FIT_ITERATIONS = 8
-"""Number of iterations of the robust fit of the gradients."""
+"""Number of iterations of the robust gradient fit."""
 _MAX_SHIFT = 1e-3
-"""Maximum displacement of high relative to low markers due to an ignored tilt, m."""
+"""Maximum shift of high relative to low markers due to an ignored tilt, m."""
 _PLANE_RATIO = 3.0
 """Minimum ratio of the spread in a plane to the spread normal to the plane."""
 _MAX_TILT = np.radians(3.0)
@@ -100,8 +99,8 @@ def map_to_floor(
     Args:
         points: marker positions, shape (frames, columns, 3) or (…, 2), m.
         up: vertical axis, one of `UPS`.
-        usual: usual vertical axis of the file format, for files whose markers do not
-            determine the vertical axis.
+        usual: vertical axis that is common in this file format, used if the markers do
+            not determine the axis.
         level: whether the tilt of the floor is removed. If `level` is None, the tilt is
             removed only if the tilt is certain.
     """
@@ -123,8 +122,8 @@ def map_to_floor(
     if up != "z":
         x, y, _ = (("−" if sign < 0 else "") + "XYZ"[axis] for axis, sign in MAPS[up])
         rotated = (
-            f"the axes are rotated: x of the floor is {x} and y of the floor is"
-            f" {y} of the file"
+            f"the axes are rotated: floor x is {x} of the file, and floor y is {y} of"
+            " the file"
         )
         notes.append("y is reversed, because up is -z" if planar else rotated)
     return FloorPlane(up, mapped, tuple(notes))
@@ -154,7 +153,7 @@ def _find_floor(
             raise InputError(
                 "the vertical axis cannot be determined, because the markers spread"
                 f" {1e3 * spread[0]:.0f} mm and {1e3 * spread[1]:.0f} mm in two"
-                " directions; give it with --up x, y or z, or with `up` in a map"
+                " directions; set it with --up x, y or z, or with `up` in a map"
             )
         note = (
             f"up is assumed to be {usual}, as usual in such files, because the markers"
@@ -169,8 +168,7 @@ def _find_floor(
             " axes; rotate the recording, or give the vertical axis with --up x, y or"
             " z, or with `up` in a map"
         )
-    # A calibration square on the floor defines the origin, so all markers must be above
-    # the origin.
+    # A calibration square on the floor defines the origin, so the markers are above it.
     height = float(np.median(visible[:, axis]))
     up = ("-" if height < -1e-3 else "") + "xyz"[axis]
     notes = [f"up is {up}: markers stay within {1e3 * spread[0]:.1f} mm of a plane"]
@@ -210,8 +208,8 @@ def _levelled(
         notes.append(f"the floor was levelled by {np.degrees(tilt):.1f}°")
     if level is None and suspected > np.degrees(_MAX_TILT):
         notes.append(
-            f"a tilt of {suspected:.1f}° was not removed, because it may also be a"
-            " lift in step with the motion; `level: true` in a map removes it"
+            f"a tilt of {suspected:.1f}° was not removed, because a lift in phase with"
+            " the motion looks the same; set `level: true` in a map to remove the tilt"
         )
     return points, notes
 
@@ -225,10 +223,7 @@ def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the gradients of the floor and the residual of the heights, m.
-
-    Markers that move up and down, such as a marker on the head, have a small weight.
-    """
+    """Return the gradients of the floor and the residual of the heights, m."""
     x, y = (place - np.nanmean(place, axis=0)).reshape(-1, 2).T
     z = (height - np.nanmean(height, axis=0)).ravel()
     known = np.flatnonzero(np.isfinite(x + y + z))
@@ -244,7 +239,8 @@ def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, floa
         )[0]
         deviation = np.abs(z[known] - position @ slopes)
         residual = float(np.median(deviation))
-        # Cauchy weights reduce the influence of markers that move up and down.
+        # Cauchy weights reduce the influence of markers that move up and down, such as
+        # a marker on the head.
         weight = 1 / (1 + (deviation / (3 * residual + 1e-4)) ** 2)
     return slopes, residual
 

@@ -6,9 +6,9 @@ at station k has the position
 
 $$ p_m = P_k + a_m\,e^{i\theta_k}, $$
 
-where a_m is the offset of the marker in the frame of the station. Points are complex
-numbers, so that a rotation is a multiplication. Adjacent connectors are joined by an
-arc of length ℓ_j and bend q_j, with half of the rigid gap g at each end of the arc,
+where a_m is the offset of the marker in the frame of the station. Points in the plane
+are written as complex numbers. Adjacent connectors are joined by an arc of length ℓ_j
+and bend q_j, with half of the rigid gap g at each end of the arc:
 
 $$ P_{j+1} = P_j - e^{i\theta_j}\Bigl(\tfrac g2 + \ell_j E(q_j) + \tfrac g2 e^{-iq_j}\Bigr),
    \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \theta_{j+1} = \theta_j - q_j. $$
@@ -21,9 +21,9 @@ $$ \sum_m \frac{|p_m - \hat p_m|^2}{\sigma^2} + \sum_j \frac{(\ell_j - \bar\ell_
 
 The minimum is found by the Gauss-Newton method. The standard errors are computed from
 the inverse of the Gauss-Newton matrix. The last term is included only in frames with
-hidden markers. In frames with hidden markers, the last term keeps the bends close to a
-spline through the bends of the remaining frames. The term with the alternating bend ε
-is included only if the segment lengths are assumed to be constant (see `shape`).
+hidden markers, where it keeps the bends close to a spline through the other frames. The
+term with the alternating bend ε is included only if the segment lengths are assumed to
+be constant (see `shape`).
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ SIDE_DIRECTIONS = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}
 _MAX_PAIR_ANGLE = np.radians(25.0)
 """Maximum angle between a marker pair and the body axis or its normal, rad."""
 _BEND_STD = 0.15
-"""Standard deviation σ_q of bends in frames with hidden markers from the spline, rad.
+"""Standard deviation σ_q of bends about the spline in frames with hidden markers, rad.
 """
 _HIDDEN_STD = 1e-2
 """Assumed standard deviation of the interpolated position of a hidden marker, m."""
@@ -56,9 +56,8 @@ This weak prior prevents singular matrices.
 _MAX_ANGLE_STEP = 0.3
 """Maximum change of heading and bends in a Gauss-Newton step, rad."""
 _MAX_STEPS = 15
-"""Maximum number of Gauss-Newton steps."""
 _CONVERGED_STEP = 1e-5
-"""Maximum last step of a converged iteration, rad and m.
+"""Convergence tolerance of the Gauss-Newton step, rad and m.
 
 Convergence is quadratic, so the next step would be negligible.
 """
@@ -70,9 +69,7 @@ The bound is needed because the fit of a wrong marker assignment may diverge.
 _ALTERNATING_STARTS = np.linspace(-0.6, 0.6, 13)
 """Initial values of the alternating bend ε, rad."""
 _SWAP_NOISE = 4.0
-"""Minimum distance of a possibly swapped marker from the body, divided by the noise.
-
-The sample is also assigned to the second marker of the pair for comparison.
+"""Marker residual, divided by the noise, above which a swap within the pair is tested.
 """
 
 
@@ -85,7 +82,7 @@ class _Kinematics(NamedTuple):
 
 @dataclass(frozen=True)
 class MarkerPlacement:
-    """Positions of markers on the body.
+    """Placement of the markers on the body.
 
     Attributes:
         station: station of each marker, shape (markers,).
@@ -98,15 +95,14 @@ class MarkerPlacement:
     geometry: Geometry
 
     def kinematics(self, state: np.ndarray) -> _Kinematics:
-        """Return positions, headings and the Jacobian of the markers.
+        """Return markers with their Jacobian, and connector positions and headings.
 
         `state` contains the position x, y, the heading θ_1, the bends and the segment
         lengths, shape (frames, 3 + 2 segments).
         """
         count = self.geometry.connectors - 1
         # The middle station divides every segment into two halves. Half of the rigid
-        # gap is in front of the first half of a segment, and half of the gap is behind
-        # the second half.
+        # gap precedes the first half, and half of the gap follows the second half.
         turn, length = np.split(np.repeat(state[:, 3:] / 2, 2, axis=1), 2, axis=1)
         before, after = (
             np.tile(ends, count) * self.geometry.rigid_gap / 2
@@ -128,9 +124,8 @@ class MarkerPlacement:
         jacobian[..., 0] = 1
         jacobian[..., 1] = 1j
         jacobian[..., 2] = 1j * (marker - station[:, :1])
-        # The bend of a half segment rotates all stations behind the half segment about
-        # its rear end and changes its chord. The length of a half segment displaces the
-        # stations behind the half segment.
+        # Bending a half segment changes its chord and rotates all stations behind it
+        # about its rear end. Lengthening a half segment displaces these stations.
         moved = self.station[:, None] > np.arange(2 * count)
         chord_derivative = front_direction * (
             length * arc_derivative - 1j * after * rotation
@@ -141,7 +136,7 @@ class MarkerPlacement:
         by_length = -(front_direction * arc)[:, None]
         for k, by_half in ((3, by_turn), (3 + count, by_length)):
             derivative = np.where(moved, by_half, 0)
-            # Each half has half of the bend and half of the length of the segment.
+            # Each half has half of the segment's bend and length.
             jacobian[..., k : k + count] = (
                 derivative[..., ::2] + derivative[..., 1::2]
             ) / 2
@@ -149,7 +144,7 @@ class MarkerPlacement:
 
 
 def _mean_direction(turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return E(φ) and dE/dφ for the bend φ (rad)."""
+    """Return E(φ) and dE/dφ for a bend φ (rad)."""
     cosine, sine, arc, derivative, _ = half_angle_terms(turn)
     rotation = cosine - 1j * sine
     return arc * rotation, (derivative - 0.5j * arc) * rotation
@@ -164,9 +159,9 @@ def marker_offsets(
     """Return the complex offsets of markers from their stations, m, shape (markers,).
 
     A single marker at a station has the offset 0. Two markers without a stated side are
-    placed symmetrically about the station, along or across the body. Two markers with
-    the same name replace a rigid body and may have any direction. The positions of
-    hidden markers must be interpolated.
+    assumed to lie symmetrically about the station, along or across the body. Two
+    markers with equal names represent a rigid body and may lie in any direction. In
+    `points`, the positions of hidden markers must have been interpolated.
     """
     offsets = np.zeros(len(places), dtype=complex)
     position = points @ [1, 1j]
@@ -181,8 +176,8 @@ def marker_offsets(
         if len(group) > 2:
             listed = ", ".join(names[marker] for marker in group)
             raise InputError(
-                f"{len(group)} markers are at one position of the body ({listed}), but"
-                " at most two are allowed"
+                f"{len(group)} markers are assigned to one place on the body"
+                f" ({listed}), but at most two are allowed"
             )
         a, b = group
         line = position[:, a] - position[:, b]
@@ -197,8 +192,8 @@ def marker_offsets(
             side_distance = abs(sides[0] - sides[1]) if all(sides) else 1
             offsets[group] = [distance * side / side_distance for side in sides]
             continue
-        # The argument of this ratio is the angle between the marker pair and the line
-        # through the adjacent stations.
+        # The argument of this complex ratio is the angle between the marker pair and
+        # the line through the adjacent stations.
         ratio = line / (centres[max(k - 1, 0)] - centres[min(k + 1, len(centres) - 1)])
         visible = ~missing[:, group].any(axis=1)
         ratio = ratio[visible] if visible.any() else ratio
@@ -218,7 +213,7 @@ def marker_offsets(
 
 @dataclass
 class StatePrior:
-    """Noise of the markers and prior distribution of the state.
+    """Marker noise and prior distribution of the state.
 
     Attributes:
         noise: standard deviation σ of a marker coordinate, m.
@@ -266,7 +261,7 @@ class StatePrior:
 
 @dataclass(frozen=True)
 class FrameFit:
-    """Fitted states of some frames.
+    """Fit results for several frames.
 
     Attributes:
         covariance: inverse of the Gauss-Newton matrix, shape (frames, 3 + 2 segments, 3
@@ -304,7 +299,7 @@ def fit_frames(
             markers, the fit keeps the bends close to the initial bends q̂.
         measured: complex marker positions, m, shape (frames, markers). The positions of
             hidden markers are interpolated.
-        placement: positions of the markers on the body.
+        placement: placement of the markers on the body.
         prior: prior distribution of the state.
         missing: mask of hidden markers, shape (frames, markers), or None if all markers
             are visible.
@@ -328,16 +323,13 @@ def fit_frames(
     for _ in range(_MAX_STEPS):
         body = placement.kinematics(state[active])
         residual[active] = difference = measured[active] - body.marker
-        # The matrix `inner` is the Gauss-Newton matrix without the information matrix
-        # of the prior.
+        # `inner` is the Gauss-Newton matrix without the prior information.
         weighted = (body.jacobian.conj() * weight[active][..., None]).transpose(0, 2, 1)
         data[active] = inner = (weighted @ body.jacobian).real
         gradient = (weighted @ difference[..., None])[..., 0].real
         gradient = gradient + (prior_mean - state)[active] @ information
         step = np.linalg.solve(inner + information, gradient[..., None])[..., 0]
         step = np.clip(step, -max_step, max_step)
-        # The bound keeps the values finite if the fit of a wrong marker assignment
-        # diverges.
         state[active] = np.clip(state[active] + step, -bound, bound)
         active = active[np.abs(step).max(axis=1) > _CONVERGED_STEP]
         if not active.size:
@@ -365,8 +357,8 @@ def fit_incomplete_frames(
     """Fit the states of frames with hidden markers.
 
     If only one marker of a pair is visible, the tracking may have confused the two
-    markers. The fit is performed for the two possible assignments of the visible
-    marker, and the fit with the smaller cost is returned.
+    markers. Both assignments of the visible marker are fitted, and the fit with the
+    smaller cost is returned.
     """
     best = fit_frames(state, measured, placement, prior, missing)
     for station in np.unique(placement.station):
@@ -397,8 +389,8 @@ def initial_states(
 ) -> np.ndarray:
     """Return approximate states of frames.
 
-    The headings are interpolated along the body. The known directions are the
-    directions of marker pairs and the directions from one station to the next.
+    Headings are interpolated along the body between known directions, which are the
+    directions of marker pairs and of the lines between adjacent stations.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -456,7 +448,7 @@ def _fixed_length_states(
         np.column_stack([alpha[:, 0], -2 * sign[:-1] * alpha]), axis=1
     )
     bend = -np.diff(sign * alternating)
-    # The mean of (−1)^j q_j is ±2 ε. Each value of the grid is used as ε in turn.
+    # The mean of (−1)^j q_j is ±2 ε.
     mean = (bend * sign[:-1]).mean(axis=1, keepdims=True)
     costs = []
     bends = [bend - sign[:-1] * (mean - 2 * epsilon) for epsilon in _ALTERNATING_STARTS]

@@ -9,10 +9,10 @@ The layouts are:
 - ``middles``: one marker per connector, and one at the middle of each segment.
 - ``head_middles``: like ``middles``, with one more marker in front of the head.
 
-The distance of markers on adjacent connectors never exceeds the length of a straight
-segment, whereas markers on more distant connectors are sometimes farther apart. The
-minimum spanning tree of the maximum distances therefore yields the order of the markers
-along the body.
+The distance between markers on adjacent connectors never exceeds the length of a
+straight segment, whereas markers on more distant connectors are sometimes farther
+apart. The minimum spanning tree of the maximum distances therefore yields the order of
+the markers along the body.
 """
 
 from __future__ import annotations
@@ -29,14 +29,13 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class LayoutSize(NamedTuple):
-    """Number of markers of a layout with N connectors: per_connector · N + extra."""
+    """Number of markers on N connectors: per_connector · N + extra."""
 
     per_connector: int
     extra: int
 
 
 Layout = Literal["single", "head", "pair", "middles", "head_middles"]
-"""Name of a layout."""
 
 LAYOUT_SIZES: dict[str, LayoutSize] = {
     "single": LayoutSize(1, 0),
@@ -45,13 +44,12 @@ LAYOUT_SIZES: dict[str, LayoutSize] = {
     "middles": LayoutSize(2, -1),
     "head_middles": LayoutSize(2, 0),
 }
-"""Number of markers for each layout."""
 
 LAYOUTS = ("auto", *LAYOUT_SIZES)
-"""Names of the layouts. With "auto", the layout is detected from the markers."""
+"""Layout names. With "auto", the layout is detected from the markers."""
 
 MIN_COVERAGE = 0.2
-"""Minimum fraction of the frames on which a marker of the robot is visible."""
+"""Minimum fraction of frames in which a robot marker is visible."""
 _MAX_NEIGHBOUR_PITCH = 2.0
 """Maximum distance from a robot marker to the nearest marker, in segment lengths."""
 _MIN_EXTENT = 0.1
@@ -59,7 +57,6 @@ _MIN_EXTENT = 0.1
 _MAX_NEAREST_PITCH = 2.5
 """Maximum distance between the two closest markers, in segment lengths."""
 _DISTANCE_FRAMES = 2000
-"""Number of sampled frames from which distances are computed."""
 _NEIGHBOUR_FRAMES = 300
 """Number of sampled frames in which the nearest marker is determined."""
 _SAME_HEIGHT = 0.05
@@ -69,7 +66,7 @@ _CONSTANT_HEIGHT = 0.02
 _MAX_DISTANCE_RANGE = 0.5
 """Maximum relative range of the distance between two markers that move together."""
 _MIN_MOTION_RATIO = 0.2
-"""Minimum ratio of the motions of two markers that move together."""
+"""Minimum ratio of the mean displacements of two markers that move together."""
 
 
 def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
@@ -95,8 +92,8 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     ]
     height_range = {k: _range(heights[k]) for k in different}
     candidates = [k for k in different if height_range[k] <= _CONSTANT_HEIGHT]
-    # The search is repeated because a marker may move together with a marker that has
-    # just been accepted.
+    # The search is repeated, because a marker may move together with a newly accepted
+    # marker.
     while accepted := [
         k
         for k in candidates
@@ -144,16 +141,15 @@ def robot_markers(
         points: positions of all tracks, m, shape (frames, tracks, 2).
         connectors: number N of connectors.
         pitch: length of a straight segment, m.
-        layout: layout, one of `LAYOUTS`. With "auto", all layouts that have the visible
-            number of markers are possible.
+        layout: layout, one of `LAYOUTS`. With "auto", every layout with the visible
+            number of markers is possible.
         named: number of columns whose names state a place on the robot.
     """
     visible = ~np.isnan(points[..., 0])
     coverage = visible.mean(axis=0)
     candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
     if len(candidates) > connectors and not named:
-        # A robot marker is close to another marker in most frames in which the robot
-        # marker is visible.
+        # In most frames in which it is visible, a robot marker is close to another one.
         limit = _MAX_NEIGHBOUR_PITCH * pitch
         has_neighbour = (
             pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit
@@ -193,14 +189,14 @@ def _wrong_number(
     )
     return (
         f"{candidates} markers may belong to the robot, but {connectors} connectors"
-        f" need {listed}; the markers are visible on {fractions} of the frames. Give"
+        f" need {listed}; the markers are visible in {fractions} of the frames. Give"
         " --layout, export the recording without other markers, or give the place of"
         " each marker in a map (--map)"
     )
 
 
 def body_order(points: np.ndarray) -> np.ndarray:
-    """Return the markers in their order along the body, starting at either end."""
+    """Return the marker indices in order along the body, starting at either end."""
     from scipy.sparse.csgraph import depth_first_order, minimum_spanning_tree
 
     # A high quantile is used instead of the maximum, because a few frames may be wrong.
@@ -212,7 +208,7 @@ def body_order(points: np.ndarray) -> np.ndarray:
     ends = np.flatnonzero(neighbours == 1)
     if len(ends) != 2:
         raise InputError(
-            "the markers do not lie along one body, because the line through them has"
+            "the markers do not form one line along the body; their connections have"
             f" {len(ends)} ends instead of 2"
         )
     return np.asarray(
@@ -233,9 +229,9 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
-    # The distance between markers of two pairs may be as small and as constant as the
-    # distance within a pair. If the distances are ambiguous, the order along the body
-    # determines the pairs.
+    # Distances between two pairs may be as small and as constant as the distance within
+    # a pair. The pairs that follow from the order along the body are therefore an
+    # alternative.
     try:
         in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
     except InputError:
@@ -254,12 +250,11 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
 def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return medians and standard deviations of distances, m, shape (markers, markers).
 
-    The standard deviations are computed from quartiles, so that a few wrong frames have
-    no effect.
+    The standard deviations are computed from quartiles, which are robust to a few wrong
+    frames.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    # The distance from a marker to itself is NaN, and so is the distance between two
-    # markers that are never visible in the same frame.
+    # Markers that are never visible in the same frame have no distance (NaN).
     distance[:, np.isnan(distance).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
         low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)
@@ -269,7 +264,7 @@ def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
-    """Raise an error if the distances of the markers do not match the robot."""
+    """Raise an error if the marker distances do not match the size of the robot."""
     pitch = spec.geometry.pitch
     straight = spec.segments * spec.geometry.pitch
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
@@ -291,7 +286,7 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
 
 
 def unit_hint(ratio: float) -> str:
-    """Return a hint about the unit, given the ratio of measured to expected lengths."""
+    """Return a hint on the unit from the ratio of measured to expected lengths."""
     for unit, factor in LENGTHS.items():
         for correction, preposition in ((factor, "in"), (1 / factor, "not in")):
             if factor != 1 and 0.7 < ratio * correction < 1.1:
@@ -305,8 +300,8 @@ def unit_hint(ratio: float) -> str:
 def forward_distance(period: float, points: np.ndarray) -> float:
     """Return the distance travelled towards the first marker, m.
 
-    A motion towards the last marker is negative. `period` is the time between two
-    frames (s), and `points` contains the marker positions along the body (m).
+    The result is negative if the body moves towards the last marker. `period` is the
+    frame period (s), and `points` contains the marker positions along the body (m).
     """
     stride = max(1, round(0.25 / period))
     if len(points) > stride:

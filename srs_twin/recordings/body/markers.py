@@ -36,15 +36,15 @@ are the middles of the segments.
 """
 
 _MIN_CRAWLED = 0.1
-"""Minimum distance travelled that identifies the head, in body lengths."""
+"""Minimum travelled distance from which the head is inferred, in body lengths."""
 _NOTED_LENGTH = 0.02
-"""Maximum relative deviation of the median segment length without a note."""
+"""Relative deviation of a median segment length above which a note is added."""
 _NOTED_STRETCH = 0.05
-"""Maximum relative range of a segment length without a note to the user."""
+"""Relative range of a segment length above which a note is added."""
 _MAX_FIXED_STD = 0.03
 """Maximum standard deviation of constant segment lengths, relative to their mean."""
 _COMPARED_FRAMES = 600
-"""Number of frames in which alternative assignments are compared."""
+"""Number of frames used to compare alternative assignments."""
 _CLEAR_NOISE_RATIO = 1.3
 """Minimum ratio of the second smallest to the smallest noise for a clear decision."""
 _MAX_LENGTH_RATIO = 1.15
@@ -55,10 +55,10 @@ _MIN_LENGTH_RATIO = 0.85
 
 @dataclass(frozen=True)
 class CapturedMarkers:
-    """Markers of the robot in the frames of the trajectory.
+    """Robot markers in the frames of the trajectory.
 
     Attributes:
-        table: markers in the file.
+        table: all markers in the file.
         points: marker positions, m, shape (frames, markers, 2). The positions of hidden
             markers are interpolated.
         columns: column of the file that contains each sample, shape (frames, markers).
@@ -81,13 +81,13 @@ class CapturedMarkers:
 
     @cached_property
     def main_columns(self) -> list[int]:
-        """Column that contains most of the samples of each marker."""
+        """Column that contains most samples of each marker."""
         return [
             int(np.bincount(column[column >= 0]).argmax()) for column in self.columns.T
         ]
 
     def thinned(self) -> CapturedMarkers:
-        """Return the markers in a sample of the frames."""
+        """Return the markers in a subset of the frames."""
         frames = sample_frames(len(self.time), _COMPARED_FRAMES)
         return replace(
             self,
@@ -97,7 +97,7 @@ class CapturedMarkers:
         )
 
     def name(self, marker: int) -> str:
-        """Return the name of the column with most of the samples of a marker."""
+        """Return the name of the column that contains most samples of a marker."""
         return self.table.labels[self.main_columns[marker]]
 
 
@@ -130,8 +130,7 @@ def tracked_body(
 ) -> TrackedBody:
     """Assign markers to the body and fit the shape of the body.
 
-    `head` is the column name of a marker at the head. If `head` is None, the head is
-    detected.
+    `head` is the column name of a marker at the head, or None to detect the head.
     """
     options: list[_Assignment] = []
     refused: list[str] = []
@@ -148,8 +147,8 @@ def tracked_body(
         chosen = _best_fit(markers, spec, options, refused)
     shape, station, notes = _fit_body(markers, spec, chosen.places)
     spacing = np.quantile(np.abs(np.diff(shape.connector, axis=1)), 0.98, axis=0)
-    # If the marker at the middle of a segment is hidden, the connectors at the two ends
-    # of the segment are uncertain.
+    # A hidden marker at the middle of a segment makes both adjacent connectors
+    # uncertain.
     missing = np.zeros(shape.theta.shape, dtype=bool)
     for k, number in enumerate(station):
         for connector in {int(number) // 2, (int(number) + 1) // 2}:
@@ -179,7 +178,7 @@ def _fit_body(
     if model is LengthModel.FIXED:
         notes.append(
             "with one marker per connector, alternating bends of a nearly straight"
-            " body are known only to 0.2 rad"
+            " body have an uncertainty of 0.2 rad"
         )
     return shape, station, notes
 
@@ -193,8 +192,8 @@ def _undetermined(station: np.ndarray, spec: RobotSpec) -> str:
         remedy = "put a second marker on the head"
     else:
         remedy = (
-            "use a marker at each connector and a second one on the head, or two at"
-            " each connector"
+            "use one marker per connector and a second marker on the head, or two"
+            " markers per connector"
         )
     return (
         f"the markers ({listed}) do not determine the bends of {spec.segments}"
@@ -238,8 +237,8 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
     if np.abs(deviation).max() > _NOTED_LENGTH * geometry.pitch:
         listed = ", ".join(f"{1e3 * value:+.1f}" for value in deviation)
         notes.append(
-            f"the segments are longer than those of {spec.name} by {listed} mm, head"
-            " first; the measured lengths are used"
+            f"the segment lengths differ from those of {spec.name} by {listed} mm (head"
+            " first); the measured lengths are used"
         )
     low, high = (
         (length - geometry.pitch) / geometry.segment_length for length in (low, high)
@@ -253,8 +252,8 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
             for a, b in zip(low, high, strict=True)
         )
         notes.append(
-            f"the segments stretch ({listed} of {spec.name}, head first); the measured"
-            " lengths are used"
+            f"the segment lengths vary ({listed} relative to {spec.name}, head first);"
+            " the measured lengths are used"
         )
     return notes
 
@@ -322,9 +321,9 @@ def _assignments(
         ends = " or ".join(f"'{markers.name(groups[end][0])}'" for end in (0, -1))
         raise InputError(
             "the head cannot be determined, because the body crawled only"
-            f" {1e3 * abs(crawled):.3g} mm along itself, less than"
-            f" {1e3 * required:.3g} mm; give --head with the name of a marker at the"
-            f" head ({ends})"
+            f" {1e3 * abs(crawled):.3g} mm along its axis (at least"
+            f" {1e3 * required:.3g} mm are needed); set --head to the name of the"
+            f" marker at the head ({ends})"
         )
     reason = f"the end towards which it crawled ({abs(crawled):.3g} m)"
     return [_Assignment(layout, options[crawled < 0], reason)]
@@ -354,7 +353,7 @@ def _best_fit(
     if not (np.isfinite(best) and second > _CLEAR_NOISE_RATIO * best):
         raise InputError(
             "the layout and the head of the markers cannot be determined"
-            f" ({'; '.join(notes)}); give --layout, or --head with the name of the"
+            f" ({'; '.join(notes)}); give --layout, or set --head to the name of the"
             " marker at the head"
         )
     return options[int(np.argmin(noises))]
@@ -365,10 +364,9 @@ def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
     main = markers.main_columns
     if sorted(main) != list(range(len(places))):
         raise InputError(
-            "the columns cannot identify the markers, because the markers change"
-            " their columns too often; leave out the places of the markers (`markers`"
-            " in --map, or --marker), so that the markers are identified by their"
-            " motion"
+            "the markers cannot be identified by column name, because they switch"
+            " columns too often; remove the marker places (`markers` in --map, or"
+            " --marker), so that the markers are identified by their motion"
         )
     last = max(station for station, _ in places)
     if last > 2 * spec.segments:

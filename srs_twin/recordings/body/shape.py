@@ -1,4 +1,4 @@
-"""Shape of the body over a recording: bends, segment lengths, and standard errors.
+"""Body shape in a recording: bends, segment lengths, and standard errors.
 
 **Lengths.** If the markers determine the bends without assumptions on the segment
 lengths, the segment lengths are free parameters. The means and the standard deviation
@@ -10,8 +10,8 @@ body is nearly straight. Recordings with one marker per connector are rejected i
 body stretches.
 
 **Noise.** The noise σ is estimated from high-order differences of the marker positions,
-in which the motion vanishes. If there are redundant markers, σ is computed from the
-residual of the fit, which includes deviations of the segments from arcs.
+which suppress the motion. With redundant markers, σ is computed from the fit residual,
+which also includes deviations of the segments from arcs.
 """
 
 from __future__ import annotations
@@ -37,26 +37,23 @@ from srs_twin.recordings.body.tracking import sample_frames
 from srs_twin.robot.spec import Geometry
 
 _MIN_NOISE = 1e-7
-"""Minimum value of the noise σ, m. Simulated recordings contain no noise."""
+"""Lower bound on the noise σ, m, for simulated recordings without noise."""
 _DEFAULT_NOISE = 5e-4
 """Noise σ assumed for a recording that is too short for an estimate, m."""
 _MAX_DIFFERENCE_ORDER = 8
 """Maximum order of the differences from which the noise is estimated."""
 _NOISE_FRAMES = 20_000
-"""Number of frames from which the noise is estimated."""
 _MIN_REDUNDANCY = 0.3
-"""Minimum number of redundant coordinates per frame for computing the noise."""
+"""Minimum number of redundant coordinates per frame for a noise estimate."""
 _MIN_MOTION_RATIO = 0.5
-"""Minimum ratio of residual to noise if the differences contain no motion."""
+"""Ratio of residual to noise below which motion has inflated the noise estimate."""
 
 _INITIAL_LENGTH_STD = 0.1
 """Initial value of the standard deviation σ_ℓ, relative to the segment length."""
 _INITIAL_ALTERNATING_STD = 0.3
 """Initial value of the standard deviation σ_ε, rad."""
 _EM_FRAMES = 400
-"""Number of frames used in the expectation-maximisation."""
 _EM_ITERATIONS = 12
-"""Number of iterations of the expectation-maximisation."""
 
 _MAX_BEND_STD = 0.15
 """Maximum standard error of a bend that the markers determine, rad."""
@@ -68,12 +65,12 @@ _FIXED_LENGTH_STD = 0.01
 """Standard deviation of constant lengths in `length_model`, relative to the length."""
 
 _CHUNK_FRAMES = 2048
-"""Number of frames in a block that is fitted at once."""
+"""Number of frames per fitted block."""
 
 _OUTLIER_NOISE = 8.0
 """Minimum distance of an outlier from the body, divided by the noise."""
 _MAX_OUTLIERS = 0.01
-"""Maximum fraction of outliers. A larger fraction means that the model is wrong."""
+"""Maximum fraction of outliers. A larger fraction indicates a wrong model."""
 _MIN_OUTLIER_DISTANCE = 1e-4
 """Minimum distance of an outlier from the body, m."""
 
@@ -82,11 +79,11 @@ class LengthModel(Enum):
     """Assumption on the segment lengths."""
 
     FREE = "free"
-    """Segment lengths may vary. The markers determine the bends for any lengths."""
+    """Segment lengths may vary, because the markers alone determine the bends."""
     FIXED = "fixed"
     """Segment lengths are constant.
 
-    Otherwise the markers do not determine the bends.
+    Without this assumption, the markers would not determine the bends.
     """
 
 
@@ -160,13 +157,12 @@ def length_model(
 
 
 def marker_noise(points: np.ndarray) -> float:
-    """Return the standard deviation of the noise of a coordinate, m.
+    """Estimate the standard deviation of the noise in a marker coordinate, m.
 
     The n-th differences of white noise with variance σ² have the variance C(2n, n) σ²,
     where C is the binomial coefficient. Motion increases the estimate of σ, mainly at
-    low orders n, so the result is the minimum over all orders. The use of a median
-    removes the effect of outliers. In `points` (m), the positions of hidden markers are
-    NaN.
+    low orders n, so the minimum over all orders is returned. Each estimate is based on
+    a median, which is robust to outliers. In `points` (m), hidden markers are NaN.
     """
     estimates = []
     for order in range(1, min(_MAX_DIFFERENCE_ORDER, len(points) - 2) + 1):
@@ -190,7 +186,7 @@ def fit_shape(
 ) -> BodyShape:
     """Fit the body shape to marker positions (m).
 
-    The positions of hidden markers must be interpolated.
+    The positions of hidden markers must have been interpolated.
     """
     measured = points @ [1, 1j]
     missing = missing.copy()
@@ -198,8 +194,8 @@ def fit_shape(
     noise = marker_noise(np.where(missing[first, :, None], np.nan, points[first]))
     complete = np.flatnonzero(~missing.any(axis=1))
     if len(complete) < 4:
-        # The spline of the bends needs some frames without hidden markers. If too few
-        # frames are complete, the interpolated positions of hidden markers are used.
+        # The bend spline needs some frames without hidden markers. If too few frames
+        # are complete, the interpolated positions are treated as measured positions.
         complete = np.arange(len(time))
         missing = np.zeros_like(missing)
     sampled = complete[sample_frames(len(complete), _EM_FRAMES)]
@@ -329,8 +325,8 @@ def _estimated_prior(
             prior.length_mean = np.median(length, axis=0)
         else:
             prior.length_mean = length.mean(axis=0)
-        # The variance of the fitted lengths does not include the uncertainty of each
-        # length, so this uncertainty is added.
+        # The spread of the fitted lengths does not include their standard errors, so
+        # the variances of the fit are added.
         prior.length_std = float(
             np.sqrt(((length - prior.length_mean) ** 2 + variance).mean())
         )
@@ -353,8 +349,8 @@ def _estimated_prior(
                 scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS
             ):
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
-        # With constant lengths a new prior may change the best ε, so the search starts
-        # again from the coarse grid.
+        # With constant lengths, a new prior may change the best ε, so the coarse grid
+        # is searched again.
         if fixed:
             start = initial_states(measured, placement, prior)
         else:

@@ -1,21 +1,21 @@
 r"""Tracking of markers through swaps and gaps.
 
 1. *Slots*: in some formats, a marker that reappears is stored in a new column. Columns
-   that never contain a marker in the same frame are combined to one slot.
-2. *Tracklets*: a tracklet is an interval of a slot during which all samples certainly
-   belong to one marker. The expected position of a marker in the next frame is
+   that never contain a marker in the same frame are combined into one slot.
+2. *Tracklets*: a tracklet is an interval of a slot in which all samples certainly
+   belong to one marker. The expected position of a marker in frame k is
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
-   A sample in the next frame certainly belongs to the tracklet if its distance from the
-   expected position is less than the gate, and if all other samples are at least twice
-   as far away. 3. *Tracks*: tracklets that begin in a frame are assigned to the markers
-   that were lost before this frame. The Hungarian method minimises the sum of the
-   distances from the expected positions. After a gap of a few frames, a marker is
-   expected at the position extrapolated with its velocity. After a longer gap, two
-   positions are considered: the last position of the marker, and this position
-   displaced by the motion of the surrounding markers. The position closer to the new
-   tracklet is used.
+   where a is the last frame in which the marker was seen. A sample in the next frame
+   certainly belongs to the tracklet if its distance from the expected position is less
+   than the gate, and if all other samples are at least twice as far away.
+3. *Tracks*: tracklets that begin in a frame are assigned to the markers that were lost
+   before this frame. The Hungarian method minimises the sum of the distances from the
+   expected positions. After a gap of a few frames, a marker is expected at the position
+   extrapolated with its velocity. After a longer gap, two positions are considered: the
+   last position of the marker, and this position displaced by the motion of the
+   surrounding markers. The position closer to the new tracklet is used.
 
 Of 65 synthetic recordings with swaps, gaps and markers that reappear in new columns,
 only 16 can be read without tracking, whereas all 65 can be read with tracking.
@@ -34,7 +34,7 @@ MAX_MARKERS = 64
 """Maximum number of markers and reflections in one frame."""
 
 GATE_RATIO = 0.4
-"""Gate of a certain assignment, divided by the distance between the closest markers."""
+"""Gate of a certain assignment, relative to the distance of the closest markers."""
 
 _DISTANCE_FRAMES = 500
 """Number of frames from which the distance between the closest markers is computed."""
@@ -50,7 +50,7 @@ _VELOCITY_FRAMES = 4
 _MAX_REACH_RATIO = 6.0
 """Maximum ratio of the reach after a long gap to the reach after a short gap."""
 _PAST_SAMPLES = 100
-"""Number of past samples from which the range of marker distances is computed."""
+"""Maximum number of past samples used for the range of marker distances."""
 _RANGE_COST = 3.0
 """Weight of distances outside their past ranges in the assignment cost."""
 _FORBIDDEN_COST = 1e6
@@ -58,7 +58,7 @@ _FORBIDDEN_COST = 1e6
 
 
 class Tracks(NamedTuple):
-    """Marker positions sorted by tracks, or by slots before the tracking.
+    """Marker positions sorted by track, or by slot before tracking.
 
     Attributes:
         points: marker positions, m, shape (frames, tracks, 2 or 3). The position of a
@@ -74,7 +74,7 @@ class Tracks(NamedTuple):
 
 
 def pack_slots(points: np.ndarray) -> Tracks:
-    """Combine columns to the smallest possible number of slots."""
+    """Combine columns into the smallest possible number of slots."""
     visible = ~np.isnan(points[..., 0])
     used = np.flatnonzero(visible.any(axis=0))
     if not used.size:
@@ -104,8 +104,8 @@ def pack_slots(points: np.ndarray) -> Tracks:
 def sample_frames(count: int, limit: int) -> np.ndarray:
     """Return the indices of all frames, or of a sample of at most `limit` frames.
 
-    The sample is stratified and random, because a sample with equal spacing could cause
-    aliasing with a periodic gait.
+    Sampling is stratified and random, because equally spaced samples could alias with a
+    periodic gait.
     """
     if count <= limit:
         return np.arange(count)
@@ -240,7 +240,7 @@ class _Tracker:
         if len(slots) > len(unused):
             raise InputError(
                 f"the markers jump between frames and need more than {MAX_MARKERS}"
-                " tracks; check the units of length and of time"
+                " tracks; check the units of lengths and times"
             )
         for track, slot, end in zip(
             unused.tolist(), slots.tolist(), last.tolist(), strict=False
@@ -270,7 +270,7 @@ class _Tracker:
     ) -> np.ndarray:
         """Return the cost of each assignment, m, shape (tracklets, tracks).
 
-        The maximum assignment distance increases with the duration of a gap, up to the
+        The maximum assignment distance grows with the length of the gap, up to the
         factor `_MAX_REACH_RATIO`.
         """
         gap = frame - self._end[tracks]
@@ -303,7 +303,7 @@ class _Tracker:
     def _range_violation(
         self, track: int, frame: int, starts: np.ndarray
     ) -> np.ndarray:
-        """Return the excess of distances over their past ranges, m."""
+        """Return by how much distances lie outside their past ranges, m."""
         others = np.flatnonzero(self.slots[frame] >= 0)
         past = np.flatnonzero(self.slots[: self._end[track] + 1, track] >= 0)
         past = past[:: len(past) // _PAST_SAMPLES + 1][:, None]

@@ -32,7 +32,7 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class MarkerCounts:
-    """Counts and errors of the markers in a recording.
+    """Marker statistics of a recording.
 
     Attributes:
         header_frames: number of frames stated in the header, or None if the header
@@ -41,8 +41,8 @@ class MarkerCounts:
         samples_other: number of positions that do not belong to the robot, such as
             reflections, other markers and short tracks.
         longest_filled_s: duration of the longest gap that was interpolated, s.
-        spacing_m: 98 % quantile of the distance of each pair of adjacent connectors,
-            ordered from the head, m.
+        spacing_m: 98 % quantile of the distance between adjacent connectors, m, ordered
+            from the head.
         residual_m: RMS distance of the markers from the fitted body, m.
         noise_m: standard deviation of a marker coordinate, m.
         bend_error_rad: RMS of the standard errors of the bends, rad.
@@ -67,13 +67,13 @@ class MarkerCounts:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """Summary of a measured file, with the numbers of used and unused samples.
+    """Summary of a measurement file, with the numbers of used and unused samples.
 
     Attributes:
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
         frames_read: number of rows of the file that were used.
         samples_filled: number of interpolated positions or bends in the trajectory.
-        markers: counts and errors of the markers, or None for a bend log.
+        markers: marker statistics, or None for a bend log.
     """
 
     source: str
@@ -122,7 +122,7 @@ class LogSummary:
         )
 
     def text(self) -> str:
-        """Return the summary as text with one fact per line."""
+        """Return the summary as text, one fact per line."""
         lines = [f"{self.source}: {self.kind}, SHA-256 {self.sha256[:16]}…"]
         span = f"{self.start:.4g} s to {self.end:.4g} s"
         if (counts := self.markers) is None:
@@ -152,7 +152,7 @@ class LogSummary:
                     f"markers: layout {counts.layout}; head: {counts.head}; up:"
                     f" {counts.up}"
                 ),
-                f"changes of column: {counts.moves}",
+                f"column changes: {counts.moves}",
                 (
                     f"rejected: {counts.samples_rejected} outliers,"
                     f" {counts.samples_other} positions that do not belong to the robot"
@@ -174,22 +174,22 @@ class LogSummary:
 
 
 HALF_WIDTH = 5
-"""Number n of frames on each side of a sample to which the line is fitted."""
+"""Number n of frames on each side of a sample that are included in the line fit."""
 
 
 def moving_derivative(
     time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH
 ) -> np.ndarray:
-    """Return the time derivatives of signals as slopes of fitted lines.
+    """Return time derivatives, computed as slopes of fitted lines.
 
-    The line for a sample is fitted to this sample and to `half_width` samples on each
-    side. Near the ends of a signal, the line is fitted to fewer samples.
+    Each line is fitted to a sample and its `half_width` neighbours on each side, or to
+    fewer neighbours near the ends of the signal.
     """
     n = half_width
     frames = len(time)
     flat = np.asarray(values, dtype=float).reshape(frames, -1)
-    # Times and values are relative to the middle sample, which avoids rounding errors
-    # of large times.
+    # Times and values are relative to the middle sample, so that large times cause no
+    # rounding errors.
     sums = np.zeros((frames, 3 + 2 * flat.shape[1]))
     for shift in range(-n, n + 1):
         middle = slice(max(0, -shift), frames - max(0, shift))
@@ -214,7 +214,7 @@ _UNITS = {
     "bend_rate_": "rad/s",
 }
 _UNITS |= {"bend_error_": "rad", "length_": "m"}
-"""Units of the columns that only measured trajectories contain, by name prefix."""
+"""Units of columns that exist only in measured trajectories, by name prefix."""
 
 MEASURED = "measured"
 """Value of the key `plant` in the metadata of a measured trajectory."""
@@ -227,10 +227,7 @@ def body_trajectory(
     summary: LogSummary,
     gait_frequency_hz: float | None,
 ) -> Trajectory:
-    """Return the trajectory of a tracked body.
-
-    The centre of mass is computed with the masses of the robot.
-    """
+    """Return the trajectory of a tracked body, with the centre of mass from `spec`."""
     shape = body.shape
     mass_fraction = spec.mass.array() / spec.mass.total
     com = np.einsum("i,fij->fj", mass_fraction, shape.position)
@@ -255,7 +252,7 @@ def body_trajectory(
 def pose_columns(
     com: np.ndarray, heading: np.ndarray, connector: np.ndarray, theta: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the columns of a trajectory that contain poses.
+    """Return the pose columns of a trajectory.
 
     The positions of the centre of mass and of the connectors are complex numbers x + i
     y in m. The headings are in rad.
@@ -268,7 +265,7 @@ def pose_columns(
 
 
 def name_of(path: str) -> str:
-    """Return the file name in a path of any operating system."""
+    """Return the file name of a Windows or POSIX path."""
     return path.replace("\\", "/").rpartition("/")[2]
 
 

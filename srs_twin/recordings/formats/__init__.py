@@ -1,8 +1,8 @@
-"""File formats of motion recordings: detection of the format, and readers.
+"""Detection and reading of the file formats of motion recordings.
 
-A format is a subclass of `base.Format`. Containers of messages are subclasses of
-`topics.Bag`. `extensions.FORMATS` lists all formats. Plain tables are tried after the
-formats of plug-ins. Bags need the library `rosbags`, which the extra `recordings`
+Each format is a subclass of `base.Format`, and each message container is a subclass of
+`topics.Bag`. `extensions.FORMATS` lists the built-in formats. Formats from plug-ins are
+tried before plain tables. Bags need the library `rosbags`, which the extra `recordings`
 installs.
 """
 
@@ -28,24 +28,34 @@ from srs_twin.recordings.recorded_file import (
 _FORMATS: tuple[Format, ...] = tuple(
     kind() for _, kind in extensions.objects(extensions.FORMATS)
 )
-"""Formats in the order in which they are compared with a file."""
+"""Formats in the order in which they are tried."""
 FORMATS = tuple(form.name for form in _FORMATS)
-"""Names of the formats."""
 BAG_SUFFIXES = tuple(form.suffix for form in _FORMATS if isinstance(form, Bag))
 """Usual suffixes of bags. A bag may contain both positions and logs."""
 
 _NOTHING = Unstated()
 _TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
 _EXPORT = "export CSV or C3D instead"
-# Each entry contains a suffix or a pattern of the first bytes, a description of the
-# format, and a remedy.
+# Unreadable formats: suffix or pattern of the first bytes, description, and remedy.
 _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
-    (".tak", "a take of Motive", "export it there (File, Export Tracking Data, CSV)"),
-    (".qtm", "a measurement of Qualisys", "export it there (File, Export, To TSV)"),
-    (rb"#ROSBAG", "a bag of an older ROS", "convert it: `rosbag fix in.bag out.bag`"),
+    (
+        ".tak",
+        "a take of Motive",
+        "export it in Motive (File, Export Tracking Data, CSV)",
+    ),
+    (
+        ".qtm",
+        "a measurement of Qualisys",
+        "export it in Qualisys (File, Export, To TSV)",
+    ),
+    (
+        rb"#ROSBAG",
+        "a bag of an older ROS version",
+        "convert it: `rosbag fix in.bag out.bag`",
+    ),
     (
         rb"\x28\xb5\x2f\xfd",
-        "a Zstandard archive, as of compressed bags",
+        "a Zstandard archive, such as a compressed bag,",
         "unpack it: `zstd -d FILE`",
     ),
     (
@@ -83,7 +93,7 @@ class UnknownFormatError(InputError):
 def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
     """Return the name of the format of a recording, detected from the first bytes.
 
-    `dialect` describes the layout of a plain table whose layout cannot be detected.
+    `dialect` describes a plain table whose layout cannot be detected.
     """
     return _format(path, dialect).name
 

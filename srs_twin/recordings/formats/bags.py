@@ -1,4 +1,4 @@
-"""Readers of bags, which are containers of messages, with limits on the size."""
+"""Readers of message bags (MCAP, ROS 1 and ROS 2), with size limits."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ class _McapRecord(IntEnum):
 
 
 _RECORD_HEAD = struct.Struct("<BQ")
-"""Header of a record, with the kind and the length."""
+"""Header of a record: kind and length."""
 
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Header of a message, with channel, sequence number, log time and publish time."""
+"""Header of a message: channel, sequence number, log time and publish time."""
 
 _CHUNK_HEAD = struct.Struct("<QQQI")
-"""Header of a chunk, with first time, last time, unpacked size and checksum."""
+"""Header of a chunk: first time, last time, unpacked size and checksum."""
 
 
 @final
@@ -118,7 +118,7 @@ def _text(content: memoryview, place: int) -> tuple[str, int]:
 
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
-# The field "op" of a record has one of three values.
+# Values of the field `op` in the header of a record.
 _ROS1_MESSAGE = b"\2"
 _ROS1_CHUNK = b"\5"
 _ROS1_CONNECTION = b"\7"
@@ -203,7 +203,7 @@ def _number(data: bytes | memoryview) -> int:
 
 _SQLITE_MAGIC = b"SQLite format 3\0"
 _JOURNALS = slice(18, 20)
-"""Header bytes that select a write-ahead log, which is not possible in memory."""
+"""Header bytes for a write-ahead log, which in-memory databases do not support."""
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 
@@ -232,8 +232,8 @@ class Ros2Bag(Bag):
             )
             if not {"topics", "messages"} <= {name for (name,) in tables}:
                 raise file.error(
-                    "the SQLite database is not a ROS 2 bag (it lacks the tables topics"
-                    " and messages)"
+                    "the SQLite database is not a ROS 2 bag; it lacks the tables"
+                    " `topics` and `messages`"
                 )
             rows = base.execute(
                 "SELECT id, name, type, serialization_format FROM topics LIMIT 20000"

@@ -1,4 +1,4 @@
-"""Base class of file formats, marker tables, and functions for axes and units."""
+"""Base class of file formats, marker tables, and helpers for axes and units."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MAX_DISTANCE = 1e3
 """Maximum coordinate of a marker, m. A larger value is not a position."""
 
 _MIN_ZEROS = 3
-"""Minimum number of frames at 0, 0, 0 if this position marks a hidden marker."""
+"""Minimum number of frames at (0, 0, 0) if this position means a hidden marker."""
 
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
@@ -42,11 +42,11 @@ _NOT_A_POSITION = re.compile(
     r"residual|imu",
     re.IGNORECASE,
 )
-"""Words in names of columns that have an axis but are not positions."""
+"""Words in the names of columns that have x, y and z axes but are not positions."""
 
 
 class Unstated(NamedTuple):
-    """Information that a file may lack and that a map or options then provide.
+    """Information from a map or options that a file may lack.
 
     Attributes:
         rate_hz: frame rate, Hz, for DeepLabCut, plain CSV without times, and Qualisys
@@ -69,8 +69,8 @@ class MarkerTable:
         kind: file format, including the version if there are several versions.
         points: marker positions, m, shape (frames, columns, 3), or (…, 2) for positions
             in a plane. The position of a hidden marker is NaN.
-        places: station and side of each column (see `body.markers.Places`). The tuple
-            is empty if the column names do not state the places.
+        places: station and side of each column (see `body.markers.Places`), or an empty
+            tuple if the column names do not state the places.
         header_frames: number of frames stated in the header, or None if the header
             states none.
         rotations: quaternions (x, y, z, w) of rigid bodies in the axes of the file,
@@ -78,8 +78,7 @@ class MarkerTable:
             rotations of other columns are NaN.
         bodies: whether the columns are rigid bodies. The two points that replace a
             rigid body are adjacent columns with the name of the body.
-        epoch_ns: time since 1970 that corresponds to 0 s, ns, or None if the clock of
-            the file has another origin.
+        epoch_ns: Unix time at 0 s, ns, or None if the file contains no Unix times.
         unit: unit of length of the file, as stated, given or assumed.
     """
 
@@ -99,7 +98,7 @@ class MarkerTable:
 
     @property
     def usual_up(self) -> str:
-        """Usual vertical axis in files of this format."""
+        """Vertical axis that is common in files of this format."""
         if self.kind.startswith(("Motive", "TRC")):
             return "y"
         return "z"
@@ -131,7 +130,7 @@ class Format(ABC):
 
 
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
-    """Return the column index of each axis of each marker, by marker name and axis.
+    """Return the columns of each marker, by marker name and axis.
 
     A column name ends or begins with the axis, for example ``base_x``, ``Tip X (mm)``
     or ``x_LED1``. Markers without x or y are excluded, and so are columns of other
@@ -173,7 +172,7 @@ def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarra
 def length_unit(
     file: RecordedFile, text: str, line: int | None = None, column: int | None = None
 ) -> str:
-    """Return the symbol of a unit of length."""
+    """Return the symbol of a unit of length that is given in any spelling."""
     if not (found := symbol(text, LENGTHS)):
         hint = did_you_mean(text, LENGTHS)
         allowed = ", ".join(LENGTHS)
@@ -183,12 +182,13 @@ def length_unit(
 
 
 def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float:
-    """Return the frame rate (Hz) that a file or a map states."""
+    """Return the frame rate (Hz) stated in a file or a map."""
     with suppress(ValueError):
         if 0 < float(given) < 1e6:
             return float(given)
     raise file.error(
-        f"the frame rate '{given[:20]}' is not allowed; give it in frames per second",
+        f"the frame rate '{given[:20]}' is not allowed; give a number of frames per"
+        " second above 0",
         line,
     )
 
@@ -225,8 +225,8 @@ def marker_rows(
         header_lines: number of header lines.
         width: number of cells per row.
         first: index of the first of the three columns of each marker.
-        clock: columns of frame number and time. If `clock` is empty, the rows are
-            counted.
+        clock: indices of the columns with frame number and time. If `clock` is empty,
+            the row numbers are used as times.
         rate: frame rate, Hz, or None if a column contains times.
         others: indices of additional columns.
         section: whether the rows end at an empty line.
@@ -324,8 +324,8 @@ def marker_table(
 def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
     """Return the mask of hidden markers that some programs write as 0, 0, 0.
 
-    A measured position is never exactly 0 in several frames. A rigid body may stay at
-    the origin, because odometry starts there.
+    A measured position is never exactly 0 in several frames. Rigid bodies are excluded,
+    because odometry starts at the origin.
     """
     zero = (points == 0).all(axis=-1)
     zero[:, zero.sum(axis=0) < _MIN_ZEROS] = False
@@ -337,7 +337,7 @@ def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
 
 
 def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
-    """Check that the file states no other unit of length, and return the table."""
+    """Return the table after checking that the file states no other unit of length."""
     if given not in (None, table.unit):
         raise InputError(
             f"{table.name}: the lengths are in {table.unit} according to the file, but"
@@ -348,7 +348,7 @@ def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
 
 @contextmanager
 def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
-    """Convert exceptions of a missing or failing library to an `InputError`."""
+    """Convert exceptions raised by a missing or failing library to `InputError`."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")

@@ -28,7 +28,7 @@ from srs_twin.recordings.signals.units import LENGTHS, symbol
 _BLOCK = 512
 """Size of a block in bytes."""
 _DEC = 85
-"""Processor type of DEC (VAX) floats, which have swapped words and other exponents."""
+"""Processor type of DEC (VAX) floats: swapped words, different exponent bias."""
 _BIG_ENDIAN = 86
 """Processor type for big-endian numbers (MIPS)."""
 
@@ -223,8 +223,8 @@ def _units(
     if given and unknown:
         of_points = [given if unit in unknown else unit for unit in of_points]
         notes.append(
-            f"POINT:UNITS {', '.join(unknown)} is not a known unit, so {given} is"
-            " used, as given"
+            f"POINT:UNITS {', '.join(unknown)} is not a known unit, so the given unit"
+            f" {given} is used"
         )
     return [length_unit(file, unit) for unit in of_points], notes
 
@@ -240,9 +240,9 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
 
     The frame numbers in the header have only 16 bits. For longer recordings, the number
     of frames is stated in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit
-    words each) or in POINT:LONG_FRAMES. Stated numbers of frames may be wrong, so the
-    largest number that is possible for the file size is used. If no number exceeds
-    65,535, the file is read to the end.
+    words each) or in POINT:LONG_FRAMES. These numbers may be wrong, so the largest
+    number that fits the file size is used. If the last frame number in the header is
+    65,535 and no larger number is stated, the file is read to the end.
     """
     scale = contents.number("POINT:SCALE", 12)
     is_float = scale < 0
@@ -297,8 +297,8 @@ def _analog_values(
 ) -> int:
     """Return the number of analog values per frame.
 
-    If the header and the parameters contradict each other, the number that matches the
-    size of the data section is used.
+    If the header and the parameters disagree, the number that matches the size of the
+    data section is used.
     """
     by_header = contents.header_word(4)
     if "ANALOG:USED" not in contents.parameters:
@@ -319,7 +319,7 @@ def _analog_values(
     if len(filling) != 1:
         raise file.error(
             f"the header states {by_header} analog values per frame, but the"
-            f" parameters state {by_parameters}, and the size of the file does not"
-            " decide between them; export it again"
+            f" parameters state {by_parameters}, and the file size does not show"
+            " which number is right; export the file again"
         )
     return filling[0]

@@ -41,7 +41,7 @@ class _Column(NamedTuple):
 class Motive(Format):
     """CSV export of OptiTrack Motive, formats 1.0 to 1.2x.
 
-    The first line contains pairs of key and value. After an empty line, several rows
+    The first line contains key-value pairs. After an empty line, several rows
     describe the columns (Type, Name, ID, Position or Rotation, and Parent since version
     1.24). The last header row is ``Frame,Time (Seconds),X,…``. An unlabelled marker
     that disappears and reappears is stored in another column.
@@ -56,15 +56,15 @@ class Motive(Format):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the markers of an export.
 
-        Columns of other types are counted and ignored. If there is no column of type
-        Marker, the markers of rigid bodies are read. Without markers of rigid bodies,
-        the rigid bodies are read with their quaternions.
+        The first type in `MOTIVE_KINDS` that the file contains is read, and columns of
+        other types are skipped with a note. Rigid bodies are read with their
+        quaternions.
         """
         lines = file.head(_MOTIVE_HEADER_LINES)
         header = dict(pairwise(lines[0]))
         version = header.get("Format Version", "")
         if not re.fullmatch(r"1\.(0|1|2)\d?", version):
-            allowed = "allowed are 1.0 to 1.29 (export again from Motive 2 or 3)"
+            allowed = "supported: 1.0 to 1.29 (export again from Motive 2 or 3)"
             raise file.error(
                 f"the format version '{version[:20]}' cannot be read; {allowed}", 1, 2
             )
@@ -197,7 +197,7 @@ _SECTION = re.compile(
 
 @final
 class Vicon(Format):
-    """CSV export of Vicon, with Trajectories from Nexus or Objects from Tracker.
+    """CSV export of Vicon Nexus (Trajectories) or Vicon Tracker (Objects).
 
     The time of frame 1 is 0 s.
     """
@@ -205,11 +205,11 @@ class Vicon(Format):
     name = "Vicon CSV"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether a file starts with the title of a section."""
+        """Return whether a file starts with a section title."""
         return start.title in _SECTIONS
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the section Trajectories, or the section Objects with rotations."""
+        """Read the section Trajectories, or Objects if there are no Trajectories."""
         section, above, notes = _vicon_section(file)
         position_axes = _VICON_AXES[section]
         lines = file.head(4, above)
@@ -349,8 +349,9 @@ class Qualisys(Format):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read a 3D export, in which 0,0,0 denotes a missing marker.
 
-        The columns Frame and Time are optional. The frame rate in `unstated` is used if
-        FREQUENCY is EXT and there is no column Time.
+        The columns Frame and Time are optional. If FREQUENCY is EXT or missing, the
+        frame rate in `unstated` is used. If FREQUENCY is EXT and no rate is given, the
+        times are read from the column Time.
         """
         file = replace(file, separator="\t")
         *above, row = file.head(_qtm_header_lines(file) + 1)

@@ -32,7 +32,7 @@ from srs_twin.recordings.recorded_file import Dialect, RecordedFile, laid_out
 from srs_twin.recordings.signals.units import LENGTHS, is_clock
 
 _AXES_LINE = 5
-"""Line number of the line X1, Y1, Z1, …, after which an empty line is allowed."""
+"""Number of the line X1, Y1, Z1, …, which may be followed by an empty line."""
 
 
 @final
@@ -42,7 +42,7 @@ class Trc(Format):
     name = "TRC"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether a file starts with the key PathFileType."""
+        """Return whether a file starts with the key `PathFileType`."""
         return start.title.split(maxsplit=1)[:1] == ["PathFileType"]
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
@@ -132,14 +132,13 @@ MIN_LIKELIHOOD = 0.6
 class DeepLabCut(Format):
     """CSV file of DeepLabCut with coordinates in pixels or lengths.
 
-    The file has three header rows for one animal, and four header rows for several
-    animals.
+    The file has three header rows for one animal and four for several animals.
     """
 
     name = "DeepLabCut CSV"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether a file starts with the row of the scorer."""
+        """Return whether a file starts with the row `scorer`."""
         return start.title.lower() == "scorer"
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
@@ -222,7 +221,7 @@ class PlainCsv(Format):
     name = "plain CSV"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether the first line contains the name of a time or a position."""
+        """Return whether the first line names a time or position column."""
         return any(map(is_clock, start.names)) or bool(axis_columns(start.names))
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
@@ -350,7 +349,7 @@ def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn
         if letters[-1] not in axes:
             raise file.error(
                 f"the column {name}_z is missing, although other markers have such a"
-                " column; add it, or remove all columns z",
+                " column; add it, or remove all z columns",
                 line,
             )
     return {name: [axes[axis] for axis in letters] for name, axes in markers.items()}

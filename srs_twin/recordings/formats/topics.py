@@ -1,4 +1,4 @@
-"""Poses, points and signals from the messages of bags (ROS 1, ROS 2, JSON).
+"""Poses, points and signals read from bag messages (ROS 1, ROS 2, JSON).
 
 A container (see `bags`) yields messages with topics and log times. The library
 `rosbags` decodes known ROS message types with its own definitions. Definitions in the
@@ -47,15 +47,15 @@ Decoded = Any
 """Decoded message: an object of `rosbags`, or a namespace for a JSON message."""
 
 _MIN_EPOCH_NS = 10**17
-"""Minimum log time that is interpreted as a time since 1970, ns."""
+"""Minimum log time that is interpreted as Unix time, ns."""
 _OTHER_CLOCK_S = 1e6
 """Minimum difference between stamp and log time that indicates a simulated clock, s."""
 _NOTED_DIFFERENCE_S = 1.0
-"""Maximum difference between stamp and log time without a note to the user, s."""
+"""Difference between stamp and log time above which a note is added, s."""
 _MAX_UNPACKED = 4 * MAX_BYTES
 """Maximum unpacked size of a file, bytes."""
 _MIN_ALLOWED = 16 << 20
-"""Unpacked size that is allowed for a file of any size, bytes."""
+"""Unpacked size that is allowed however small the file is, bytes."""
 _MAX_RATIO = 32
 """Maximum ratio of unpacked to packed size. Repetitive JSON reaches 20."""
 _MAX_MESSAGES = 1 << 23
@@ -119,7 +119,7 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
 def unpacked(
     data: memoryview | bytes, compression: str, size: int | None
 ) -> bytes | memoryview:
-    """Unpack data.
+    """Decompress data.
 
     `size` is the declared unpacked size in bytes, or None for a single message.
 
@@ -129,8 +129,8 @@ def unpacked(
     limit = MAX_BYTES if size is None else size
     if limit > MAX_BYTES or compression not in ("", *_UNPACKERS):
         raise ChunkError(
-            f"a chunk has {size} bytes and the compression '{compression}', but only"
-            f" known compressions and at most {MAX_BYTES} bytes are allowed"
+            f"a chunk of {size} bytes has the compression '{compression}'; at most"
+            f" {MAX_BYTES} bytes and the compressions lz4, zstd and bz2 are allowed"
         )
     if compression:
         module, name = _UNPACKERS[compression]
@@ -143,10 +143,10 @@ def unpacked(
 
 @dataclass(frozen=True)
 class RecordedTopics:
-    """Topics of a file on one clock, whose time is 0 at the first message.
+    """Topics of a file on a common clock that starts at the first message.
 
     Attributes:
-        name: name of the file in messages.
+        name: file name, as shown in notes and errors.
         origin_ns: log time of the first message, ns.
         signals: times (s) and recorded values of each signal, each of shape (samples,).
             Examples of signal names are ``/joy.axes[0]``, ``/joints.NAME.position``,
@@ -162,7 +162,7 @@ class RecordedTopics:
 
 
 class Bag(Format):
-    """Container of messages, which may be truncated."""
+    """Message container. A truncated container is read up to the cut."""
 
     binary = True
     suffix: ClassVar[str]
@@ -196,10 +196,9 @@ class Bag(Format):
     ) -> RecordedTopics:
         """Read poses and points, and signals unless `signals` is false.
 
-        The time of a message is the header stamp, or the log time if the message has no
-        header stamp. The times of the frames are the times of the body with the most
-        messages. The pose of each other body is taken from the nearest message within
-        half a frame.
+        The time of a message is its header stamp, or the log time if it has no header
+        stamp. The body with the most messages determines the frame times. Poses of
+        other bodies are taken from the nearest message within half a frame.
 
         Raises:
             InputError: the file is damaged or too large, or the libraries are not
@@ -294,7 +293,7 @@ class _Topics:
         self.numbers += 1 + len(values)
         if self.numbers > MAX_VALUES or len(series) > MAX_COLUMNS:
             raise self.file.error(
-                f"the file has too many values; at most {MAX_VALUES} numbers of"
+                f"the file has too many values; at most {MAX_VALUES} numbers in"
                 f" {MAX_COLUMNS} signals are allowed"
             )
 
@@ -349,8 +348,8 @@ class _Topics:
         notes = [*self.notes]
         if composed := _compose(poses, names, self.parents):
             notes.append(
-                f"{len(composed)} transforms are relative to another body and were"
-                " composed"
+                f"{len(composed)} transforms relative to another body were converted to"
+                " the root frame"
             )
         roots = sorted(set(self.parents.values()) - set(names))
         if len(roots) > 1:
@@ -358,8 +357,8 @@ class _Topics:
             notes.append(f"the bodies are in different frames: {listed}")
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
-        # A simulated clock may start at any time, so the times are shifted to start at
-        # 0.
+        # A simulated clock may start at any time, so its times are shifted to begin
+        # at 0.
         time = frames.time
         other_clock = abs(time[0]) > _OTHER_CLOCK_S
         if other_clock:
@@ -394,7 +393,7 @@ class _Frames(NamedTuple):
 
 
 def _frames(bodies: Mapping[str, np.ndarray], main: str) -> _Frames:
-    """Return the frames of the body `main`, and additional frames of its topic."""
+    """Return the frames of `main`, and frames with only other bodies of the topic."""
     time = np.unique(bodies[main][:, 0])
     half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     every = np.unique(np.concatenate([rows[:, 0] for rows in bodies.values()]))
@@ -425,7 +424,7 @@ def _has_rotation(poses: np.ndarray) -> np.ndarray:
 def _compose(
     poses: np.ndarray, names: list[str], parents: Mapping[str, str]
 ) -> list[str]:
-    """Convert transforms relative to another body to the parent frame of this body."""
+    """Convert transforms that are relative to another body to the root frame."""
     from scipy.spatial.transform import Rotation
 
     index = {name: k for k, name in enumerate(names)}
@@ -438,7 +437,7 @@ def _compose(
             and len(chain) <= len(names)
         ):
             chain.append(parents[chain[-1]])
-        # A base is converted before the bodies attached to the base, so its pose is
+        # Parents are converted before their children, so the pose of the parent is
         # already relative to the root frame.
         for inner, outer in zip(chain[-2::-1], chain[::-1], strict=False):
             composed[inner] = None
@@ -458,9 +457,9 @@ _SIGNALS = re.compile(
     r"std_msgs/(Bool|(Float|U?Int)\d+(MultiArray)?)|sensor_msgs/(Joy|JointState|FluidPressure)"
 )
 _DRAWING = " (visualization_msgs/"
-"""Start of the types of messages that only draw shapes, which are skipped silently."""
+"""Prefix of message types that only draw shapes and are skipped without a note."""
 _METADATA = ("header", "layout")
-"""Fields of messages without signals."""
+"""Message fields that contain no signals."""
 _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]] = {
     "geometry_msgs/PoseStamped": lambda topic, message: [
         (topic, message, message.pose)

@@ -7,8 +7,8 @@ measured bends b_j:
 $$ S(\tau) = \sum_j \min_{a_j, c_j} \sum_t \bigl(b_j(t) - a_j\,\hat b_j(t - \tau) - c_j\bigr)^2, $$
 
 where a_j > 0 is a gain and c_j an offset of each segment, and the sum over t includes
-the times at which motion and log overlap. S is computed for all τ at once by Fourier
-transforms. A parabola is fitted to the smallest value of S and its two neighbours. The
+the times at which motion and log overlap. Fast Fourier transforms evaluate S for all
+delays. A parabola is fitted to the smallest value of S and its two neighbours, and the
 clock offset is the minimum of the parabola. The standard error of the offset is √(2
 s²/S''), where s² is the variance of the residual per independent sample. Because a gait
 is periodic, the loss may have several minima of similar size. An error is raised if the
@@ -35,19 +35,19 @@ MIN_OVERLAP = 0.5
 """Minimum overlap of two recordings, as a fraction of the shorter recording."""
 
 MIN_RIVAL_RATIO = 1.5
-"""Minimum ratio of the second smallest minimum of S to a unique minimum."""
+"""Minimum ratio of the second smallest to the smallest minimum of S."""
 
 MIN_EXPLAINED = 0.5
-"""Minimum fraction of the variance of the bends that the best offset explains."""
+"""Minimum fraction of the bend variance that the best offset explains."""
 
 _MIN_STEP = 1 / 500
-"""Minimum step of the delays, s."""
+"""Minimum step between delays, s."""
 _MAX_SAMPLES = 1 << 20
 """Maximum number of samples in the Fourier transforms."""
 _MODEL_STEP = 0.002
 """Time step of the modelled bends, s."""
 _SETTLED_TIME_CONSTANTS = 5.0
-"""Number of time constants after which unknown initial pressures have no effect."""
+"""Number of time constants until unknown initial pressures have decayed."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +56,10 @@ class Offset:
 
     Attributes:
         seconds: value to add to the times of the log, s.
-        error: standard error, s, which does not include errors of the modelled lag of
-            the chambers. The standard error is 0 if the offset was given.
-        explained: fraction of the variance of the bends that the log explains. The
-            fraction is 1 if the offset was given.
+        error: standard error, s, or 0 if the offset was given. Errors in the modelled
+            lag of the chambers are not included.
+        explained: fraction of the bend variance that the log explains, or 1 if the
+            offset was given.
     """
 
     seconds: float
@@ -99,15 +99,14 @@ def estimate_offset(
     start_difference = time[0] - log_time[0]
     if explained < MIN_EXPLAINED:
         raise InputError(
-            "no clock offset explains the bends. The best one explains"
-            f" {100 * explained:.0f} % of their variance, but"
+            "no clock offset explains the bends. The best offset explains"
+            f" {100 * explained:.0f} % of the bend variance, but at least"
             f" {100 * MIN_EXPLAINED:.0f} % are needed; check that the log belongs to"
             " this run and to this robot, or give --offset"
         )
     _check_unambiguous(loss, lags * step + start_difference, best)
     error = float("inf")
     shift = 0.0
-    # A parabola through the smallest value of S and its neighbours refines the minimum.
     left, middle, right = np.pad(loss, 1, constant_values=np.inf)[best : best + 3]
     if np.isfinite(left + right):
         curvature = float(left - 2 * middle + right)
@@ -145,16 +144,15 @@ def _losses(
     count = np.rint(correlate(ones, other_ones))[:, 0]
     enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
-    # The sums for each delay include the common samples of motion and log. Squares and
-    # products are computed about the means. In the names, b is the measured bend, m the
-    # modelled bend and s a sum.
+    # For each delay, the sums include the common samples of motion and log. Names: b is
+    # the measured bend, m the modelled bend, and s a sum.
     sb = correlate(bends, other_ones)
     sm = correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n
     mm = correlate(ones, model**2) - sm**2 / n
     bm = correlate(bends, model) - sb * sm / n
-    # A segment that does not move in the model explains no variance. Gains must be
-    # positive.
+    # A segment that does not move in the model, or whose fitted gain is not positive,
+    # explains no variance.
     moving = mm > 1e-9 * np.maximum(mm.max(axis=0), 1e-30)
     explained = np.where(moving & (bm > 0), bm**2 / np.where(moving, mm, 1.0), 0.0)
     energy = bb.sum(axis=1)
@@ -172,12 +170,11 @@ def _losses(
 
 def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None:
     low = (loss[1:-1] <= loss[:-2]) & (loss[1:-1] <= loss[2:]) & np.isfinite(loss[1:-1])
-    # If S is close to 0, the added constant accounts for noise and for the step of the
-    # delays.
+    # If S is close to 0, the added constant accounts for noise and for the delay step.
     limit = MIN_RIVAL_RATIO * loss[best] + 1e-6
 
     others = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best]
-    # Two minima without a higher value between them are counted as one minimum.
+    # Minima with no value above the limit between them are counted as one minimum.
     rivals = [k for k in others if loss[min(k, best) : max(k, best) + 1].max() > limit]
     if rivals:
         nearest = sorted(
@@ -212,20 +209,19 @@ def join(
 ) -> Recording:
     """Synchronise a log with a motion, and add the columns of the log.
 
-    If `offset` is None and both files have overlapping times since 1970, the clock
-    offset is computed from these times. Otherwise `estimate_offset` estimates the clock
-    offset.
+    If `offset` is None and both files have overlapping Unix times, the clock offset is
+    computed from these times. Otherwise `estimate_offset` estimates the clock offset.
 
     Args:
         recording: recorded motion.
         log: valve or pressure log.
         spec: robot whose chamber model computes bends from the log.
-        offset: value to add to the times of the log, s, or None to determine the value.
+        offset: value to add to the times of the log, s, or None to determine it.
 
     Returns:
-        Interval of the motion in which the log has values. The trajectory has the
-        columns ``valve_plus_1…`` or ``pressure_plus_1…``, and its metadata contain the
-        offset. The log is on the clock of the motion.
+        Part of the motion that the log covers, and the log on the clock of the motion.
+        The trajectory has the columns ``valve_plus_1…`` or ``pressure_plus_1…``. The
+        metadata of the trajectory contain the offset.
     """
     trajectory = recording.trajectory
     segments = {log.values.shape[1], trajectory.stack("bend").shape[1]}
@@ -318,8 +314,8 @@ def _find_offset(
 def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
     """Return the times (s) and the free bends (rad) computed from a log.
 
-    If chambers fill at the start of a valve log, the initial pressures are unknown. The
-    bends then start after the effect of the initial pressures has decayed.
+    Unless all chambers vent at the start of a valve log, the initial pressures are
+    unknown. The bends then start after the effect of these pressures has decayed.
     """
     span = float(log.time[-1] - log.time[0])
     step = max(_MODEL_STEP, span / 1e6)
@@ -336,8 +332,8 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     known = clock >= settled
     if known.sum() < MIN_FRAMES:
         raise InputError(
-            f"{log.source}: {span:g} s are too short to estimate the clock offset;"
-            " give the offset with --offset"
+            f"{log.source}: the log lasts only {span:g} s, which is too short to"
+            " estimate the clock offset; give the offset with --offset"
         )
     return log.time[0] + clock[known], trace.bend[known]
 

@@ -1,4 +1,4 @@
-"""Frame grid of a recording, and outliers and gaps of tracks."""
+"""Frame grid of a recording, and treatment of outliers and gaps in tracks."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MIN_FRAMES = 12
 _GRID_TOLERANCE = 0.2
 """Maximum deviation of a time from a multiple of the frame period, in periods."""
 _MAX_FRAMES_PER_ROW = 10
-"""Maximum ratio of the number of frames on the grid to the number of rows."""
+"""Maximum ratio of grid frames to file rows."""
 _MAX_TIME = 1e9
 """Maximum time, s. A larger value indicates a wrong unit."""
 
@@ -26,8 +26,7 @@ class FrameGrid:
 
     Attributes:
         time: times in ascending order, s, shape (frames,).
-        rows: row of the file for each frame, shape (frames,). The row of a missing
-            frame is −1.
+        rows: file row of each frame, or −1 for a missing frame, shape (frames,).
         corrections: notes on changes to the data.
     """
 
@@ -53,7 +52,7 @@ def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
     backward = int((np.diff(time) < 0).sum())
     if backward:
         notes = [
-            f"the rows were not in the order of time ({backward} steps back) and"
+            f"the rows were not in chronological order ({backward} steps back) and"
             " were sorted"
         ]
     else:
@@ -98,7 +97,7 @@ def _on_grid(
     if np.abs(steps - whole * period).max() > _GRID_TOLERANCE * period:
         if np.abs(steps / period - 1).max() > _GRID_TOLERANCE:
             notes.append(
-                "the frames are not evenly spaced in time and are used as they are"
+                "the frames are not evenly spaced in time, and their times are kept"
             )
         return time, rows
     indices = np.append(0, np.cumsum(whole)).astype(int)
@@ -122,18 +121,18 @@ def _on_grid(
 
 
 def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
-    """Return the values of all frames. The values of a missing frame are NaN."""
+    """Return the values at all frames, with NaN at missing frames."""
     picked = values[frames.rows]
     picked[frames.rows < 0] = np.nan
     return np.asarray(picked)
 
 
 _NEIGHBOURS = np.array([-2, -1, 1, 2])
-"""Relative positions of the samples that predict a sample."""
+"""Relative indices of the samples that predict a sample."""
 _OUTLIER_RATIO = 8.0
 """Minimum deviation of an outlier from its prediction, in standard deviations."""
 _STD_PER_MAD = 1.4826
-"""Ratio of standard deviation to median absolute deviation of normal values."""
+"""Ratio of standard deviation to median absolute deviation of a normal variable."""
 
 
 def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
@@ -157,10 +156,10 @@ def _track_outliers(
     """Return the mask of outliers in one track, shape (samples,).
 
     The residuals r = A p are deviations of the samples p from cubic polynomials. Each
-    polynomial passes through the two samples before a sample and the two samples after
-    it. The error of the polynomial is proportional to the product of the four time
-    differences between these samples and the sample in the middle. The product is 4
-    frames⁴ if there are no gaps. Each row of A is divided by the product. An outlier of
+    polynomial passes through the two samples before and the two samples after the
+    tested sample. The polynomial error is proportional to the product of the four time
+    differences between these samples and the tested sample, which is 4 frames⁴ if there
+    are no gaps. Each row of A is divided by this product. An outlier of
     size d at sample k adds d a_k to the residuals, where a_k is column k of A.
     Therefore |a_k·r| / |a_k| has its maximum at the outlier, and |a_k·r| / |a_k|² is
     the size of the outlier.
@@ -183,8 +182,7 @@ def _track_outliers(
         (rows.ravel(), columns.ravel(), 5 * np.arange(len(middle) + 1)),
         (len(middle), len(frames)),
     )
-    # For every sample k, `projection` is |a_k·r| and `size` is |a_k|, with A =
-    # `cubics`.
+    # For every sample k, `projection` is |a_k·r| and `size` is |a_k|. `cubics` is A.
     projection = np.linalg.norm(cubics.T @ (cubics @ points), axis=1)
     size = np.sqrt((cubics**2).sum(axis=0))
     score = projection / size
@@ -198,18 +196,15 @@ def _track_outliers(
     )
     large = projection > min_jump * size**2
     outlier = large & (score > _OUTLIER_RATIO * _STD_PER_MAD * usual) & (score >= peak)
-    # The first two and the last two samples are in too few cubic polynomials to be
-    # tested. The score includes these samples, so that their errors do not affect other
-    # samples.
+    # The first two and the last two samples cannot be tested, because they are in too
+    # few cubic polynomials. Their scores are included in the peak, so that their errors
+    # do not affect other samples.
     outlier[[0, 1, -2, -1]] = False
     return np.asarray(outlier)
 
 
 def runs(missing: np.ndarray) -> np.ndarray:
-    """Return the start and the end (exclusive) of each interval of True values.
-
-    The result has the shape (intervals, 2).
-    """
+    """Return the start and end (exclusive) of each True run, shape (runs, 2)."""
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8))
     )
@@ -241,7 +236,7 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
 def fill_gaps(time: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
     """Interpolate the gaps of tracks whose first and last position are known.
 
-    The degree of the spline is 1 for tracks with few samples.
+    Tracks with at most `degree` samples are interpolated linearly.
     """
     from scipy.interpolate import make_interp_spline
 

@@ -1,9 +1,9 @@
-"""Logs of a robot: measured bends, and valve states, duties or pressures.
+"""Robot logs: measured bends, and valve states, duties or pressures.
 
 A bend log contains the bends of a robot on a bench, in the columns ``time,bend_1,…``.
 Bends are in rad unless the column name states another unit (``bend_1_deg``). A bend is
 positive if the front end of the segment is turned to the left relative to the rear end.
-The position of the body is computed from the bends and the pose of the clamped head.
+The body positions are computed from the bends and the pose of the clamped head.
 
 A valve log has the column ``time`` and either ``valve_plus_1, valve_minus_1, …`` (1 to
 fill, 0 to hold, −1 to vent) or ``pressure_plus_1, pressure_minus_1, …``. Pressures are
@@ -64,7 +64,6 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")
-"""Sides of a segment in column names."""
 AIR = ("pressure", "setpoint")
 """Kinds of logs that contain pressures. The other kinds are "valve" and "duty"."""
 
@@ -78,13 +77,13 @@ _BEND = re.compile(r"bend_1(?!\d)")
 _MAX_PERIODS = 1_000_000
 """Maximum number of carrier periods in a log of duties."""
 _MAX_CLAMP_SHIFT = 0.05
-"""Maximum displacement of a clamped head, relative to the length of a segment."""
+"""Maximum displacement of a clamped head, relative to the segment length."""
 _MAX_CLAMP_TURN = np.radians(5.0)
 """Maximum rotation of a clamped head, rad."""
 
 
 def is_bend_log(path: StrPath, recording_map: RecordingMap = NO_MAP) -> bool:
-    """Return whether a file or its map contains column names of bends."""
+    """Return whether a file has bend columns, by name or according to the map."""
     start = start_of(path, recording_map.dialect)
     if "\0" in start.first_line:
         return False
@@ -103,8 +102,8 @@ def read_bends(
 ) -> Recording:
     """Read the longest interval of a bend log in which all bends are known.
 
-    In the returned recording, the head is at the origin with the heading 0. The gait
-    frequency (Hz) is None if the motion is not periodic.
+    In the returned recording, the head is at the origin with the heading 0.
+    `gait_frequency_hz` (Hz) is None if the motion is not periodic.
     """
     table = _table(path, as_map(map), ("bend",))
     clock = table.clock(
@@ -198,8 +197,8 @@ def read_valves(
 ) -> ValveLog:
     """Read a log of valve states, duties or pressures from a CSV file or a bag.
 
-    `map` states the meanings of columns and the carrier frequency of duties. It can
-    also be the path of a map.
+    `map` is a recording map, its entries, or its path. The map states the meanings of
+    columns and the carrier frequency of duties.
     """
     recording_map = as_map(map)
     if (topics := read_topics(path)) is not None:
@@ -259,8 +258,8 @@ def log_of_topics(
             listed = ", ".join(list(topics.signals)[:12]) or "none"
             raise InputError(
                 f"the signals of the {spec.segments} segments are not known. Assign"
-                " them in a map with log: {valve_plus_1: SIGNAL, valve_minus_1:"
-                f" SIGNAL, …}}, where SIGNAL is one of the recorded signals {listed}"
+                " them in a map with `log: {valve_plus_1: SIGNAL, valve_minus_1:"
+                f" SIGNAL, …}}`, where SIGNAL is one of the recorded signals {listed}"
             )
         (kind,) = kinds
         chosen = [names[key] for key in required]
@@ -293,7 +292,6 @@ def _checked_values(
     notes: list[str],
     error: Callable[[int, int, str], InputError],
 ) -> np.ndarray:
-    """Check and return valve states, duties or gauge pressures."""
     if kind in AIR:
         if ambient:
             notes.append(
@@ -341,7 +339,7 @@ def _log(
     with named_in_errors(source.name):
         check_times(time)
         order, moved = time_order(time)
-        # If several commands have the same time, a valve executes the last command.
+        # Of several commands with equal times, a valve executes the last one.
         kept = np.append(np.diff(time[order]) > 0, True)
         notes += moved
         if not kept.all():
@@ -381,15 +379,15 @@ def _log(
 def _switched_valves(
     time: np.ndarray, duty: np.ndarray, carrier_hz: float | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Convert duties (0 to 1) to times (s) and valve states."""
+    """Convert duties (0 to 1) to switching times (s) and valve states."""
     if carrier_hz is None:
         raise InputError(
-            "the carrier frequency of the duties is missing; give it as log:"
-            " {carrier_hz: 30} in a map"
+            "the carrier frequency of the duties is missing; set it in a map, for"
+            " example `log: {carrier_hz: 30}`"
         )
     if (time[-1] - time[0]) * carrier_hz > _MAX_PERIODS:
         raise InputError(
-            f"the log has more than {_MAX_PERIODS} carrier periods; shorten it"
+            f"the log has more than {_MAX_PERIODS} carrier periods; use a shorter log"
         )
     starts = np.arange(time[0], time[-1], 1 / carrier_hz)
     duty = held_values(starts + 1e-9, time, duty)
@@ -401,14 +399,14 @@ def _switched_valves(
 
 
 def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
-    """Transform a recording to the frame of its clamp.
+    """Transform a recording to the clamp frame.
 
     The origin of this frame is the centre of mass that a straight body would have.
     """
     trajectory = recording.trajectory
     head = trajectory.position[:, 0]
     head_heading = trajectory["connector_heading_1"]
-    # A few wrong frames do not affect the medians.
+    # Medians are robust to a few wrong frames.
     clamp = np.median(head, axis=0)
     heading = float(np.median(head_heading))
     shift = float(np.quantile(np.linalg.norm(head - clamp, axis=1), 0.95))
@@ -421,8 +419,8 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
             " the other end is clamped, give --head"
         )
     mass = spec.mass.array()
-    # The points are rotated by −heading about the clamp. The clamp is then moved to the
-    # positive x axis.
+    # Points are rotated by −heading about the clamp, which then moves to the positive x
+    # axis.
     distance = pitch * float(np.arange(len(mass)) @ mass) / float(mass.sum())
     rotation = np.exp(-1j * heading)
     origin = clamp @ [1, 1j]

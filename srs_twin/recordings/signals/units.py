@@ -73,10 +73,10 @@ def clean(text: str) -> str:
 
 
 def symbol(text: str, units: Mapping[str, float]) -> str:
-    """Return the symbol of a unit, given in any spelling.
+    """Return the symbol of a unit that is given in any spelling.
 
     The result is an empty string if `units` does not contain the unit, or if the
-    spelling is ambiguous (mpa).
+    spelling is ambiguous (such as `mpa`).
     """
     word = re.sub(r"[\s^]", "", clean(text).replace("μ", "u"))
     if word in units:
@@ -92,7 +92,7 @@ def symbol(text: str, units: Mapping[str, float]) -> str:
 
 
 def bracketed(name: str) -> tuple[str, str]:
-    """Split a column name such as P1 (bar) into the name and the text in brackets."""
+    """Split a column name such as `P1 (bar)` into the name and the text in brackets."""
     match = _BRACKETS.fullmatch(name.strip())
     if match:
         return (match[1], match[2].strip(" -"))
@@ -100,10 +100,10 @@ def bracketed(name: str) -> tuple[str, str]:
 
 
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
-    """Return the unit in a column name such as P1 (bar), time_ms, P1/bar or timeMs.
+    """Return the unit in a column name: `P1 (bar)`, `time_ms`, `P1/bar` or `timeMs`.
 
-    The result is an empty string if the name contains no unit. The result is None if
-    the unit is unknown or the name contains two units.
+    The result is an empty string if the name contains no unit, and None if the unit is
+    unknown or the name contains two units.
     """
     name = clean(name)
     bare, inside = bracketed(name)
@@ -111,7 +111,7 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
         return symbol(inside, units) or None
     words: list[str] = _WORD.findall(bare)
     if [word.lower() for word in words] == ["pa"]:
-        return ""  # the letters are the name of a chamber or port, such as pb
+        return ""  # "pa" alone names a chamber or port, like "pb"
     stated = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
     if len(stated) > 1 or None in stated:
         return None
@@ -154,7 +154,7 @@ class Meaning(NamedTuple):
 def unit_of(
     column: str, stated: str | None, units: Mapping[str, float], meaning: Meaning
 ) -> tuple[str, str]:
-    """Return the unit of a column in a map, and a note if the map key has another unit.
+    """Return the unit of a mapped column, and a note if the map key has another unit.
 
     `stated` is the unit in the column name, as returned by `stated_unit`.
     """
@@ -164,7 +164,7 @@ def unit_of(
     missing = meaning.kind in _UNIT_REQUIRED and not (stated or default)
     if not given and (stated is None or missing):
         raise InputError(
-            f"the unit of the column '{column}' is not known (allowed: {allowed});"
+            f"the unit of the column '{column}' is not known ({allowed});"
             f" give it in the map: {{column: '{column}', unit: …}}"
         )
     if not stated:
@@ -176,22 +176,22 @@ def unit_of(
         )
     if default and not given and units[stated] != units[default]:
         return stated, (
-            f"the column '{column}' is read in {stated} according to its name,"
-            f" although the key of the map has {default}"
+            f"the column '{column}' is read in {stated}, as its name states,"
+            f" although the map key states {default}"
         )
     return stated, ""
 
 
 _CLOCK = re.compile("time|timestamps?|stamp|t|epoch|elapsed")
-"""Words for a time in column names."""
+"""Words that denote a time in column names."""
 _CLOCK_QUALIFIER = re.compile(
     "since|start|unix|ros|system|host|header|field|log|relative|absolute"
 )
-"""Additional words that the column name of a time may contain."""
+"""Additional words that the name of a time column may contain."""
 
 
 def is_clock(name: str) -> bool:
-    """Return whether a column name, such as t_ms or timestamp [ns], denotes a time."""
+    """Return whether a column name such as `t_ms` or `timestamp [ns]` means a time."""
     bare, _ = bracketed(clean(name))
     if re.search(r"\d", bare):
         return False
@@ -214,7 +214,6 @@ def looks_absolute(pressures: np.ndarray) -> bool:
 
 
 ABSOLUTE = (
-    "The pressures look absolute; subtract the ambient pressure with log:"
-    " {ambient_kpa: 101.3} in a map"
+    "The pressures look absolute; to subtract the ambient pressure, set `log:"
+    " {ambient_kpa: 101.3}` in a map"
 )
-"""Hint for pressures that are probably absolute pressures."""
