@@ -160,10 +160,14 @@ def main() -> None:
         rows = [[f"{r['load_n']:.2f}", f"{r.get('speed_m_s', 0):.3f}"] for r in results]
         print(table(["floor friction, N", "speed, m/s"], rows))
     else:
-        print(
-            f"{sum(r['held'] for r in results)} of {len(results)} held and dragged"
-            f" {DRAGGED_M} m"
-        )
+        moved = 1e3 * np.array([r["moved_m"] for r in results])
+        row = [
+            given.mode,
+            f"{sum(r['held'] for r in results)} of {len(results)}",
+            f"{moved.min():.0f} to {moved.max():.0f}",
+        ]
+        heads = ["mode", f"held and dragged {DRAGGED_M} m", "objects moved by, mm"]
+        print(table(heads, [row]))
     if given.json:
         given.json.write_text(json.dumps(results, indent=1) + "\n", "utf-8")
 

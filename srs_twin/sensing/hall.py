@@ -295,7 +295,7 @@ class HallSensor:
             "sensitivity", self.sensitivity, self.sensitivity != 0, "other than 0 V/T"
         )
         _check("noise", self.noise, self.noise >= 0, "at least 0 V")
-        _check("bias", self.bias, True, "in V")
+        _check("bias", self.bias, True, "a voltage")
         _check("gain_error", self.gain_error, self.gain_error > -1, "above -1")
         for name in ("rails", "converter_range"):
             low, high = getattr(self, name)
