@@ -1,7 +1,8 @@
 """Tables of studies in the pages of docs/, with the date and the commit of the run.
 
-A page has markers where a table belongs; `theory 2` is the second table of `theory`, and
-a marker without a number holds only the line with date and commit:
+A page has markers where a table belongs; `theory 2` is the second table of `theory`. A
+marker without a number holds only a line about the last run. Pages use it beside tables
+of larger runs, and where the printed tables are too wide:
 
     <!-- study theory 2: begin -->
     <!-- study theory 2: end -->
@@ -12,7 +13,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from common.results import FOLDER, Result, load_result
+from common.results import FOLDER, Result, load_result, path_of
 from common.studies import BENCHMARKS
 
 from srs_twin.io.files import atomic_write
@@ -27,8 +28,8 @@ _BLOCK = re.compile(
 )
 
 
-def run_line(result: Result) -> str:
-    """Return the line below a table: when, from which commit and with which seeds."""
+def _run(result: Result) -> str:
+    """Return when, from which commit and with which seeds a study was run."""
     stamp = result.stamp
     words = [stamp.date, f"commit {stamp.commit}", f"{result.minutes:.1f} min"]
     if result.seeds != "none":
@@ -36,7 +37,7 @@ def run_line(result: Result) -> str:
     if result.confirmed:
         last = result.confirmed[-1].stamp
         words.append(f"confirmed {last.date} at commit {last.commit}")
-    return f"*Study `{result.study}`: {', '.join(words)}.*"
+    return ", ".join(words)
 
 
 def rendered(text: str, folder: Path = FOLDER) -> str:
@@ -56,9 +57,15 @@ def rendered(text: str, folder: Path = FOLDER) -> str:
         result = load_result(found["name"], folder)
         if result is None:
             return found[0]
-        parts = [run_line(result)]
         if found["number"]:
-            parts.insert(0, _table(result, int(found["number"])))
+            line = f"*Study `{result.study}`: {_run(result)}.*"
+            parts = [_table(result, int(found["number"])), line]
+        else:
+            file = path_of(result.study).relative_to(BENCHMARKS.parent)
+            parts = [
+                f"*Last run of the study `{result.study}` at its default size:"
+                f" {_run(result)}; its tables are in `{file.as_posix()}`.*"
+            ]
         return f"{found['begin']}\n" + "\n\n".join(parts) + f"\n\n{found['end']}"
 
     return _BLOCK.sub(block, text)
