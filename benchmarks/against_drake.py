@@ -31,6 +31,7 @@ from typing import Any
 
 import numpy as np
 import pydrake.all as drake
+from common.grid import table
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 import load_reference as reference
@@ -387,24 +388,29 @@ def main() -> None:
     options = parser.parse_args()
     how = options.periods, options.step_ms / 1000
     contact = Contact(options.stiffness, options.relaxation_ms / 1000, options.solver)
-    for name in options.points or (
-        "gen2_straight",
-        "gen2_turn",
-        "stiff_turn",
-        "gen1_straight",
-    ):
+    default = ("gen2_straight", "gen2_turn", "stiff_turn", "gen1_straight")
+    rows = []
+    for name in options.points or default:
         for engine, run in (
             ("MuJoCo", lambda point: reference.simulate(point, *how, SLIP_M_S)),
             ("Drake, law", lambda point: simulate(point, *how, contact, axles=False)),
             ("Drake, axles", lambda point: simulate(point, *how, contact, axles=True)),
         ):
-            r = run(POINTS[name])
-            print(
-                f"{name:14} {engine:13} {r.speed_mm_s:7.2f} mm/s {r.yaw_rate:+.4f}"
-                f" rad/s; in the air {r.air:.2%}, swing {r.swing:.3f}, ripple"
-                f" {r.ripple:.4f}",
-                flush=True,
+            result = run(POINTS[name])
+            rows.append(
+                [
+                    name,
+                    engine,
+                    f"{result.speed_mm_s:.2f}",
+                    f"{result.yaw_rate:+.4f}",
+                    f"{result.air:.2%}",
+                    f"{result.swing:.3f}",
+                    f"{result.ripple:.4f}",
+                ]
             )
+            print(*rows[-1], flush=True)
+    heads = ["point", "engine", "speed, mm/s", "yaw rate, rad/s"]
+    print(table([*heads, "wheels in the air", "swing", "ripple"], rows))
 
 
 if __name__ == "__main__":
