@@ -69,7 +69,11 @@ class SrsError(Exception):
 
 
 class InputError(SrsError):
-    """Error for invalid input, with exit code 2. No files have been written."""
+    """Error for invalid input, with exit code 2.
+
+    A command raises this error before it writes results. A sweep on a full disk keeps
+    its finished rows.
+    """
 
     exit_code = 2
 
