@@ -393,7 +393,7 @@ def run(
         --out DIR: Output folder. Several scenarios, or scenarios in a given folder, are
             written to subfolders. [default: runs/SCENARIO]
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
-            [default: models selected in the scenario]
+            [default: the models named in the scenario]
     """
     run_all(
         make_cases(scenarios),

@@ -135,7 +135,7 @@ def play(
     name: Annotated[str, argument("SCENARIO|ROBOT", shipped=["scenario", "robot"])],
     set_: list[str] | None = None,
 ) -> None:
-    """Play a scenario, or steer a robot by keyboard, in MuJoCo's viewer.
+    """Play a scenario or steer a robot in MuJoCo's viewer.
 
     The left and right keys change the steering offset of the gait, and home resets the
     offset. Up and down change the gait frequency, page up and page down the supply

@@ -104,7 +104,7 @@ def test_models_are_missing_or_unstable(monkeypatch, tmp_path):
         ' mass="1e-6"/></body></worldbody><actuator><general joint="j"'
         ' biastype="affine" biasprm="1e12 0 0"/></actuator></mujoco>'
     )
-    with pytest.raises(SrsError, match="gen9/scene.xml: the simulation raises"):
+    with pytest.raises(SrsError, match="gen9/scene.xml: MuJoCo issues warnings"):
         probes.models()
 
 

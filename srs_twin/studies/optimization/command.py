@@ -41,7 +41,7 @@ def optimize(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the best robot or gait for the objectives in a study file.
+    """Find the best robot or gait for the objectives of a study.
 
     The search runs the analytical model `compliant` many times and corrects its results
     with a few runs of the twin. All reported results come from the twin. An interrupted

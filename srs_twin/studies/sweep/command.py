@@ -90,7 +90,7 @@ def sweep(
         --exclude FIELD=VALUE: Skip all points in which FIELD has this VALUE. Can be
             repeated.
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
-            [default: the models that the sweep names]
+            [default: the models named in the sweep]
     """
     runner = study.make_engine()
     from srs_twin.studies.sweep.execution import select_points, sweep as run_sweep

@@ -56,7 +56,7 @@ def uncertainty(
     Options:
         --out DIR: Output folder. [default: runs/uncertainty/SCENARIO]
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
-            [default: the models that the scenario names]
+            [default: the models named in the scenario]
         --samples N: Number of robots with randomly drawn parameters.
         --twin N: Number of twin runs, if the compliant model simulates all samples.
         --exclude NAME: Parameter to keep at its value in the robot file, for example
