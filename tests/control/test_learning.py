@@ -425,7 +425,7 @@ def test_offsets_without_targets_are_refused(offset):
         ),
         (
             {"free_periods": 0},
-            "ilc free_periods 0 is not allowed; it must be 1 or more",
+            "ilc `free_periods` 0 is not allowed; it must be 1 or more",
         ),
         ({"on_fault": "pause"}, "on_fault 'pause'"),
         ({"steering": "wave"}, "steering 'wave'"),
