@@ -172,7 +172,7 @@ STUDIES = {
     "predicted_rows": Study(
         12,
         "uncertainty.md",
-        _words(f"--samples 3 --out {OUT}"),
+        _words(f"--samples 8 --out {OUT}"),
         inputs=_words("scenarios/*.yaml"),
         seeds="0",
     ),
