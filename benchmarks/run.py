@@ -10,7 +10,7 @@ A stored result contains the tables of the default size, and of the reduced size
 study has one, from the same code. `--confirm` repeats the reduced size. If its numbers
 agree, the result counts as current again, and the confirmation is recorded in the file.
 After each run, the pages that have markers of the study get its tables, with the date
-and the commit (`common/pages.py`).
+and the commit (`common/study_pages.py`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from datetime import UTC, date, datetime
 
 from common.freshness import digests
 from common.grid import table
-from common.pages import update_pages
 from common.results import (
     TOLERANCE,
     Confirmation,
@@ -38,6 +37,7 @@ from common.results import (
     stamp,
 )
 from common.studies import BENCHMARKS, OUT, STUDIES, script_of, title_of
+from common.study_pages import update_pages
 
 from srs_twin.io.provenance import Provenance
 

@@ -148,7 +148,7 @@ def test_run_writes_its_table_with_date_and_commit_into_the_page(checkout):
 
 def test_pages_contain_the_stored_tables():
     code = """
-from common.pages import DOCS, rendered
+from common.study_pages import DOCS, rendered
 pages = [path for path in DOCS.glob("*.md") if "<!-- study " in path.read_text("utf-8")]
 print(len(pages), [p.name for p in pages if rendered(p.read_text("utf-8")) != p.read_text("utf-8")])
 """

@@ -169,6 +169,6 @@ def test_settings_that_matplotlib_refuses_are_an_input_error(
     done = compared(srs_twin_process, tmp_path / "folder", settings, MPLBACKEND=backend)
     assert done.returncode == 2 and "matplotlib cannot be imported" in done.stderr
     assert (
-        "matplotlibrc, and the environment variable MPLBACKEND"
+        "matplotlibrc and the environment variable MPLBACKEND"
         in done.stderr.replace("\n", " ")
     )

@@ -133,7 +133,7 @@ def test_an_edited_sweep_is_refused_without_changed(tmp_path):
     before = load_sweep(write(tmp_path))
     execute(before, tmp_path / "out")
     after = load_sweep(write(tmp_path, SMALL.replace("count: 4", "count: 7")))
-    refusal = r"another study or to another version of it \(points changed\)\. Keep"
+    refusal = r"another study or to another version of it \(points changed\)\. Use"
     with pytest.raises(InputError, match=refusal), open_sweep(after, tmp_path / "out"):
         pass
     # 41 to 55 kPa in six steps has every other pressure of three steps.
