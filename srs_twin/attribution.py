@@ -114,7 +114,7 @@ class Switch(NamedTuple):
         name: short name.
         title: assumption of the model and assumption of the twin, separated by an
             arrow.
-        differs: whether the two plants of the scenario make different assumptions.
+        differs: whether the assumptions of the two plants in the scenario differ.
         options: arguments of the analytical model when the switch is active. Later
             switches override the arguments of earlier switches.
     """
@@ -520,7 +520,7 @@ def _is_script(controller: Controller) -> bool:
 def main_cause(
     scenario: Scenario, trajectories: Mapping[str, Trajectory]
 ) -> dict[str, Any] | None:
-    """Return the effect of compliance on the analytical model, from one additional run.
+    """Return the effect of compliance in the analytical model, from one additional run.
 
     Compliance usually makes the largest of the contributions that `explain` computes.
 

@@ -294,7 +294,7 @@ def sample_counts(
         raise InputError(
             f"`record_hz` {format_exact(record_hz)} does not fit the tick of"
             f" {format_exact(tick)} s; use {nearest_rate(record_hz, [grid])} Hz, or"
-            f" any whole multiple or fraction of {base}"
+            f" any integer multiple or integer fraction of {base}"
         )
     return max(1, round(tick * record_hz)), max(1, round(1 / (tick * record_hz)))
 

@@ -84,7 +84,7 @@ class Response:
     def from_recording(
         cls, recording: Recording, name: str, supply_pa: float
     ) -> Response:
-        """Create a response from a recording with a log.
+        """Create a response from a recording and its valve or pressure log.
 
         Bends from interpolated marker positions become NaN.
         """
@@ -211,7 +211,7 @@ def predict_response(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Predict the bends and pressures of free segments for a clock offset (s).
 
-    Bends (rad) have the shape (samples, segments), and pressures (Pa) have the shape
+    Bends (rad) have shape (samples, segments), and pressures (Pa) have the shape
     (samples, segments, 2). The pressures are None if the response contains logged
     pressures.
     """

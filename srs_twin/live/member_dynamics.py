@@ -48,7 +48,7 @@ class ValveInput(NamedTuple):
 class Air(NamedTuple):
     """Chamber state of all members.
 
-    All arrays have the shape (members, segments, 2).
+    All arrays have shape (members, segments, 2).
 
     Attributes:
         pressure: gauge pressures p, Pa.

@@ -285,8 +285,8 @@ class Shadow:
             return False
         self._used[message.source] = message.sent
         if message.kind != POSES and abs(interval) > LOST_AFTER_S:
-            # A robot with decreasing time stamps has restarted, which empties the
-            # chambers.
+            # Decreasing time stamps show that the robot has restarted. The chambers are
+            # then empty.
             self.faults.restart()
             self.interruptions += math.isfinite(interval)
         return True

@@ -55,7 +55,7 @@ def shortest_path(
 ) -> ArcSequence:
     """Return the three arcs of the shortest path to a pose or to a point.
 
-    An arc may have the length 0.
+    An arc may have length 0.
 
     Args:
         start: start pose.

@@ -46,7 +46,7 @@ class Transient:
     Attributes:
         before, after: offset before and after the change.
         left, right: extra widths of the left and right edges, m.
-        length: length of the path along which the edges are wider after the change, m.
+        length: path length after the change over which the edges are wider, m.
         dx, dy: final displacement forward and to the left, relative to an instantaneous
             change, m.
         dheading: final heading change to the left, relative to an instantaneous change,

@@ -398,7 +398,7 @@ def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
 class CompliantBends(Body):
     """Body of the model `compliant`, whose segments are springs and dampers.
 
-    A segment with the bend q and the free bend q_f exerts the moment k (q_f − q) + c
+    A segment with bend q and free bend q_f exerts the moment k (q_f − q) + c
     (q̇_f − q̇), where k is the stiffness and c = k · damping_time the damping. Without
     mass and load, the bend of a segment equals the free bend, which obeys Eq. 14.
     Inertia and friction deflect the segment from the free bend.

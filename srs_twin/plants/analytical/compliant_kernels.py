@@ -179,7 +179,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model. An array argument has the shape (segments, cells)."""
+        """Return the model. An array argument has shape (segments, cells)."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells
@@ -445,7 +445,7 @@ def _eliminate_bend(j, a, model, workspace):  # type: ignore[no-untyped-def]
             + link[_BEND_Y_RATE] * matrix[_Y_RATE, k]
         )
     pivot[_RIGHT] += workspace.residual[3 + j]
-    # In the momentum equation of an implicit step, damping has the factor a and
+    # In the momentum equation of an implicit step, damping has a factor of a and
     # stiffness the factor a².
     bend_stiffness = a * model.damping[j] + a * a * model.stiffness[j]
     stiff = bend_stiffness + _by_bend(link, pivot)
@@ -539,7 +539,8 @@ class WorkArrays(NamedTuple):
     """Work arrays for N connectors.
 
     Attributes:
-        body: posed body (`kinematics`), shape (ROWS, N).
+        body: poses and velocities of the connectors (rows as in `kinematics`), shape
+            (ROWS, N).
         links: coefficients that propagate z over a segment, shape (segments,
             _LINK_COLUMNS).
         loads: momenta, friction and mass matrices of the connectors, shape (N,

@@ -173,7 +173,7 @@ def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-unt
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
-        # The chord has the direction (c, s) and turns at the rate chord_spin. The
+        # The chord has the direction (c, s) and turns at rate chord_spin. The
         # second derivative of the chord vector has the components `along` and `across`.
         chord_spin = yaw + body[SPIN, j] - rate[j] / 2
         along = (

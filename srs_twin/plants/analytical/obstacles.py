@@ -454,7 +454,7 @@ def fill_rates(obstacles, model, free, free_rates, rates, workspace):  # type: i
     implicit method evaluates the stiff normal forces when an impact has almost stopped
     the body. `ENERGY_LOSS` then holds the work of the compressed air, whose rate Σ T_j
     q̇_f,j is smooth. Here T = k (q_f − q) + c (q̇_f − q̇) is the torque of a whole
-    segment with the bend q, the free bend q_f, the stiffness k and the damping c.
+    segment with bend q, the free bend q_f, the stiffness k and the damping c.
 
     Args:
         obstacles: obstacles with the forces of the stage.

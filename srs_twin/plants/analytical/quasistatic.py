@@ -5,7 +5,7 @@ rotation from the frame of the segment's rear connector to the frame of the fron
 connector. The components z, −y and x of w are the bend to the left, the bend upwards
 and the twist. The generalised coordinates are the pose of the head connector and the
 bends q and twists of all segments. Weight and contacts act at points along the axis of
-the body, which has the radius r.
+the body, which has radius r.
 
 **Equilibrium.** Without inertia, the forces are balanced at all times. The chambers
 impose the free bends q̂ with the stiffness k and the damping c. Point i has the height
@@ -195,7 +195,7 @@ class QuasistaticArcs(Body):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`. The bends have the shape (samples, segments, 2)."""
+        """See `Body.motion`. The bends have shape (samples, segments, 2)."""
         shape = len(states), self._spec.segments, 3
         bend = states[:, kinematics.BENDS : self._impulses.start].reshape(shape)[
             ..., :2

@@ -189,8 +189,8 @@ class TwinBatch(Claimable):
         """Execute schedules of valve commands without feedback.
 
         Args:
-            schedules: schedule of each run over a whole number of ticks. Runs with the
-                schedule None are not advanced.
+            schedules: valve schedule for each run, which lasts a whole number of ticks.
+                Runs whose schedule is None are not advanced.
             samples: number of equally spaced samples of each run. The last sample is at
                 the end of the schedule.
 

@@ -79,7 +79,7 @@ class Loads(NamedTuple):
 class TwinSnake(PneumaticPlant):
     """Three-dimensional MuJoCo twin of a snake on wheels, skids or a skin.
 
-    A segment with the bend q exerts the moment k (q_f − q) + c (q̇_f − q̇), with the
+    A segment with bend q exerts the moment k (q_f − q) + c (q̇_f − q̇), with the
     free bend q_f, the stiffness k and the damping c. A massless segment without load
     therefore obeys Eq. 14.
 

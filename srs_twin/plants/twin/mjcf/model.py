@@ -8,7 +8,7 @@ A segment with the stiffness k and the damping c is a chain of n equal bending h
 each with the stiffness n k and the damping n c. One pitch hinge and one roll hinge in
 the middle of the segment distribute the floor load. The controls are the chamber
 pressures p⁺ and p⁻ in Pa. The actuators ``plus_j`` and ``minus_j`` exert the moment k G
-(p⁺ − p⁻), with the gain G, on the tendon ``bend_j``, whose length is the bend q_j of
+(p⁺ − p⁻), with gain G, on the tendon ``bend_j``, whose length is the bend q_j of
 the segment.
 
 A spatial robot has no pitch hinge. Each bending hinge is paired with a tilt hinge,
@@ -162,7 +162,7 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
         # There are few normal forces, so the engine may choose between a dense and a
         # sparse Jacobian. A strict tolerance is needed, because errors of 1e-7 in the
         # normal forces would push stopping wheels sideways, in a direction that depends
-        # on the processor.
+        # on the CPU.
         option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         option.tolerance = 1e-12
     else:

@@ -226,7 +226,7 @@ class ModelSettings:
 
     @property
     def loaded(self) -> bool:
-        """Whether the robot is on a floor with loaded contact."""
+        """Whether the loaded contact is used, which requires a robot on the floor."""
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
     def for_robot(self, spec: RobotSpec) -> ModelSettings:
