@@ -162,7 +162,8 @@ class PlantVariants:
         first_on: names of the switches in `first`.
         sets: simulated sets of active switches, the largest set last.
         same: names of the assumptions that both plants share.
-        refinements: refinements of approximations that only one plant makes.
+        refinements: refined numerical settings, one for each approximation that only
+            one plant makes.
     """
 
     def __init__(self, scenario: Scenario) -> None:

@@ -26,9 +26,9 @@ $$ P_j = \operatorname{sign}
 Valves can only open and close. To reduce its amplitude, a wave therefore rests at 0 for
 a fraction r of each period. The rest multiplies the amplitude of the fundamental by
 cos(π r/2). The pitch fraction s, from 0 to 1, is the amplitude of the pitch wave
-divided by the sum of both amplitudes. For s < 1/2, the pitch wave has the amplitude
-s/(1 − s). For s > 1/2, the lateral wave has the amplitude (1 − s)/s. Chamber c with the
-direction d_c fills where d_c · (S_j, P_j) > 0.
+divided by the sum of both amplitudes. For s < 1/2, the pitch wave has amplitude s/(1 −
+s). For s > 1/2, the lateral wave has amplitude (1 − s)/s. Chamber c with direction d_c
+fills where d_c · (S_j, P_j) > 0.
 
 | gait | pitch wave |
 |---|---|

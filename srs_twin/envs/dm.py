@@ -40,7 +40,7 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
 
     Attributes:
         episode: current episode, or None before the first reset.
-        result: result of the last step.
+        result: observation, reward and ending of the last step.
     """
 
     episode: Episode | None = None

@@ -54,7 +54,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     `TimeLimit` wrapper is needed.
 
     Attributes:
-        task: task of the environment.
+        task: simulated task, which defines observations, actions and rewards.
         episode: current episode, or None before the first `reset`.
     """
 

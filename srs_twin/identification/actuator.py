@@ -11,8 +11,8 @@ as scaling all gains. A fit therefore keeps `actuator.bend_rad` constant unless 
 among the requested parameters.
 
 If the log contains pressures instead of valve states, the model assumes that each bend
-lags its pressures by τ_mode. For pressures with the time constant τ₁, the relative
-error of the modelled bends is (τ_mode/τ₁)². The parameters τ_fill and τ_vent are not
+lags its pressures by τ_mode. For pressures with time constant τ₁, the relative error of
+the modelled bends is (τ_mode/τ₁)². The parameters τ_fill and τ_vent are not
 identifiable from pressures.
 """
 

@@ -116,7 +116,7 @@ class Parameter:
 
 
 def half_width(error: float, freedom: float) -> float:
-    """Return half the width of the confidence interval of a parameter.
+    """Return half the width of the confidence interval for a parameter.
 
     `error` is the standard error of the parameter, estimated with `freedom` degrees of
     freedom.

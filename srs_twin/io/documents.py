@@ -113,7 +113,7 @@ class Document:
         keys: line and column of each key in the file, keyed by the path of the key.
         refused: positions at which no further problems are reported.
         override_labels: labels of the applied overrides. A value set by the k-th
-            override has the position (−k, 0).
+            override has position (−k, 0).
     """
 
     name: str

@@ -109,9 +109,9 @@ class ContactEstimate:
         touched: whether a contact is detected.
         score: maximum ratio of a fitted force to its standard deviation, dimensionless.
         force: normal force, positive to the left of the body, N.
-        force_interval: credible interval of the force, N.
+        force_interval: credible interval for the force, N.
         place: distance of the contact behind the first connector along the body, m.
-        place_interval: credible interval of the position, m.
+        place_interval: credible interval for the position, m.
     """
 
     touched: bool

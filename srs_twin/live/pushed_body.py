@@ -231,7 +231,7 @@ class PushedBody:
         for i in range(self._steps):
             g = ((k - 1) * self._steps + i + 1) % len(inertia)
             # Without forces, the velocity in the world frame and the angular momentum
-            # are constant. The frame of the mean heading turns by the angle `turned`.
+            # are constant. The frame of the mean heading turns by `turned`.
             forward, lateral, yaw = u.T
             spin = inertia[g - 1] * yaw + self._relative[g - 1] - self._relative[g]
             turned = h * yaw

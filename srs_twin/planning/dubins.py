@@ -32,7 +32,7 @@ from srs_twin.robot.world import Pose
 _FULL_TURN = 2 * math.pi
 
 _ROUNDING = 1e-9
-"""Tolerance for rounding errors of distances (in radii) and angles (rad)."""
+"""Tolerance for rounding errors in distances (in radii) and angles (rad)."""
 
 
 class DubinsPath(NamedTuple):

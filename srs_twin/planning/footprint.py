@@ -287,7 +287,7 @@ def _interpolated(
 
 
 def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
-    """Return the errors of a footprint as pairs of field name and message."""
+    """Return the errors in a footprint as pairs of field name and message."""
     problems = []
     rows = len(footprint.offsets)
     for name in COLUMNS[1:]:

@@ -301,12 +301,12 @@ class FootprintFile(StrictModel):
 
 
 def load_footprint_file(name_or_path: StrPath) -> FootprintFile:
-    """Load and check a footprint file by its shipped name (gen4_table8) or its path."""
+    """Load and check a shipped footprint (gen4_table8) or a footprint file."""
     return load_model(FootprintFile, find_file("footprint", name_or_path))
 
 
 def load_footprint(name_or_path: StrPath) -> Footprint:
-    """Load a footprint by its shipped name (gen4_table8) or by the path of its file.
+    """Load a shipped footprint by name (gen4_table8), or a footprint file by path.
 
     Raises:
         InputError: the file is not found or cannot be read.

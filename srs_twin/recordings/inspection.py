@@ -133,7 +133,7 @@ def inspect(
     """Describe a recording and propose a map, like the command `srs-twin inspect`.
 
     Args:
-        path: path of a recording or a log.
+        path: path of a motion recording, or of a valve, pressure or bend log.
         map: recording map, its entries, or its path.
         robot: robot for which the file is checked, or None to skip this check.
 

@@ -12,7 +12,7 @@ $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
 (1 - \cos\theta)/\kappa + h_s \cos\theta \end{pmatrix}, \qquad
 M = \begin{pmatrix} 0 \\ h_m \end{pmatrix}. $$
 
-The magnet is modelled as a point dipole with the moment m along y (`up`) or x (`side`).
+The magnet is modelled as a point dipole with moment m along y (`up`) or x (`side`).
 With r = S − M, the field of the magnet is
 
 $$ B = \frac{\mu_0}{4\pi}\left(\frac{3\,(m\cdot r)\,r}{|r|^5} - \frac{m}{|r|^3}\right), $$

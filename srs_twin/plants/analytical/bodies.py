@@ -7,9 +7,9 @@ head to tail computes the acceleration a_j of each connector j,
 
 $$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi). $$
 
-Here chord j has the length L, the direction ψ, the unit vector e(ψ) along the chord and
-the unit vector e_⊥(ψ) normal to the chord. The loop from tail to head sums forces and
-moments. The moment T_j of segment j is the generalised force of the bend q_j.
+Here chord j has length L and direction ψ. The unit vector e(ψ) is parallel to the
+chord, and e_⊥(ψ) is normal to it. The loop from tail to head sums forces and moments.
+The moment T_j of segment j is the generalised force of the bend q_j.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ class Cells(LumpedSegments):
 
         Args:
             spec: robot whose body is divided.
-            cells: cells of each segment.
+            cells: division of each segment into cells.
             mass: masses at the ends of all cells, shape (points,), kg.
         """
         super().__init__(spec)

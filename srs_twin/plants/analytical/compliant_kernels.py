@@ -204,8 +204,8 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
         chord_rate = derivative * u[3 + j]
-        # The chord has the direction (c, s). The coefficients t change at the rate
-        # −forth along the chord and at the rate −aside across the chord.
+        # The chord has direction (c, s). The coefficients t change at rate −forth along
+        # the chord and at rate −aside across the chord.
         forward = chord.curvature * u[3 + j] + 0.5 * span * spin
         lateral = derivative * spin - 0.5 * chord_rate
         link = links[j]

@@ -60,8 +60,8 @@ class BodyParameters(NamedTuple):
             masses, shape (N,), kg·m².
         length: length l of each segment, shape (segments,), m.
         gap: rigid gap L_o, m.
-        frozen: 1 if all chords have the length l + L_o (model `simplified`), or 0 if
-            the chords shorten with the bend.
+        frozen: 1 if all chords have length l + L_o (model `simplified`), or 0 if the
+            chords shorten with the bend.
         weight: total mass M, kg.
         pitch: mean distance between the connectors of the straight body, m.
     """

@@ -69,8 +69,8 @@ class TwinBatch(Claimable):
             engine: "cpu" for MuJoCo, or "warp" for MuJoCo Warp.
             device: device of Warp, such as "cuda:0" or "cpu". The default is Warp's
                 default device.
-            **settings: keyword arguments of `__init__`. With `deterministic=True` Warp
-                sums in a fixed order.
+            **settings: keyword arguments of `__init__`. With `deterministic=True`, Warp
+                computes sums in a fixed order.
 
         Raises:
             InputError: MuJoCo Warp is not installed, or does not support the settings.

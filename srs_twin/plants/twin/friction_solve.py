@@ -513,7 +513,7 @@ def _friction_load(contacts, workspace, w):  # type: ignore[no-untyped-def]
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
     """Return the fraction θ of a step at which friction is evaluated.
 
-    If the slip decays by the factor e^(−x) per step, an implicit step with this θ has
+    If the slip decays by a factor of e^(−x) per step, an implicit step with this θ has
     the same decay. θ tends to 1/2 for slow decay and to 1 for fast decay.
     """
     if x > 0.1:
@@ -739,7 +739,7 @@ def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[
     for w in range(contacts.body.shape[0]):
         # tt, tn and nn are derivatives of r with respect to δ, where t stands for along
         # and n for across the heading. These derivatives have a factor of −θ h, because
-        # ∂u/∂δ is θ J and friction enters r with the factor −h.
+        # ∂u/∂δ is θ J and friction enters r with a factor of −h.
         weight = -workspace.theta[w] * h
         tt = weight * response[w, _DERIVATIVE_ALONG]
         tn = weight * response[w, _OFF_DIAGONAL]

@@ -245,7 +245,7 @@ class SnakePhysics(Stateful):
         Args:
             spec: robot to simulate.
             settings: time step, discretisation and contact.
-            chambers: chambers of the robot.
+            chambers: pneumatic model.
             supply_pa: maximum chamber pressure, Pa.
             world: obstacles and floor. Without `world`, the floor is level and has no
                 obstacles.
@@ -503,10 +503,9 @@ class SnakePhysics(Stateful):
     def controls(self, trace: Trace) -> np.ndarray:
         """Return the controls of the actuators for each row of a trace.
 
-        A segment with bend q and free bend q_f exerts the moment k (q_f − q) +
-        c (q̇_f − q̇), with the stiffness k and the damping c. The springs and dampers
-        of the joints act relative to the rest bends. The actuators exert the remainder
-        of the moment.
+        A segment with bend q and free bend q_f exerts the moment k (q_f − q) + c (q̇_f
+        − q̇), with stiffness k and damping c. The springs and dampers of the joints act
+        relative to the rest bends. The actuators exert the remainder of the moment.
         """
         spec = self._spec
         driven = (

@@ -261,7 +261,7 @@ PRESETS: dict[str, dict[str, float]] = {
 }
 """Arguments of `TwinSnake` for each preset.
 
-The script benchmarks/presets.py measures the errors of the presets. A step of 2 ms is
+The script benchmarks/presets.py measures the errors of each preset. A step of 2 ms is
 the longest round step below the damping time of the segments.
 """
 

@@ -338,7 +338,7 @@ def add_force_sensor(
 
     Args:
         mj: model, changed in place.
-        name: name of the sensor.
+        name: name of the new sensor.
         kind: type of `source`, a geom or a body.
         source: name of the geom or body that exerts the force. A body includes all its
             geoms.
