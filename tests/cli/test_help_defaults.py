@@ -58,6 +58,7 @@ PHRASES = {
     "one per processor",
     "those of the scenario",
     "from the scenario",
+    "the models that the scenario names",
     "models selected in the scenario",
     "the models named in the scenario",
     "the models that the sweep names",
