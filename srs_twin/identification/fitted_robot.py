@@ -122,7 +122,7 @@ def _changes(
         yield (
             name,
             "estimated",
-            f"held in fit {fit.name}: the fitted values depend on it",
+            f"held in fit {fit.name}; the fitted values depend on this number",
         )
 
 

@@ -353,8 +353,8 @@ def excursion_quantile(excursions: Sequence[float], probability: float) -> float
     excursion = sorted(excursions)[rank - 1]
     if excursion >= LOST_M:
         raise InputError(
-            f"no margin has the probability {probability:g}, because too many runs did"
-            " not reach the goal; choose a smaller probability"
+            f"no margin exists for a probability of {probability:g}, because too many"
+            " runs did not reach the goal; choose a smaller probability"
         )
     return max(excursion, 0.0)
 
