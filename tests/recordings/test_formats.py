@@ -636,7 +636,7 @@ def test_compression_bombs_are_refused_before_unpacking(
     monkeypatch.setattr(bags, "unpacked", None)  # not one chunk is
     with pytest.raises(
         InputError,
-        match=(r"unpacked chunks have \d+ MB, but at most \d+ MB .* a file of \d+ kB"),
+        match=(r"unpacked size is \d+ MB, but at most \d+ MB .* a file of \d+ kB"),
     ):
         read_markers(path)
 
