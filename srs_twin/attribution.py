@@ -114,7 +114,7 @@ class Switch(NamedTuple):
         name: short name.
         title: assumption of the model and assumption of the twin, separated by an
             arrow.
-        differs: whether the two plants of the scenario make different assumptions.
+        differs: whether the assumptions of the two plants in the scenario differ.
         options: arguments of the analytical model when the switch is active. Later
             switches override the arguments of earlier switches.
     """
@@ -162,7 +162,8 @@ class PlantVariants:
         first_on: names of the switches in `first`.
         sets: simulated sets of active switches, the largest set last.
         same: names of the assumptions that both plants share.
-        refinements: refinements of approximations that only one plant makes.
+        refinements: refined numerical settings, one for each approximation that only
+            one plant makes.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -520,7 +521,7 @@ def _is_script(controller: Controller) -> bool:
 def main_cause(
     scenario: Scenario, trajectories: Mapping[str, Trajectory]
 ) -> dict[str, Any] | None:
-    """Return the effect of compliance on the analytical model, from one additional run.
+    """Return the effect of compliance in the analytical model, from one additional run.
 
     Compliance usually makes the largest of the contributions that `explain` computes.
 

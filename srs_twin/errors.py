@@ -459,7 +459,10 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
     if not math.isfinite(ratio):
         period = format_exact(period_s)
         step = format_exact(step_s)
-        raise InputError(f"{name} {period} s is too long for {step_name} {step} s")
+        raise InputError(
+            f"{name} {period} s is too long for {step_name} {step} s: the number of steps"
+            " exceeds the range of floats"
+        )
     if not _is_whole(ratio):
         raise TimeStepError(name, period_s, step_name, step_s)
     return round(ratio)

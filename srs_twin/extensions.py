@@ -115,7 +115,7 @@ def load(entry: str) -> Any:
 
 
 def installed(table: Mapping[str, str]) -> dict[str, str]:
-    """Return the entries of a table whose extension is installed."""
+    """Return those entries of a table that belong to installed extensions."""
     return {name: entry for name, entry in table.items() if _is_installed(entry)}
 
 

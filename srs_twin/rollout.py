@@ -87,7 +87,7 @@ def rollout(
 
     Args:
         plant: simulated robot.
-        controller: controller of the valves.
+        controller: controller that computes the valve states.
         duration: simulated time, a multiple of the plant's tick, s.
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
         initial_state: function of plant and seed that sets another initial state, such
@@ -294,7 +294,7 @@ def sample_counts(
         raise InputError(
             f"`record_hz` {format_exact(record_hz)} does not fit the tick of"
             f" {format_exact(tick)} s; use {nearest_rate(record_hz, [grid])} Hz, or"
-            f" any whole multiple or fraction of {base}"
+            f" any integer multiple or integer fraction of {base}"
         )
     return max(1, round(tick * record_hz)), max(1, round(1 / (tick * record_hz)))
 
@@ -307,7 +307,7 @@ class Recorder:
         controller: controller whose signals are recorded.
         samples: number of samples per tick.
         stride: number of ticks per sample, or 1 if there are several samples per tick.
-        events: events of the controller.
+        events: events reported by the controller.
         ended_by: reason for an early end, "until" or "controller", or None if the run
             did not end early.
     """
@@ -467,8 +467,8 @@ class Job:
     Attributes:
         plant: simulated robot, or a function that builds it. A thread reuses the plant
             for consecutive jobs with the same function.
-        controller: controller of the valves, or a function that builds a controller for
-            every job.
+        controller: controller that computes the valve states, or a function that builds
+            a controller for every job.
         duration: simulated time, s.
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
         seed: random seed of plant and controller.

@@ -133,8 +133,8 @@ def test_incompatible_times_are_rejected_with_a_remedy():
     ):
         rollout(Clock(), Scripted(), 1.01)
     message = (
-        r"`record_hz` 70 does not fit the tick of 0.02 s; use 50 Hz, or any whole multiple"
-        r" or fraction of 50 Hz"
+        r"`record_hz` 70 does not fit the tick of 0.02 s; use 50 Hz, or any integer multiple"
+        r" or integer fraction of 50 Hz"
     )
     with pytest.raises(InputError, match=message):
         rollout(Clock(), Scripted(), 1.0, record_hz=70)

@@ -71,8 +71,8 @@ class NewRobotOptions:
 
     Options:
         --length M: Body length in metres. [default: 0.22]
-        --mass KG: Mass of the whole robot in kg. [default: mass of gen2, scaled to this
-            size]
+        --mass KG: Mass of the whole robot in kg. [default: mass of gen2, scaled to the
+            given length and number of segments]
         --segments N: Number of bending segments. [default: 4]
         --pressure KPA: Supply pressure (gauge) in kPa. [default: 48.3]
         --bend RAD: Bend of one segment at the supply pressure, or maximum angle of a
@@ -189,8 +189,8 @@ def robot(
 ) -> None:
     """Write a robot file for a robot of a given size.
 
-    The values of the shipped robot gen2 are scaled to this size. On a terminal, the
-    command asks for values that are not set by options.
+    The values are scaled from the robot gen2. On a terminal, the command asks for
+    values that are not set by options.
     """
     size = options.ask()
     from srs_twin.robot.file import load_robot
@@ -300,7 +300,7 @@ def study(
     scenario: str = "gen2_straight",
     out: OutOption = None,
 ) -> None:
-    """Write a study file that finds the fastest gait of a scenario.
+    """Write a study file for finding the fastest gait of a scenario.
 
     Options:
         --scenario SCENARIO: Name of a shipped scenario, or path of a scenario file.

@@ -52,8 +52,8 @@ class ReportOptions:
     """Options for reports and for the exit code.
 
     Options:
-        --junit FILE.xml: Write a JUnit XML report with the results of runs and
-            expectations to this file.
+        --junit FILE.xml: Write a JUnit XML report on the runs and their expectations to
+            this file.
     """
 
     check: CheckOption = False

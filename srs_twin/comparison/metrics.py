@@ -295,11 +295,11 @@ VALIDATION = (
 _SAME_RATIO = 0.01
 """Relative difference below which the plants are said to agree."""
 _PRESET = (
-    "The twin ran with preset {}, for searching: cite a run without it"
+    "The twin ran with preset {}, which is meant for searches: cite a run without it"
     " (docs/verification.md#presets)."
 )
 _OVERLAP = (
-    "Parts of the body overlap by up to {:.0f} mm ({}), as no robot can"
+    "Parts of the body overlap by up to {:.0f} mm ({}), which is impossible for a robot"
     " (docs/objects.md#limits)."
 )
 _COMPLIANCE = (

@@ -277,7 +277,7 @@ class _Cache(FunctionCache):
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
-        """Ignore errors of the cache, so that the compilation continues without it."""
+        """Ignore cache errors, so that the compilation continues without the cache."""
         try:
             yield
         except OSError as error:

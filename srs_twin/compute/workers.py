@@ -358,7 +358,7 @@ class _Worker:
 
     def receive(self) -> tuple[object, Exception | None]:
         """Return (result, None), or (None, error) if the task failed."""
-        # If the fork server has died, the pipe does not signal the end of the file.
+        # If the fork server has died, the pipe does not raise EOFError by itself.
         if not self.pipe.poll():
             raise EOFError
         answer: tuple[object, Exception | None] = pickle.loads(self.pipe.recv_bytes())

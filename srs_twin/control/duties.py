@@ -63,7 +63,8 @@ def validated_offset(offset: float) -> float:
     if not abs(offset) <= MAX_OFFSET:
         raise InputError(
             f"ilc offset {offset!r} is not allowed; it must be between -{MAX_OFFSET:g}"
-            f" and {MAX_OFFSET:g}, for which Section 5.1 gives targets"
+            f" and {MAX_OFFSET:g}, the offsets for which the dissertation gives targets"
+            " (Section 5.1)"
         )
     return float(offset)
 
@@ -83,7 +84,7 @@ def targets(amplitude: float, offset: float) -> np.ndarray:
 class ChamberPeriods(Stateful):
     """Gait periods of all chambers, and the maximum bend measured in each period.
 
-    All arrays have the shape (segments, 2).
+    All arrays have shape (segments, 2).
 
     Attributes:
         period: duration T of a period, s.
@@ -121,8 +122,8 @@ class ChamberPeriods(Stateful):
         self._tick = tick
         if self.period / tick < MIN_READINGS_PER_PERIOD * (1 - _PERIOD_ROUNDING):
             raise InputError(
-                f"a gait of {frequency:g} Hz has fewer than {MIN_READINGS_PER_PERIOD}"
-                f" readings per period at a tick of {tick:g} s; use a tick of at most"
+                f"at {frequency:g} Hz and with a tick of {tick:g} s, a gait period contains"
+                f" fewer than {MIN_READINGS_PER_PERIOD} readings; use a tick of at most"
                 f" {self.period / MIN_READINGS_PER_PERIOD:.4g} s, or a frequency of at"
                 f" most {1 / (MIN_READINGS_PER_PERIOD * tick):.4g} Hz"
             )
@@ -171,7 +172,7 @@ class ChamberPeriods(Stateful):
     def advance(self, time: float) -> np.ndarray:
         """Begin the periods that are due and return a mask of the completed periods.
 
-        The mask has the shape (segments, 2).
+        The mask has shape (segments, 2).
         """
         latest = time + self._tick - _PERIOD_ROUNDING * self.period
         begun = self.fill_starts + self.number * self.period < latest
@@ -225,7 +226,7 @@ class Duties(Stateful):
     ) -> list[Event]:
         """Update the duties of the selected chambers and return saturation events.
 
-        All arrays have the shape (segments, 2).
+        All arrays have shape (segments, 2).
         """
         self.error = np.where(chambers, target - peak, self.error)
         relative = np.abs(target - peak) / target

@@ -7,7 +7,7 @@ steering offset. S_j = +1 fills the + chamber of segment j and vents the − cha
 = −1 vents the + chamber and fills the − chamber. The sign of 0 is +1. The wave travels
 from head to tail and propels the snake forward. As printed, the wave of Eq. 13 travels
 in the opposite direction (E12). A positive φ turns the snake to the left. The mirror
-image of a gait has the offset −φ and the phase ψ + π.
+image of a gait has offset −φ and phase ψ + π.
 
 The wave has two extensions that are not part of the dissertation. Each segment may have
 an additional phase lag α_j. Both chambers may vent for a fraction r of the period,
@@ -26,9 +26,9 @@ $$ P_j = \operatorname{sign}
 Valves can only open and close. To reduce its amplitude, a wave therefore rests at 0 for
 a fraction r of each period. The rest multiplies the amplitude of the fundamental by
 cos(π r/2). The pitch fraction s, from 0 to 1, is the amplitude of the pitch wave
-divided by the sum of both amplitudes. For s < 1/2, the pitch wave has the amplitude
-s/(1 − s). For s > 1/2, the lateral wave has the amplitude (1 − s)/s. Chamber c with the
-direction d_c fills where d_c · (S_j, P_j) > 0.
+divided by the sum of both amplitudes. For s < 1/2, the pitch wave has amplitude s/(1 −
+s). For s > 1/2, the lateral wave has amplitude (1 − s)/s. Chamber c with direction d_c
+fills where d_c · (S_j, P_j) > 0.
 
 | gait | pitch wave |
 |---|---|
@@ -348,7 +348,7 @@ class Gait(Controller):
 def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
     """Return 1 above the rest level, −1 below the negated rest level, and 0 in between.
 
-    If the rest level is 0, the result is never 0: a value of 0 gives 1.
+    With a rest level of 0, the result for `value` = 0 is 1, so 0 is never returned.
     """
     # The tolerance makes the sign of an exact zero independent of rounding.
     low = -rest - 1e-12

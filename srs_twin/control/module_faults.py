@@ -115,7 +115,7 @@ class ModuleFaults(Stateful):
     ) -> None:
         """Start tests of the segments whose amplitudes contradict the duties.
 
-        All arrays have the shape (segments, 2).
+        All arrays have shape (segments, 2).
         """
         ended = ended & self.working[:, None] & ~np.isnan(peak)
         weak = (duty >= 1) & (peak < WEAK_RATIO * target)

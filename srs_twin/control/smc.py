@@ -17,10 +17,10 @@ $$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qqu
 The equation is solved exactly for a reading that varies linearly between ticks. At
 frequencies far below the cutoff, the filtered value and the rate are delayed by √2/ω_c.
 For a cutoff of 25 Hz the delay is 9 ms, a phase lag of 0.34 rad at 6 Hz. White noise
-with the standard deviation s, sampled with the period T, causes a standard deviation of
-about s √(ω_c³ T / √8) in the rate. Finite differences would cause s √2 / T. For noise
-of 0.2° sampled every millisecond and a cutoff of 25 Hz, the filter causes 7°/s and
-finite differences cause 283°/s.
+with standard deviation s, sampled with period T, causes a standard deviation of about s
+√(ω_c³ T / √8) in the rate. Finite differences would cause s √2 / T. For noise of 0.2°
+sampled every millisecond and a cutoff of 25 Hz, the filter causes 7°/s and finite
+differences cause 283°/s.
 
 `DirectSMC` sets the states of separate inlet and outlet valves (Eq. 31):
 

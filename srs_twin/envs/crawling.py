@@ -363,7 +363,7 @@ class CrawlTask(CameraTask):
         if camera.rate_hz * STEP_S < 1 - 1e-9:
             raise InputError(
                 f"a camera of {camera.rate_hz:g} Hz is too slow for steps of"
-                f" {STEP_S:g} s; it must have {1 / STEP_S:g} Hz or more"
+                f" {STEP_S:g} s; use a camera of {1 / STEP_S:g} Hz or more"
             )
         self.name = name
         self.arena = arena

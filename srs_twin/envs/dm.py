@@ -40,7 +40,7 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
 
     Attributes:
         episode: current episode, or None before the first reset.
-        result: result of the last step.
+        result: observation, reward and ending of the last step.
     """
 
     episode: Episode | None = None
@@ -134,7 +134,7 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
         )
 
     def get_observation(self, physics: EpisodePhysics) -> OrderedDict[str, np.ndarray]:
-        """Return the observations, which have the shape (1,), keyed by signal name."""
+        """Return the observations, which have shape (1,), keyed by signal name."""
         names = [signal.name for signal in self.task.observations]
         return OrderedDict(zip(names, physics.result.observation[:, None], strict=True))
 

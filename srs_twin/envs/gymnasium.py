@@ -54,7 +54,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     `TimeLimit` wrapper is needed.
 
     Attributes:
-        task: task of the environment.
+        task: simulated task, which defines observations, actions and rewards.
         episode: current episode, or None before the first `reset`.
     """
 
@@ -168,7 +168,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     def render(self) -> np.ndarray | None:
         """Return an image, or None if no render mode is set.
 
-        The image has the shape (height, width, 3) and the type uint8.
+        The image has shape (height, width, 3) and the type uint8.
 
         Raises:
             InputError: no episode has started, or OpenGL cannot render without a
@@ -207,7 +207,7 @@ def _checked_options(options: object) -> dict[str, Any]:
     if not isinstance(options, Mapping):
         raise InputError(
             f"the reset options {abbreviate(options)} are not allowed; give a dict"
-            f" with keys among {', '.join(_RESET_OPTIONS)}"
+            f" with keys from {', '.join(_RESET_OPTIONS)}"
         )
     check_names("option of reset", options, _RESET_OPTIONS)
     for name, (expected_type, expected) in _OPTION_TYPES.items():
@@ -331,7 +331,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step all environments with one action per environment.
 
-        The array of actions has the shape (environments, signals).
+        The array of actions has shape (environments, signals).
 
         Raises:
             InputError: the shape is wrong, or a value is not finite. If an error is

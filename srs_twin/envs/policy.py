@@ -94,8 +94,8 @@ class NetworkPolicy:
                     " or use another policy"
                 )
             raise InputError(
-                f"the policy does not fit. It was trained for the task {self.task} with"
-                f" the observations {', '.join(self.observations)}, but the task"
+                f"the policy was trained for the task {self.task} with the observations"
+                f" {', '.join(self.observations)}, but the task"
                 f" {task.name} {problem}"
             )
         indices = [names.index(name) for name in self.observations]
@@ -386,7 +386,7 @@ class Sidewinding(_Baseline):
 
 
 class SensedGrasp(_Baseline):
-    """Policy that uses the controller `control.grasp.Grasp` in its sensed mode."""
+    """Policy that uses the controller `control.grasp.Grasp` with ``mode="sensed"``."""
 
     _grasp: Grasp | None = None
 

@@ -11,8 +11,8 @@ as scaling all gains. A fit therefore keeps `actuator.bend_rad` constant unless 
 among the requested parameters.
 
 If the log contains pressures instead of valve states, the model assumes that each bend
-lags its pressures by τ_mode. For pressures with the time constant τ₁, the relative
-error of the modelled bends is (τ_mode/τ₁)². The parameters τ_fill and τ_vent are not
+lags its pressures by τ_mode. For pressures with time constant τ₁, the relative error of
+the modelled bends is (τ_mode/τ₁)². The parameters τ_fill and τ_vent are not
 identifiable from pressures.
 """
 
@@ -84,7 +84,7 @@ class Response:
     def from_recording(
         cls, recording: Recording, name: str, supply_pa: float
     ) -> Response:
-        """Create a response from a recording with a log.
+        """Create a response from a recording and its valve or pressure log.
 
         Bends from interpolated marker positions become NaN.
         """
@@ -211,7 +211,7 @@ def predict_response(
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Predict the bends and pressures of free segments for a clock offset (s).
 
-    Bends (rad) have the shape (samples, segments), and pressures (Pa) have the shape
+    Bends (rad) have shape (samples, segments), and pressures (Pa) have the shape
     (samples, segments, 2). The pressures are None if the response contains logged
     pressures.
     """

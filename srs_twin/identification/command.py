@@ -109,8 +109,8 @@ def friction(
 ) -> None:
     """Estimate mu_t and mu_n from pulls or coasting tests.
 
-    Pulls with a spring car are given as a table of spring deformations. Coasting tests
-    are given as recordings.
+    For pulls, give a table of the maximum deformations of the spring with which a car
+    pulls the robot. For coasting tests, give recordings.
 
     Options:
         --friction-law NAME: Friction law for coasting tests: wheel, axis, or ellipse
@@ -224,8 +224,8 @@ def locomotion(
 ) -> None:
     """Estimate friction, gap, masses or stiffness.
 
-    If the recordings contain markers, the rigid gap or the length of a segment is
-    measured from the markers.
+    If the recordings contain markers, the markers also determine the length of a
+    segment or of its straight part (rigid gap).
 
     Options:
         --plant NAME: Model whose parameters are fitted: analytical or twin.

@@ -8,7 +8,7 @@ is
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
 The initial information matrix is computed from the `uncertain` entries of the robot
-file. For a parameter with the value 0, such as drag, z is instead the parameter divided
+file. For a parameter with value 0, such as drag, z is instead the parameter divided
 by a tenth of the axial friction of the robot.
 
 The experiments are chosen one after another. Let w be the ratio of an interval width to

@@ -116,7 +116,7 @@ class Parameter:
 
 
 def half_width(error: float, freedom: float) -> float:
-    """Return half the width of the confidence interval of a parameter.
+    """Return half the width of the confidence interval for a parameter.
 
     `error` is the standard error of the parameter, estimated with `freedom` degrees of
     freedom.
@@ -129,7 +129,8 @@ def half_width(error: float, freedom: float) -> float:
 def verdict_on(error: float, scale: float) -> Verdict:
     """Return the verdict on a parameter with a given standard error.
 
-    `scale` is a significant change of the parameter, in the unit of the error.
+    `scale` is the size of a change in the parameter that counts as large, in the unit
+    of `error`.
     """
     if error <= IDENTIFIED_ERROR * scale:
         return "identified"
@@ -290,7 +291,9 @@ def _weighted_rms(residuals: Sequence[Residual]) -> float:
 
 
 def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
-    """Return whether the model explains all data and each kind of signal.
+    """Return whether the residuals are consistent with the noise.
+
+    The check covers all residuals together and each kind of signal.
 
     `scale` is the standard deviation of all weighted residuals.
     """

@@ -107,8 +107,8 @@ def check_disjoint(sets: Iterable[DataSet]) -> None:
     for used, new in product(fitted, validation):
         if used.overlaps(new):
             raise InputError(
-                f"{new.name}: these are the same data as {used.name}, to which the"
-                " model is fitted; validate with other data"
+                f"{new.name}: this data set contains the same data as {used.name}, to"
+                " which the model is fitted; validate with other data"
             )
 
 

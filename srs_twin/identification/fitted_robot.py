@@ -122,7 +122,7 @@ def _changes(
         yield (
             name,
             "estimated",
-            f"held in fit {fit.name}: the fitted values depend on it",
+            f"held in fit {fit.name}; the fitted values depend on this number",
         )
 
 
@@ -289,7 +289,7 @@ def calibrate_robot(
     Args:
         fits: paths of fit files of one robot. If several files contain the same
             parameter, the last file sets its value.
-        name: name of the robot.
+        name: name of the new robot.
         out: path of the robot file, or None to write nothing.
         weak: whether weakly identified parameters are included.
         overwrite: whether an existing file is replaced.

@@ -43,8 +43,9 @@ class MeasurementOptions:
         --frequency HZ: Frequency of the gait in Hz. [default: 2, or 1.5 for ilc]
         --target RAD: Target bend amplitude in rad, used only by the ilc controller.
         --plant NAME: Model to simulate: twin or analytical.
-        --contact NAME: Contact model of the twin: loaded or preloaded. [default:
-            loaded]
+        --contact NAME: Contact model of the twin: loaded (friction depends on the
+            instantaneous wheel load) or preloaded (friction under static loads).
+            [default: loaded]
         --chambers NAME: Pneumatic model of the chambers: lag (first order) or orifice
             (compressible flow).
         --offsets LIST: Steering offsets of the gait that are measured, for example

@@ -8,13 +8,13 @@ k, and from the mass m of the robot:
 $$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 
 The kinetic friction coefficient may be smaller. The estimate is the mean over all
-pulls. The standard error includes the errors of k and m, which are common to all pulls.
+pulls. The standard error includes the errors in k and m, which are common to all pulls.
 
 A table of pulls is a CSV file. The columns ``along_mm`` and ``across_mm`` contain the
-maximum spring deformation in pulls along and across the body. A row contains one pull
-in one or both directions. The columns ``spring_n_per_m`` and ``mass_kg`` must be
-constant, as must the optional columns of standard errors, ``spring_error_n_per_m`` and
-``mass_error_kg``.
+maximum spring deformation in pulls along and across the body. Each row contains one
+pull along the body, one pull across the body, or both. The columns ``spring_n_per_m``
+and ``mass_kg`` must be constant, as must the optional columns of standard errors,
+``spring_error_n_per_m`` and ``mass_error_kg``.
 
 **Coasting tests.** The robot with vented chambers is pushed and released on the floor.
 A straight robot decelerates by μ_t g/(1 + s) along the wheels and by μ_n g across the
@@ -180,7 +180,7 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
             means[k] = value.mean()
             variances[k] = value.var(ddof=1) / len(value)
             scatter[k] = max(value.std(ddof=1), 1e-12)
-    # Errors of k and m scale both coefficients by the same factor, so the coefficients
+    # Errors in k and m scale both coefficients by the same factor, so the coefficients
     # are correlated.
     covariance = np.diag(variances) + shared * np.outer(means, means)
     errors = np.sqrt(np.diag(covariance))
@@ -512,7 +512,7 @@ _STDS_IN_HALF_WIDTH = 1.96
 def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
     """Return the mean misalignment ε of the wheels of bent bodies, rad.
 
-    `bends` are in rad and have the shape (..., segments).
+    `bends` are in rad and have shape (..., segments).
     """
     weights = spec.mass.array() / spec.mass.total
     number = np.arange(len(weights))

@@ -2,8 +2,8 @@ r"""Free swing of a body that hangs on one segment.
 
 The upper end of the segment is clamped so that the segment hangs straight down. The
 lower end carries a body of mass m, whose moment of inertia about its centre is J. At
-the bend q, the chord of the segment has the length L(q) (`robot.geometry`) and the
-angle q/2 to the vertical. Lagrange's equation is
+bend q, the chord of the segment has length L(q) (`robot.geometry`) and is inclined by
+q/2 from the vertical. Lagrange's equation is
 
 $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
    = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
@@ -14,8 +14,8 @@ bend, and b is the rest bend without pressure. A real material recovers slowly a
 was bent, so b contains decaying exponentials.
 
 **Air.** If the chambers are open, φ = 0. In a closed chamber, the air has a constant
-temperature and the absolute pressure P. Through a leak with the rate λ, the amount of
-air n = P V tends to its value at the ambient pressure p₀:
+temperature and the absolute pressure P. Through a leak with rate λ, the amount of air n
+= P V tends to its value at the ambient pressure p₀:
 
 $$ \dot n = -\lambda\,(n - p_0 V) . $$
 
@@ -320,7 +320,7 @@ def constant_loss(material: Material, pulsation: float, rate: float) -> Branches
 
     At the angular frequency `pulsation` (rad/s), the material has the stiffness and
     loss factor of the given viscous material. The initial moments of the branches are
-    computed for a swing that passes the rest position with the bend rate `rate`
+    computed for a swing that passes the rest position with bend rate `rate`
     (rad/s).
     """
     x = _BRANCH_RATIOS

@@ -133,7 +133,7 @@ def identifiability(
     unidentifiable = directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
     # Without data, a parameter is uniformly distributed between its bounds. This
-    # distribution has the variance width²/12.
+    # distribution has variance width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
     fraction = np.linalg.norm(unidentifiable, axis=0)

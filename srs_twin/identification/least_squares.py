@@ -161,7 +161,7 @@ class Search:
         self._runs_left = np.inf
         self._best = SearchResult(np.zeros(0), np.inf, False)
         if not unknowns:
-            raise InputError("a fit needs at least one free parameter; give its name")
+            raise InputError("no parameter is given; name at least one free parameter")
         self.low = np.array([unknown.coordinate(unknown.low) for unknown in unknowns])
         self.high = np.array([unknown.coordinate(unknown.high) for unknown in unknowns])
         self.start = np.array(

@@ -8,7 +8,7 @@ $$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfra
 where P ∘ A is the pose at the end of an arc that starts at the pose P.
 
 `SteadyPath` describes crawling at a constant offset (Fig. 58, Table 8).
-`measure_transient` measures a change of offset at the time t_s. The pose P at t_s is
+`measure_transient` measures a change of offset at time t_s. The pose P at t_s is
 extrapolated from the steady arc before the change. If the curvature changed instantly,
 as in the dissertation, the snake would then follow the steady arc P ∘ A(v (t − t_s)) of
 the new offset. In fact, the path after the transient is

@@ -234,7 +234,7 @@ def _noise_scale(values: np.ndarray) -> np.ndarray:
     The scale is the smaller of the median magnitudes of the first and second
     differences. The median of the first differences is insensitive to steps, and the
     second differences are insensitive to ramps. For white noise, first differences are
-    smaller than second differences by the factor √3.
+    smaller than second differences by a factor of √3.
     """
     medians = [
         scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)

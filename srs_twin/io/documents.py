@@ -108,11 +108,12 @@ class Document:
     """Data of one file with the positions of its values, and the problems found so far.
 
     Attributes:
-        values: line and column of each value in the file, by the path of the value.
-        keys: line and column of each key in the file, by the path of the key.
+        values: line and column of each value in the file, keyed by the path of the
+            value.
+        keys: line and column of each key in the file, keyed by the path of the key.
         refused: positions at which no further problems are reported.
         override_labels: labels of the applied overrides. A value set by the k-th
-            override has the position (−k, 0).
+            override has position (−k, 0).
     """
 
     name: str

@@ -65,7 +65,7 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     folder are kept.
 
     Args:
-        folder: folder of the files.
+        folder: folder that contains the set.
         products: names of all files of the set, or patterns such as ``best/*.yaml``.
             The first file is the completion mark, which exists only in a complete set.
     """

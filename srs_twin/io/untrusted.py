@@ -8,7 +8,7 @@ Parquet: a file of 200 kB can contain a hundred million rows, so the sizes in th
 are checked before data are read. Pages are verified if the file contains checksums, as
 files written by this package do.
 
-NumPy: the size of an unpacked archive can be a thousand times the size of the file. In
+NumPy: an unpacked `.npz` archive can be a thousand times as large as the file. In
 addition, `numpy.load` allocates memory for whatever size an array header declares.
 """
 

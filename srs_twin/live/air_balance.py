@@ -14,8 +14,9 @@ one stroke.
 
 All chambers share one supply, whose gauge pressure S is modelled as a random walk. Let
 r_i be the measured minus the expected amount of air that flows into chamber i during a
-stroke. If h_i is the derivative of the amount with respect to S and v_i is an error,
-then r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the measurements of all chambers:
+stroke. Let h_i be the derivative of this expected amount with respect to S, and v_i the
+error. Then r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the measurements of all
+chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
@@ -241,8 +242,8 @@ class SupplyResidual(NamedTuple):
     Attributes:
         residual: measured minus expected amount of air, shape (segments, 2). Unknown
             residuals are NaN.
-        derivative: derivative of the amount with respect to the supply pressure, 1/Pa,
-            shape (segments, 2).
+        derivative: derivative of the expected amount with respect to the supply
+            pressure, 1/Pa, shape (segments, 2).
         sd: standard deviation of the residual, shape (segments, 2).
     """
 

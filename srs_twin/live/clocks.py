@@ -250,7 +250,7 @@ class ReorderBuffer:
         ]
 
     def pop_until(self, now: float) -> list[TimedMessage]:
-        """Return the messages that are due at the time `now` on the local clock (s)."""
+        """Return the messages that are due at time `now` on the local clock (s)."""
         self._calls += 1
         if self._calls % _HOLD_UPDATES == 0 and self.clocks:
             longest = max(

@@ -93,7 +93,7 @@ _CORRELATION = 2.0
 
 
 class CredibleInterval(NamedTuple):
-    """Interval that contains the true value with the probability `COVERAGE`."""
+    """Interval that contains the true value with probability `COVERAGE`."""
 
     low: float = math.nan
     high: float = math.nan
@@ -109,9 +109,9 @@ class ContactEstimate:
         touched: whether a contact is detected.
         score: maximum ratio of a fitted force to its standard deviation, dimensionless.
         force: normal force, positive to the left of the body, N.
-        force_interval: credible interval of the force, N.
+        force_interval: credible interval for the force, N.
         place: distance of the contact behind the first connector along the body, m.
-        place_interval: credible interval of the position, m.
+        place_interval: credible interval for the position, m.
     """
 
     touched: bool
@@ -254,8 +254,8 @@ class ContactObserver(Stateful):
         self._past = max(round(_ONSET_S * in_samples), 1)
         self._onset_step = max(round(_ONSET_STEP_S * in_samples), 1)
         self._gain = 1 - math.exp(-1 / (_FILTER_S * in_samples))
-        # A first-order filter with the gain g divides the variance of white noise and
-        # the number of independent values by (2 - g)/g.
+        # A first-order filter with gain g divides two quantities by (2 - g)/g: the
+        # variance of white noise and the number of independent values.
         self._independent = spec.segments * self._gain / (2 - self._gain)
         self._friction = spec.friction.mu_n * spec.mass.total * GRAVITY
         self.set_period(period)
@@ -368,7 +368,7 @@ class ContactObserver(Stateful):
     def _estimate(self, sample: np.ndarray, k: int) -> ContactEstimate:
         mean = self._sums[k]
         # The mean of n samples is uncertain, so the variance of the deviation is larger
-        # by the factor 1 + 1/n.
+        # by a factor of 1 + 1/n.
         fraction = math.sqrt(self._bins[k] / (self._bins[k] + 1))
         error = _deviation(sample, mean)
         pattern = self._learnt_gait().patterns[k]

@@ -119,7 +119,7 @@ class MessageOptions:
 
     Options:
         loss: Fraction of the messages that are lost.
-        jitter: Maximum delay of a message in seconds.
+        jitter: Maximum random delay of a sent message in seconds.
         publish_supply: Also publish the supply pressure.
         duration: Stop after this many seconds. [default: run until Ctrl-C]
         user: User name for the MQTT broker.

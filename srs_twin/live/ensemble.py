@@ -237,7 +237,7 @@ class EnsembleFilter:
         predicted = self._of("pressure").copy()
         innovation = pressure - predicted.mean(axis=0).reshape(-1, 2)
         # The rates are learnt before the pressures are corrected, because the
-        # correction would hide the errors of the rates.
+        # correction would hide the errors in the rates.
         self.rates.update(innovation, self.noise.pressure)
         variances = np.full(pressure.size, self.noise.pressure**2)
         measured = pressure.ravel()
@@ -352,7 +352,7 @@ class EnsembleFilter:
         """Advance the members over several intervals, and return their poses.
 
         Args:
-            inputs: inputs of the chambers in successive intervals.
+            inputs: valve states in successive intervals.
             dt: duration of an interval, s.
 
         Returns:

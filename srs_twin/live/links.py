@@ -218,7 +218,7 @@ class MqttLink(Link):
             robot: name of the robot, which is part of the topics.
             segments: number of segments of the robot.
             broker: address and login of the broker.
-            kinds: kinds of messages to receive.
+            kinds: message kinds to which the link subscribes.
             speaks: name of the robot whose status is set to `LOST` if the connection is
                 lost. If None, no status is published.
             chambers: number of chambers per segment of a spatial robot, or 0 for a

@@ -48,7 +48,7 @@ class ValveInput(NamedTuple):
 class Air(NamedTuple):
     """Chamber state of all members.
 
-    All arrays have the shape (members, segments, 2).
+    All arrays have shape (members, segments, 2).
 
     Attributes:
         pressure: gauge pressures p, Pa.
@@ -84,7 +84,7 @@ class MemberDynamics:
 
     $$ q_{f,j} = b_j + \varphi(G\,(g_j^+ \hat p_j^+ - g_j^- \hat p_j^-)) + d_j , $$
 
-    where p̂ is the pressure after a first-order lag with the time constant τ₂, g is the
+    where p̂ is the pressure after a first-order lag with time constant τ₂, g is the
     gain of a chamber, b is the rest bend and d is a disturbance. The pressures are
     computed with the first-order law of `pneumatics.lag` and corrected by the learnt
     rates of `pressure_table`.

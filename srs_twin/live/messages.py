@@ -68,12 +68,12 @@ class Message:
 
     The values depend on the kind of the message:
 
-    - Commands and valve states have the shape (segments, 2), or (segments, chambers)
+    - Commands and valve states have shape (segments, 2), or (segments, chambers)
       for a spatial robot. Pressures (Pa) have the same shape.
     - The supply pressure (Pa) is a scalar.
-    - Bends (rad) have the shape (segments,), or (segments, 2) for a spatial robot with
+    - Bends (rad) have shape (segments,), or (segments, 2) for a spatial robot with
       bends to the left and upwards. Missing bends are NaN.
-    - Poses have the shape (bodies, 4) and contain x, y, z (m) and heading (rad). The z
+    - Poses have shape (bodies, 4) and contain x, y, z (m) and heading (rad). The z
       axis points upwards. Unknown headings are NaN.
     - Messages of other kinds have no values.
 

@@ -125,7 +125,9 @@ class _Reader:
     def count(self) -> int:
         (count,) = self.read("i")
         if not 0 <= count <= _MOST:
-            raise BadMessageError(f"the length of a list is negative or above {_MOST}")
+            raise BadMessageError(
+                f"the packet states a list length of {count}; 0 to {_MOST} are allowed"
+            )
         return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:

@@ -54,7 +54,7 @@ _SCATTER = 0.001, 0.001, 0.02
 _ERROR_INFLATION = 1.3
 """Factor by which the standard deviation of W is increased.
 
-The errors of the cubic features recur in each gait period and are therefore
+The errors in the cubic features recur in each gait period and are therefore
 correlated."""
 _DIFFERENCE_RAD = 1e-4
 """Bend step for numerical differentiation, rad."""
@@ -276,8 +276,8 @@ class Odometry:
         Args:
             pose: mean pose before the correction by the frame.
             bend: mean bends before the correction, rad.
-            poses: poses of the members after the correction.
-            bends: bends of the members after the correction, rad.
+            poses: corrected poses of the ensemble members.
+            bends: corrected bends of the ensemble members, rad.
         """
         connection = self.connection
         now = bends.mean(axis=0)

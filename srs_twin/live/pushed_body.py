@@ -49,7 +49,7 @@ The time is multiplied by the time unit of the robot.
 class _Motion(NamedTuple):
     """Motion of the N connectors relative to the centre of mass over one period.
 
-    Vectors refer to the frame of the mean heading and have the shape (steps, N, 2).
+    Vectors refer to the frame of the mean heading and have shape (steps, N, 2).
 
     Attributes:
         place: positions of the connectors, m.
@@ -231,7 +231,7 @@ class PushedBody:
         for i in range(self._steps):
             g = ((k - 1) * self._steps + i + 1) % len(inertia)
             # Without forces, the velocity in the world frame and the angular momentum
-            # are constant. The frame of the mean heading turns by the angle `turned`.
+            # are constant. The frame of the mean heading turns by `turned`.
             forward, lateral, yaw = u.T
             spin = inertia[g - 1] * yaw + self._relative[g - 1] - self._relative[g]
             turned = h * yaw
@@ -265,7 +265,7 @@ class PushedBody:
     def _friction(self, g: int, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return wheel forces, shape (bodies, 4N), and the Jacobian of their resultant.
 
-        The Jacobian with respect to the velocities u has the shape (bodies, 3, 3).
+        The Jacobian with respect to the velocities u has shape (bodies, 3, 3).
         """
         spec = self._spec
         mu = spec.friction

@@ -93,9 +93,10 @@ class Shadow:
 
     Attributes:
         ensemble: filter for pose, bends and pressures.
-        command_period: period of the commands.
+        command_period: detector for the period of the commands.
         contact: estimator of the contact force.
-        prediction_calibration: calibration of the predictions based on earlier errors.
+        prediction_calibration: correction of the prediction intervals, based on earlier
+            errors.
         buffer: buffer that sorts messages by sending time.
         time: time to which the filters have advanced, on the local clock, s, or NaN
             before the first message.
@@ -285,8 +286,8 @@ class Shadow:
             return False
         self._used[message.source] = message.sent
         if message.kind != POSES and abs(interval) > LOST_AFTER_S:
-            # A robot with decreasing time stamps has restarted, which empties the
-            # chambers.
+            # Decreasing time stamps show that the robot has restarted. The chambers are
+            # then empty.
             self.faults.restart()
             self.interruptions += math.isfinite(interval)
         return True
@@ -444,7 +445,7 @@ class Shadow:
         pose = state.value[n:]
         sd = state.sd * self._intervals.scale
         pose_sd = sd[n:]
-        # The spread of the ensemble does not include constant errors of sensors and
+        # The spread of the ensemble does not include constant errors in sensors and
         # transport delays, so these errors are added.
         sensor_sd = self.faults.corrected(bend).sd
         delay_sd = TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]

@@ -195,8 +195,8 @@ def _checked(
         lab = lab.with_setup(options.setup, context)
     if lab.robot is None:
         raise InputError(
-            "no robot is given; give ROBOT, or a set-up file that names the robot with"
-            " --setup"
+            "no robot is given; give ROBOT, or use --setup with a set-up file that names"
+            " the robot"
         )
     if options.mcap is not None:
         require_file(options.mcap, suffix=".mcap")

@@ -18,11 +18,12 @@ at least its radius.
 A side of a polygon is divided into pieces at its intersections with the edges n = l and
 n = -r (quadratic equations) and with the ends s = ±h (linear equations). The side does
 not overlap the sector if no piece has its midpoint in the sector. A polygon that
-contains the whole sector needs no check. The sectors of a plan are connected and start
-outside all polygons, so an earlier sector would cross a side of this polygon.
+contains the whole sector needs no check. The sectors of a plan are connected, and the
+first sector starts outside all polygons. A path into the polygon would therefore cross
+a side in an earlier sector.
 
 Motion primitives are the arcs from a search node to its children (Section 5.2.1). The N
-arcs have turns α from -α_max to α_max and the length v Δt. With θ' = θ + α and r =
+arcs have turns α from -α_max to α_max and a length of v Δt. With θ' = θ + α and r =
 vΔt/α (Eq. 33 with corrected signs, E7), the end of an arc is
 
 $$ x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ) $$

@@ -3,7 +3,7 @@
 The search grows a tree from the start. If the footprint has no transients, the search
 also grows a tree from the goal. If no tree succeeds in the first round, the planner
 tries to prove that no path exists. It then grows another tree with the heuristic from
-`guidance`. Finally, the path is shortened by Dubins paths between poses of the path.
+`guidance`. Finally, parts of the path are replaced by shorter Dubins paths.
 """
 
 from __future__ import annotations

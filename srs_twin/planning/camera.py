@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 _TIME_ROUNDING = 1e-9
-"""Tolerance for rounding errors of sums of time steps (s) and frame numbers."""
+"""Tolerance for rounding errors in sums of time steps (s) and in frame numbers."""
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from srs_twin.robot.world import Pose
 _FULL_TURN = 2 * math.pi
 
 _ROUNDING = 1e-9
-"""Tolerance for rounding errors of distances (in radii) and angles (rad)."""
+"""Tolerance for rounding errors in distances (in radii) and angles (rad)."""
 
 
 class DubinsPath(NamedTuple):
@@ -55,7 +55,7 @@ def shortest_path(
 ) -> ArcSequence:
     """Return the three arcs of the shortest path to a pose or to a point.
 
-    An arc may have the length 0.
+    An arc may have length 0.
 
     Args:
         start: start pose.

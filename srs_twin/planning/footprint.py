@@ -46,7 +46,7 @@ class Transient:
     Attributes:
         before, after: offset before and after the change.
         left, right: extra widths of the left and right edges, m.
-        length: length of the path along which the edges are wider after the change, m.
+        length: path length after the change over which the edges are wider, m.
         dx, dy: final displacement forward and to the left, relative to an instantaneous
             change, m.
         dheading: final heading change to the left, relative to an instantaneous change,
@@ -287,7 +287,7 @@ def _interpolated(
 
 
 def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
-    """Return the errors of a footprint as pairs of field name and message."""
+    """Return the errors in a footprint as pairs of field name and message."""
     problems = []
     rows = len(footprint.offsets)
     for name in COLUMNS[1:]:

@@ -301,12 +301,12 @@ class FootprintFile(StrictModel):
 
 
 def load_footprint_file(name_or_path: StrPath) -> FootprintFile:
-    """Load and check a footprint file by its shipped name (gen4_table8) or its path."""
+    """Load and check a shipped footprint (gen4_table8) or a footprint file."""
     return load_model(FootprintFile, find_file("footprint", name_or_path))
 
 
 def load_footprint(name_or_path: StrPath) -> Footprint:
-    """Load a footprint by its shipped name (gen4_table8) or by the path of its file.
+    """Load a shipped footprint by name (gen4_table8), or a footprint file by path.
 
     Raises:
         InputError: the file is not found or cannot be read.
@@ -353,8 +353,8 @@ def excursion_quantile(excursions: Sequence[float], probability: float) -> float
     excursion = sorted(excursions)[rank - 1]
     if excursion >= LOST_M:
         raise InputError(
-            f"no margin has the probability {probability:g}, because too many runs did"
-            " not reach the goal; choose a smaller probability"
+            f"no margin exists for a probability of {probability:g}, because too many"
+            " runs did not reach the goal; choose a smaller probability"
         )
     return max(excursion, 0.0)
 

@@ -144,8 +144,8 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     never overlapped an obstacle, otherwise 0. The body can overlap an obstacle only on
     the analytical plant.
     - ``arrival_error_m``: distance of the centre of mass from the goal.
-    - ``arrival_heading_error_rad``: error of the heading, averaged over a gait period
-    and extrapolated to the end, or None if the goal has no heading.
+    - ``arrival_heading_error_rad``: heading error, averaged over a gait period and
+      extrapolated to the end, or None if the goal has no heading.
 
     The metric ``following_time_s`` is the duration, ``replans`` is the number of new
     plans, and the metrics ``plan_…`` describe the first plan.

@@ -180,7 +180,7 @@ class ReferencePath:
         return rows[:, 0], rows[:, 1]
 
     def curvature(self, s: float) -> float:
-        """Return the curvature (1/m) at s (m), which is 0 on the extensions."""
+        """Return the curvature (1/m) at s (m), or 0 if s is on an extension."""
         return float(self.arcs[self._arc_index(s), 3])
 
     def pose(self, s: float) -> Pose:

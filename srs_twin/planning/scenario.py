@@ -64,7 +64,8 @@ class PlannerSection(ExtensionSection):
     uses_goal = True
 
     footprint: PathOrName
-    """Footprint of the body, as a shipped name or the path of a footprint file."""
+    """Footprint of the body: name of a shipped footprint, or path of a footprint
+    file."""
     turn_fraction: float = quantity(0.05, 1.0, 1.0)
     """Fraction of the tightest curvature that plans may use. The follower needs the
     rest for corrections.
@@ -313,10 +314,11 @@ PLANNER_FILES: dict[str, type[PlannerSection]] = {
 
 @dataclass(frozen=True)
 class ScenarioPlanner:
-    """Planner of a scenario.
+    """Planner configured by a scenario.
 
     Attributes:
-        footprint: footprint of the robot without margin and with all turns.
+        footprint: measured footprint, without margin and including turns that the plan
+            may not use.
         problem: problem whose footprint has been reduced by the turn fraction and
             widened by the margin.
     """

@@ -8,7 +8,7 @@ the values g + h of the expanded nodes therefore never decrease. For w > 1, the 
 at most w times as long as the shortest path on these arcs and cells.
 
 When a node is expanded, the Dubins path from the node to the goal is tested. If this
-Dubins path is collision-free, it completes a plan. The open list is a binary heap. The
+Dubins path is collision-free, a plan is found. The open list is a binary heap. The
 closed set is a hash table with one node per cell of poses. Only a node with a shorter
 path replaces the node of a cell. The search is therefore finite but incomplete: a pose
 that was dropped might have had a collision-free continuation.

@@ -87,7 +87,7 @@ def collision_lines(
     Args:
         position: positions of the connectors, shape (samples, N, 2), m.
         connector_heading: headings of the connectors, shape (samples, N), rad.
-        geometry: geometry of the robot.
+        geometry: dimensions of the robot.
         hinges: number of hinges per segment.
     """
     length = geometry.segment_length

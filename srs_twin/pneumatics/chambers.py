@@ -64,10 +64,10 @@ def volume(dead, displacement, bend, side):  # type: ignore[no-untyped-def]  # n
     return dead, 0.0
 
 
-# Linear bend (rad) below which φ(x)/x is replaced by its limit for x → 0.
+# Value of x (rad) below which φ(x)/x is replaced by its limit for x → 0.
 _MIN_LINEAR_RAD = 1e-9
 
-# Maximum linear bend (rad) in the search of `invert_bend_law`.
+# Maximum x (rad) in the search of `invert_bend_law`.
 _SEARCH_LIMIT_RAD = 1e3
 
 NO_LIMIT_RAD = 1e3
@@ -192,7 +192,7 @@ def chamber_gains(spec: RobotSpec) -> Array:
 def air_bend(spec: RobotSpec, pressure: Array) -> Array:
     """Return the free bends φ(x) (rad) without the rest bends.
 
-    The gauge pressures have the shape (…, segments, 2), in Pa.
+    The gauge pressures have shape (…, segments, 2), in Pa.
     """
     return free_bends(spec, _linear_bend(spec, pressure))
 
@@ -201,7 +201,7 @@ def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
     """Return the free bends φ(|x|) x/|x| (rad) of a spatial robot without rest bends.
 
     The last axis of the result contains the left and the upward component. The gauge
-    pressures have the shape (…, segments, chambers), in Pa.
+    pressures have shape (…, segments, chambers), in Pa.
     """
     linear = (chamber_gains(spec) * pressure) @ spec.chamber.axes
     size = np.linalg.norm(linear, axis=-1, keepdims=True)

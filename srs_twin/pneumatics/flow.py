@@ -132,7 +132,7 @@ def _conductance(
         return REFERENCE_PA * c * passed(at) / (dead + growth * (2 * at + AMBIENT_PA))
 
     def rate(at: float) -> float:
-        # The volume V is evaluated at the bend G (p − τ₂ ṗ). The expansion of the chamber
+        # The volume V is evaluated at bend G (p − τ₂ ṗ). The expansion of the chamber
         # contributes (p + P_a) dV/dp to the capacity.
         chamber_volume = dead + growth * (at - lag * rate_without_lag(at))
         expansion = (

@@ -25,7 +25,7 @@ from srs_twin.robot.spec import RobotSpec
 class SpatialLagPneumatics(LagChambers):
     """Chambers with a first-order lag that bend a segment in several directions.
 
-    The arrays `bend` and `rest_bend` and the bends of a `Trace` have the shape (…,
+    The arrays `bend` and `rest_bend` and the bends of a `Trace` have shape (…,
     segments, 2), with components to the left and upwards.
     """
 

@@ -155,8 +155,8 @@ def inspect(
     whether the files can be read as recordings of this robot.
 
     Options:
-        robot: Robot for which the recordings are checked, as the name of a shipped
-            robot or the path of a robot file.
+        robot: Robot for which the recordings are checked: name of a shipped robot, or
+            path of a robot file.
         picture: Draw the markers from above and write the picture to this file. With
             several recordings, each file name is prefixed by the recording name.
         write_map: Write the proposed recording map to this file.

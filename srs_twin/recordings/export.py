@@ -15,7 +15,7 @@ The topics of a plant, for example ``twin``, are:
   ``chambers``.
 
 Time stamps and log times are simulated times since the start of the run. All poses and
-shapes are given in the frame ``world``, where planar robots have the height 0.
+shapes are given in the frame ``world``, where planar robots are at a height of 0.
 """
 
 from __future__ import annotations

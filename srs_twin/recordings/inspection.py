@@ -133,7 +133,7 @@ def inspect(
     """Describe a recording and propose a map, like the command `srs-twin inspect`.
 
     Args:
-        path: path of a recording or a log.
+        path: path of a motion recording, or of a valve, pressure or bend log.
         map: recording map, its entries, or its path.
         robot: robot for which the file is checked, or None to skip this check.
 
@@ -332,8 +332,8 @@ def _rigid_pairs(
     closest = np.nanmin(median, axis=0)
     constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
     rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
-    # On a body that hardly bends, many distances are nearly constant. Markers with more
-    # than one constant distance are therefore excluded.
+    # On a body that hardly bends, many distances are nearly constant. Markers that have
+    # a constant distance to several other markers are therefore excluded.
     single = rigid.sum(axis=0) == 1
     return tuple(
         (int(a), int(b))

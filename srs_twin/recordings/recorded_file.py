@@ -420,7 +420,7 @@ def read_bytes(path: StrPath) -> RecordedFile:
         megabytes = place.stat().st_size / (1 << 20)
         limit = MAX_BYTES >> 20
         raise file.error(
-            f"the file has {megabytes:.0f} MB, but at most {limit} MB are allowed;"
+            f"the file size is {megabytes:.0f} MB, but at most {limit} MB are allowed;"
             " export a shorter recording"
         )
     if not file.raw.strip():

@@ -2,7 +2,7 @@ r"""Chamber model that drives a plant with recorded pressures.
 
 The pressures are interpolated linearly between the samples of the log, and are constant
 before and after the log. The linear bend x responds to the drive u = G (g⁺p⁺ − g⁻p⁻)
-with the time constant τ₂, as in `lag`. If the drive is u₀ + m t,
+with time constant τ₂, as in `lag`. If the drive is u₀ + m t,
 
 $$ x(t) = u_0 + m (t - \tau_2) + (x_0 - u_0 + m \tau_2)\, e^{-t/\tau_2}. $$
 

@@ -201,9 +201,9 @@ class TableRows(Section):
     `at`. If `at` is 0, absolute values are compared.
     """
     fit: list[Name] = []
-    """Columns whose numbers may be used for calibration."""
+    """Columns whose values calibration may use."""
     fit_at: list[float] = []
-    """Settings at which numbers in the columns of `fit` may be used for calibration."""
+    """Settings of the rows in which calibration may use the columns of `fit`."""
     could_fail: dict[Name, Falsifiability]
     """Sentence for each column that states whether its claims could have failed."""
     could_fail_fit: Falsifiability
@@ -225,9 +225,9 @@ class TableRows(Section):
     def is_fitted(
         self, column: str, at: float, rows: Sequence[Mapping[str, float]]
     ) -> bool:
-        """Return whether a number may be used for calibration.
+        """Return whether calibration may use the value of `column` in the row at `at`.
 
-        A number also counts as used if an equal number in the same column is used.
+        This is also true if calibration may use an equal value of the same column.
         """
         if column not in self.fit:
             return False
@@ -359,7 +359,7 @@ class Claim(Section):
 
     @property
     def fitted(self) -> bool:
-        """Whether the claim may be used for calibration, and so is not a prediction."""
+        """Whether calibration may use the claim, which is then not a prediction."""
         return self.use == "fit"
 
     @property
@@ -391,7 +391,7 @@ class Claim(Section):
         return [self.measure] if self.measure else self.measures
 
     def with_switch(self, cause: Cause) -> Claim:
-        """Return the claim with the scenario fields of a reason changed."""
+        """Return the claim with the scenario changes that `cause` specifies."""
         measures = [
             measure.model_copy(update={"set": {**measure.set, **cause.set}})
             for measure in self.all_measures
@@ -423,7 +423,7 @@ COLUMNS = get_args(Column)
 
 
 def claims_file() -> Path:
-    """Return the shipped claims file."""
+    """Return the path of `claims.yaml` in the package data."""
     return data_root() / "calibration/published/claims.yaml"
 
 

@@ -43,7 +43,8 @@ def reproduce(
             with ID and a dot, for example gen3. Can be repeated.
         --quick: Judge only the claims that need short simulations.
         --out DIR: Output folder. Finished runs are kept there and reused.
-        --no-figures: Omit the figures, and the simulations that only figures need.
+        --no-figures: Omit the figures, and skip simulations that are needed only for
+            figures.
         --write-baseline: Store the verdicts as the new baseline.
         --scorecard: Print only the credibility grades according to NASA-STD-7009,
             without running simulations.

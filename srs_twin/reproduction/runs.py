@@ -72,7 +72,7 @@ class ReproductionJob:
 
 @cache
 def sweep_of(name: str) -> Sweep:
-    """Return a shipped sweep by name."""
+    """Load a sweep once and return it from the cache afterwards."""
     return load_sweep(name)
 
 

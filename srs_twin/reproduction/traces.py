@@ -73,7 +73,7 @@ def sensor_error(run: Trajectory) -> float | None:
 
 
 def algorithm_1_error(run: Trajectory) -> float | None:
-    """Return the maximum error of the bends computed by Algorithm 1 (Table 3), rad."""
+    """Return the maximum error in the bends computed by Algorithm 1 (Table 3), rad."""
     heading = _marker_headings(run)
     bend = measured_bend(heading[:, :-1], heading[:, 1:])
     return float(np.abs(bend - run.stack("bend")).max())

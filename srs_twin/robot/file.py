@@ -548,7 +548,7 @@ def resolve_robot(
     Problems and implausible numbers are reported to the document.
 
     Args:
-        document: document of the scenario.
+        document: parsed scenario file.
         robot: name or path of a robot, or a mapping. A mapping with the key `base`
             overrides another robot. Any other mapping contains all parameters.
         prefix: path of `robot` in the document.

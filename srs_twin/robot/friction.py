@@ -72,7 +72,8 @@ def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def] 
 
 def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return force (N) and derivatives (N·s/m) of the `wheel` law."""
-    # The slip direction cosines a_t and a_lat use the regularised speed 1/r.
+    # a_t and a_lat are the direction cosines of the slip. The speed in their
+    # denominator is regularised and equals 1/r.
     r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
     r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
     a_t = v_t * r

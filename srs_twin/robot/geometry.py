@@ -103,7 +103,10 @@ def chord(bend: Array, length: float, gap: float) -> Array:
 
 
 def relative_headings(bend: Array) -> Array:
-    """Compute headings (…, N) relative to the mean heading from bends (…, N − 1), rad."""
+    """Compute the connector headings relative to the mean heading, rad.
+
+    `bend` (rad) has shape (…, N − 1), and the result has shape (…, N).
+    """
     from_head = np.concatenate(
         [np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1
     )

@@ -32,7 +32,7 @@ class _Quantity(NamedTuple):
 
     Attributes:
         name: plural name of the quantity, used in messages.
-        unit: unit of the keys.
+        unit: unit in which the robot file states the quantity.
         below: maximum plausible ratio of the median size to a size estimate.
         above: maximum plausible ratio of a size estimate to the median size.
         usual: typical ratio of each parameter to the robot's size, keyed by path.

@@ -28,7 +28,7 @@ class Violation(NamedTuple):
 
 
 def raise_violations(violations: Iterable[Violation]) -> None:
-    """Raise an `InputError` that lists the reasons of all violations, if any."""
+    """Raise an `InputError` that lists the reasons if there are violations."""
     if reasons := [violation.reason for violation in violations]:
         raise InputError("; ".join(reasons))
 

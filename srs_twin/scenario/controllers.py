@@ -334,7 +334,7 @@ class _TrackingFile(ControllerSection):
         return reference.limited(limit, self.beyond_range)
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """Yield a warning if the reference saturates at the bend `limit` (rad)."""
+        """Yield a warning if the reference saturates at bend `limit` (rad)."""
         if unlimited := getattr(self.within(limit), "unclipped", None):
             yield (
                 f"controller.reference: {unlimited.peak:.4g} rad is limited to"

@@ -125,7 +125,7 @@ class ExpectationRow(TypedDict, total=False):
             "not_judged". Rows written by earlier versions have no state.
         reason: why the expectation is not judged, or None.
         near: expected or published value.
-        source: source of a published value.
+        source: publication or measurement that states the value.
         expected_failure: known reason why the expectation is missed.
         within: name of the interval that must contain the published value.
         verdict: "within", "undecided" or "outside".
@@ -136,7 +136,7 @@ class ExpectationRow(TypedDict, total=False):
         largest: name of the largest uncertainty.
         largest_parameter: parameter that contributes most to `u_input`, if `u_input` is
             the largest uncertainty.
-        width: width of the interval.
+        width: difference between the upper and the lower interval bound.
         score: interval score (Gneiting and Raftery 2007), which is low for narrow
             intervals that contain the published value.
         interval: lower and upper interval bound.

@@ -68,7 +68,8 @@ class _ArgumentsSection(Section):
     Field names end with an underscore to avoid name clashes with methods.
 
     Attributes:
-        not_written: fields whose default value cannot be restored from a file.
+        not_written: fields that are written only if they were set, because a file
+            cannot express their default value.
     """
 
     not_written: ClassVar[set[str]]

@@ -75,8 +75,9 @@ def arithmetic() -> str:
 
     The name has three parts. The first part is the processor for which kernels are
     compiled (`NUMBA_CPU_NAME`). The second part names the BLAS kernels of NumPy and
-    SciPy (`OPENBLAS_CORETYPE`). The third part is a digest of processor features and of
-    values computed by the C library, NumPy and BLAS, which select code by processor.
+    SciPy (`OPENBLAS_CORETYPE`). The third part is a digest of the processor features
+    and of values computed by the C library, NumPy and BLAS. These libraries run
+    different code on different processors.
     """
     from numba.core.registry import cpu_target
 

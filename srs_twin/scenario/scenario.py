@@ -131,14 +131,14 @@ class Scenario:
 
     @property
     def expect(self) -> tuple[Expectation, ...]:
-        """Expectations that the changed fields do not invalidate."""
+        """Expectations that remain valid with the changed fields."""
         return tuple(
             item for item in self.file.expect if not invalidated_by(item, self.changes)
         )
 
     @property
     def left_out(self) -> list[dict[str, Any]]:
-        """Expectations that the changed fields (`because`) invalidate."""
+        """Expectations that are invalid because of the changed fields (`because`)."""
         pairs = (
             (item, invalidated_by(item, self.changes)) for item in self.file.expect
         )

@@ -12,7 +12,7 @@ $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
 (1 - \cos\theta)/\kappa + h_s \cos\theta \end{pmatrix}, \qquad
 M = \begin{pmatrix} 0 \\ h_m \end{pmatrix}. $$
 
-The magnet is modelled as a point dipole with the moment m along y (`up`) or x (`side`).
+The magnet is modelled as a point dipole with moment m along y (`up`) or x (`side`).
 With r = S − M, the field of the magnet is
 
 $$ B = \frac{\mu_0}{4\pi}\left(\frac{3\,(m\cdot r)\,r}{|r|^5} - \frac{m}{|r|^3}\right), $$
@@ -92,7 +92,7 @@ def strip_bend(bend: Array, chamber: str) -> Array:
     Args:
         bend: bend q of the segment, any shape, rad. If the bend is NaN, the result is
             NaN.
-        chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`.
+        chamber: name of the chamber cross-section, a key of `STRIP_PRESSURE_FACTOR`.
     """
     factor = STRIP_PRESSURE_FACTOR[chamber]
     if factor == 0.0:
@@ -155,7 +155,7 @@ class Strip:
         moment: magnetic moment |m|, A·m².
         magnet_height: height h_m of the magnet's centre, m.
         element_height: height h_s of the element, m.
-        chamber: cross-section of the chambers, a name in `STRIP_PRESSURE_FACTOR`.
+        chamber: name of the chamber cross-section, a key of `STRIP_PRESSURE_FACTOR`.
             Rectangular chambers press on the strip.
     """
 
@@ -428,7 +428,7 @@ class HallCalibration:
     monotonic: bool
 
     def angle(self, voltage: Array | float) -> Array:
-        """Return the bends (rad) for voltages of any shape (V).
+        """Return the bends (rad) for voltages (V) in an array of any shape.
 
         Beyond the span, the line is extrapolated.
         """
@@ -460,8 +460,8 @@ def fit_line(voltage: Array, angle: Array) -> HallCalibration:
     if low == high or (np.diff(angle) <= 0).any():
         raise InputError(
             f"a calibration line cannot be fitted to voltages between {low:g} and"
-            f" {high:g} V; the voltages must differ, and the angles must increase from"
-            " value to value"
+            f" {high:g} V; the voltages must differ, and each angle must be larger than"
+            " the angle before it"
         )
     v = voltage - voltage.mean()
     q = angle - angle.mean()

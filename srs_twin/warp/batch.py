@@ -87,8 +87,8 @@ class WarpBatch(Claimable):
             twins: twin of each run. Runs with equal robots may share one object.
             device: Warp's device name, such as "cuda:0". The default is Warp's default
                 device.
-            deterministic: whether Warp sums in a fixed order, so that repeated runs are
-                bit-identical.
+            deterministic: whether sums are computed in a fixed order, so that repeated
+                runs are bit-identical.
 
         Raises:
             InputError: there is no twin, the twins differ in settings that all runs

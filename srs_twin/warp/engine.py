@@ -71,8 +71,8 @@ class DeviceEngine:
             robots: distinct twins.
             robot_of_run: index of each run's twin.
             device: Warp device.
-            deterministic: whether Warp sums in a fixed order, so that repeated runs are
-                bit-identical.
+            deterministic: whether sums are computed in a fixed order, so that repeated
+                runs are bit-identical.
 
         Raises:
             InputError: the robots differ in a property that all worlds share.

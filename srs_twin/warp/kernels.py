@@ -452,7 +452,7 @@ _PARTS = (
 def integrate_position(
     qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float
 ):
-    """Integrate the positions over the time h (s) at constant velocities.
+    """Integrate the positions over time h (s) at constant velocities.
 
     The coordinates of the free joint precede the coordinates of the hinges.
     """

@@ -80,7 +80,7 @@ PHRASES = {
     "local",
     "orifice, or lag for spatial robots",
     "4",
-    "mass of gen2, scaled to this size",
+    "mass of gen2, scaled to the given length and number of segments",
     "NAME.yaml, or NAME.py for a controller",
     "all trajectories in an MCAP file, only the twin in other files",
     "a file in the folder of the run, such as RUN/twin.csv or RUN/run.mcap",

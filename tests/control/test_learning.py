@@ -439,7 +439,8 @@ def test_invalid_arguments_are_refused(arguments, words):
 def test_ticks_with_too_few_readings_per_period_are_refused():
     controller = ILC(7.0, carrier_hz=60.0)
     words = (
-        "a gait of 7 Hz has fewer than 8 readings per period at a tick of 0.02 s; use"
+        "at 7 Hz and with a tick of 0.02 s, a gait period contains fewer than 8"
+        " readings; use"
         " a tick of at most 0.01786 s, or"
     )
     with pytest.raises(InputError, match=words):

@@ -112,12 +112,12 @@ EMPTY_STATE = SavedState({}, {})
 OPTIONS = {
     "no options": (
         1,
-        "the reset options 1 are not allowed; give a dict with keys among state, snake,"
+        "the reset options 1 are not allowed; give a dict with keys from state, snake,"
         " yaw_rate, goal",
     ),
     "list": (
         [],
-        r"the reset options \[\] are not allowed; give a dict with keys among",
+        r"the reset options \[\] are not allowed; give a dict with keys from",
     ),
     "unknown": ({"stat": 1}, r"unknown option of reset 'stat'; did you mean state\?"),
     "number": ({1: 1}, r"unknown option of reset '1'"),

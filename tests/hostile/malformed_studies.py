@@ -115,7 +115,7 @@ FIT_MALFORMED = edited(
         (
             "b" * 64,
             "a" * 64,
-            ":8:3: data: later.csv: these are the same data as pulls.csv",
+            ":8:3: data: later.csv: this data set contains the same data as pulls.csv",
         ),
         (
             "role: validation",

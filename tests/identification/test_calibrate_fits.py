@@ -165,7 +165,7 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
     [
         (
             ["friction", "p.csv", "--validate", "p.csv"],
-            "p.csv: these are the same data as p.csv, to which the model is fitted",
+            "p.csv: this data set contains the same data as p.csv, to which the model is fitted",
         ),
         (
             ["friction", "p.csv", "q.csv"],

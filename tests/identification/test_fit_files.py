@@ -229,14 +229,17 @@ def test_the_format_refuses_shared_fit_and_validation_data(tmp_path: Path):
         DataSet("a.csv", "a" * 64, "fit", 300),
         DataSet("again.csv", "a" * 64, "validation", 300),
     ]
-    with pytest.raises(InputError, match="again.csv: these are the same data as a.csv"):
+    with pytest.raises(
+        InputError, match="again.csv: this data set contains the same data as a.csv"
+    ):
         fit_file(fit.estimate(), **ABOUT, data=same)
     path = tmp_path / "x.yaml"
     path.write_text(
         write_fit(fit, tmp_path / "y.yaml").read_text().replace("b" * 64, "a" * 64)
     )
     with pytest.raises(
-        InputFileError, match=r"x.yaml:\d+:\d+: data: b.csv: these are the same data"
+        InputFileError,
+        match=r"x.yaml:\d+:\d+: data: b.csv: this data set contains the same data",
     ):
         load_fit(path)
     halves = [replace(data, from_s=k, to_s=k + 1.0) for k, data in enumerate(same)]

@@ -136,9 +136,9 @@ def test_run_records_its_preset(srs_twin, tmp_path, twin, named):
     report = (tmp_path / "run/report.html").read_text("utf-8")
     assert metrics.get("preset") == named
     for text in (" ".join(done.stdout.split()), report):
-        assert (f"The twin ran with preset {named}, for searching:" in text) == (
-            named is not None
-        )
+        assert (
+            f"The twin ran with preset {named}, which is meant for searches:" in text
+        ) == (named is not None)
 
 
 def test_other_settings_have_no_preset(srs_twin, tmp_path):

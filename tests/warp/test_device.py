@@ -387,9 +387,7 @@ def test_sweep_agrees_with_the_cpu_engine(tmp_path):
     (tmp_path / "s.yaml").write_text(SWEEP)
     found = load_sweep(tmp_path / "s.yaml")
     here = {row.number: row.result for row in local(1)(found.experiment, found.points)}
-    with pytest.warns(
-        EngineWarning, match="2 of 4 points run on the processor: .*'orifice'"
-    ):
+    with pytest.warns(EngineWarning, match="2 of 4 points run on the CPU: .*'orifice'"):
         there = {
             row.number: row.result
             for row in on_device("cpu", 1)(found.experiment, found.points)
@@ -446,9 +444,7 @@ def test_unsupported_sweep_points_run_once_on_the_cpu(tmp_path, monkeypatch):
     )
     found = load_sweep(tmp_path / "s.yaml")
     points = [replace(found.points[0], changes={"seed": seed}) for seed in range(5)]
-    with pytest.warns(
-        EngineWarning, match="5 of 5 points run on the processor: it cannot"
-    ):
+    with pytest.warns(EngineWarning, match="5 of 5 points run on the CPU: it cannot"):
         rows = list(on_device(None, 1)(found.experiment, points))
     assert [(row.number, row.result) for row in rows] == [
         (k, {"seed": k}) for k in range(5)

@@ -107,7 +107,7 @@ class RequiredPackage:
     """Package that srs_twin requires.
 
     Attributes:
-        name: name of the distribution.
+        name: name of the distribution on the package index.
         requirement: requirement in pip syntax, such as "mujoco<4,>=3.17".
         installed: installed version, or None.
         fits: whether the installed version satisfies the requirement.

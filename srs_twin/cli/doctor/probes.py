@@ -98,7 +98,7 @@ class Probe(NamedTuple):
     """Probe with the information shown to the user.
 
     Attributes:
-        topic: topic of the check.
+        topic: name of the checked feature in the output.
         run: function called in the child process.
         remedy: remedy shown if the probe fails.
     """

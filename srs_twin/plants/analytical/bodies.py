@@ -7,9 +7,9 @@ head to tail computes the acceleration a_j of each connector j,
 
 $$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi). $$
 
-Here chord j has the length L, the direction ψ, the unit vector e(ψ) along the chord and
-the unit vector e_⊥(ψ) normal to the chord. The loop from tail to head sums forces and
-moments. The moment T_j of segment j is the generalised force of the bend q_j.
+Here chord j has length L and direction ψ. The unit vector e(ψ) is parallel to the
+chord, and e_⊥(ψ) is normal to it. The loop from tail to head sums forces and moments.
+The moment T_j of segment j is the generalised force of the bend q_j.
 """
 
 from __future__ import annotations
@@ -398,7 +398,7 @@ def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
 class CompliantBends(Body):
     """Body of the model `compliant`, whose segments are springs and dampers.
 
-    A segment with the bend q and the free bend q_f exerts the moment k (q_f − q) + c
+    A segment with bend q and free bend q_f exerts the moment k (q_f − q) + c
     (q̇_f − q̇), where k is the stiffness and c = k · damping_time the damping. Without
     mass and load, the bend of a segment equals the free bend, which obeys Eq. 14.
     Inertia and friction deflect the segment from the free bend.

@@ -1,16 +1,16 @@
 """Division of segments into cells, for bodies with skin or with obstacle contact.
 
-A segment of constant curvature with the bend q is divided into a chain of arcs, which
-are called cells. Cell c has the bend s_c q, where s_c is the cell's fraction of the
-bend. The contact points of the body are at the ends of the cells, and the mass is
+A segment of constant curvature with bend q is divided into a chain of arcs, which are
+called cells. The bend of cell c is s_c q, where s_c is the fraction of q assigned to
+the cell. The contact points of the body are at the ends of the cells, and the mass is
 distributed over these points by the trapezoidal rule. The kernels treat the cells as
 the segments of a longer chain. The mean heading over all contact points differs from
 the mean heading over the connectors by a linear function of the bends.
 
 For prescribed bends, the moment of a segment is T_j = Σ s_c T_c, where T_c is the
 moment of cell c. This sum follows from the virtual work T_j δq_j. In the `compliant`
-model the bends of the cells are degrees of freedom. A cell has the stiffness k/s_c and
-the damping c/s_c, so that the cells in series have the segment's stiffness k and
+model the bends of the cells are degrees of freedom. The stiffness of a cell is k/s_c
+and its damping is c/s_c, so that the cells in series have the segment's stiffness k and
 damping c. Cells in the rigid gap are much stiffer.
 
 A wheeled robot is also divided if it can touch obstacles, because a load between two
@@ -135,7 +135,7 @@ class Cells(LumpedSegments):
 
         Args:
             spec: robot whose body is divided.
-            cells: cells of each segment.
+            cells: division of each segment into cells.
             mass: masses at the ends of all cells, shape (points,), kg.
         """
         super().__init__(spec)

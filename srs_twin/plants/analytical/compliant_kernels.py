@@ -179,7 +179,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model. An array argument has the shape (segments, cells)."""
+        """Return the model. An array argument has shape (segments, cells)."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells
@@ -204,8 +204,8 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
         chord_rate = derivative * u[3 + j]
-        # The chord has the direction (c, s). The coefficients t change at the rate
-        # −forth along the chord and at the rate −aside across the chord.
+        # The chord has direction (c, s). The coefficients t change at rate −forth along
+        # the chord and at rate −aside across the chord.
         forward = chord.curvature * u[3 + j] + 0.5 * span * spin
         lateral = derivative * spin - 0.5 * chord_rate
         link = links[j]
@@ -445,7 +445,7 @@ def _eliminate_bend(j, a, model, workspace):  # type: ignore[no-untyped-def]
             + link[_BEND_Y_RATE] * matrix[_Y_RATE, k]
         )
     pivot[_RIGHT] += workspace.residual[3 + j]
-    # In the momentum equation of an implicit step, damping has the factor a and
+    # In the momentum equation of an implicit step, damping has a factor of a and
     # stiffness the factor a².
     bend_stiffness = a * model.damping[j] + a * a * model.stiffness[j]
     stiff = bend_stiffness + _by_bend(link, pivot)
@@ -539,7 +539,8 @@ class WorkArrays(NamedTuple):
     """Work arrays for N connectors.
 
     Attributes:
-        body: posed body (`kinematics`), shape (ROWS, N).
+        body: poses and velocities of the connectors (rows as in `kinematics`), shape
+            (ROWS, N).
         links: coefficients that propagate z over a segment, shape (segments,
             _LINK_COLUMNS).
         loads: momenta, friction and mass matrices of the connectors, shape (N,

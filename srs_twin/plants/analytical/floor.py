@@ -7,7 +7,7 @@ equation of motion
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}. $$
 
 Here f is the friction law with the coefficients μ_t along and μ_n across the heading,
-for a normal load of g per unit mass. Wheel w has the radius R and the moment of inertia
+for a normal load of g per unit mass. Wheel w has radius R and moment of inertia
 I_w about its axle, and M is the mass of the robot. The spin of the wheels adds the
 relative inertia s along the heading, which increases the stopping distance by the
 factor 1 + s. No other force acts, so neither component of v changes sign. Each
@@ -15,7 +15,7 @@ component is integrated by the midpoint rule until it is 0. The positions depend
 smoothly on the velocities and coefficients, as parameter fits require.
 
 **Instantaneous loads.** A connector of weight W has two wheels at the distance a on
-either side of its centre line, and its centre of mass is at the height h. A lateral
+either side of its centre line, and its centre of mass is at height h. A lateral
 force F_n increases the load of the outer wheel. The connector is assumed not to tip
 over. The friction law gives the lateral forces φ_L and φ_R per unit load of the left
 and right wheel, so the loads N_L and N_R are
@@ -52,8 +52,8 @@ class FloorFriction(NamedTuple):
         case: tuple of None whose length is the index into `_CASES`. The length of a
             tuple is part of its numba type. A kernel is therefore compiled only for the
             number of contacts and the friction law of its floor.
-        track: distance of the two contacts of a connector from the centre line, m. The
-            value 0 means one contact per connector.
+        track: distance of each of the two contacts of a connector from the centre line,
+            m. The value 0 means one contact per connector.
         mu_t, mu_n: friction coefficients along and across the heading, dimensionless.
         slip: slip speed ε, m/s.
         drag: axial drag on each connector, N.
@@ -122,7 +122,7 @@ def _one_contact(friction_law, along, across, spin, weight, floor):  # type: ign
 @kernel_only
 def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
     # `left` and `right` are outputs of a friction law, to be multiplied by `a` and `b`.
-    # `arm` is the distance of the two contacts from the centre line (m).
+    # `arm` is the distance of each contact from the centre line (m).
     a_t, a_n, a_tt, a_tn, a_nt, a_nn = left
     b_t, b_n, b_tt, b_tn, b_nt, b_nn = right
     return ContactTerms(
@@ -208,8 +208,8 @@ def floor_friction(
 
     Args:
         friction_law: friction law, one of `robot.friction.FRICTION_LAWS`.
-        track: distance of the two contacts from the centre line, m. The value 0 means
-            one contact per connector.
+        track: distance of each of the two contacts from the centre line, m. The value 0
+            means one contact per connector.
         mu_t: friction coefficient along the heading, dimensionless.
         mu_n: friction coefficient across the heading, dimensionless.
         slip: slip speed ε, m/s.
@@ -249,8 +249,8 @@ def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
     """Return a floor on which a body at rest does not creep down a slope.
 
     Under a regularised friction law, any force moves a contact. On a slope, the slip
-    speed is therefore reduced in proportion to `speed`, which is the approximate
-    maximum speed of the body in m/s.
+    speed is therefore reduced to a fixed fraction of `speed`, the approximate maximum
+    speed of the body in m/s.
     """
     slip = floor.slip
     if floor.pull_x != 0.0 or floor.pull_y != 0.0:
@@ -509,8 +509,8 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         force[i, 2] = terms.m
 
 
-# At this ratio of speed to slip speed, the friction force is within 1e-4 of its limit,
-# even for a friction ellipse with an axis ratio of 1:14.
+# If a contact moves at this multiple of the slip speed, the friction force is within
+# 1e-4 of its limit, even for a friction ellipse with an axis ratio of 1:14.
 _SLIDING_RATIO = 1000.0
 
 _MIN_SLIP_SPEED = 1e-7  # Minimum slip speed on a slope at a time unit of 1, m/s.

@@ -1,11 +1,11 @@
 r"""Compiled kernels of the models with prescribed bends (`complete`, `simplified`).
 
-**Forward dynamics.** The connectors have the masses m_i, the total mass M and the
-moments of inertia J_i, which are 0 for point masses. The chambers prescribe the bends
-q(t), so only the pose of the body is unknown. Connector i has the position r_i and the
-heading θ + φ_i(q), where θ is the mean heading. Let r_c be the centre of mass and
-ρ_i(q) the position r_i − r_c in the frame of the mean heading. The velocity v of the
-centre of mass and the angular momentum L obey
+**Forward dynamics.** The connectors have masses m_i, with the sum M, and moments of
+inertia J_i, which are 0 for point masses. The chambers prescribe the bends q(t), so
+only the pose of the body is unknown. Connector i has position r_i and heading θ +
+φ_i(q), where θ is the mean heading. Let r_c be the centre of mass and ρ_i(q) the
+position r_i − r_c in the frame of the mean heading. The velocity v of the centre of
+mass and the angular momentum L obey
 
 $$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i, \qquad
    L = I(q)\,\dot\theta + h(q, \dot q). $$
@@ -173,8 +173,8 @@ def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-unt
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
-        # The chord has the direction (c, s) and turns at the rate chord_spin. The
-        # second derivative of the chord vector has the components `along` and `across`.
+        # The chord has direction (c, s) and turns at rate chord_spin. The second
+        # derivative of the chord vector has the components `along` and `across`.
         chord_spin = yaw + body[SPIN, j] - rate[j] / 2
         along = (
             derivative * acceleration[j]

@@ -14,8 +14,8 @@ import numpy as np
 from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.robot import geometry
 
-# Rows of a posed body, which is an array of shape (ROWS, N) with one column per
-# connector.
+# Rows of a body array, shape (ROWS, N), which contains the poses and velocities of the
+# connectors, one column per connector.
 COS = 0  # Cosine of the connector's heading relative to the mean heading.
 SIN = 1  # Sine of the connector's heading relative to the mean heading.
 SPIN = 2  # Rate of the connector's heading relative to the mean heading, rad/s.
@@ -25,10 +25,11 @@ VX = 5  # velocity, m/s
 VY = 6
 ROWS = 7
 
-# Columns of the load on a connector in the `compliant` model: momentum relative to the
-# centre of mass, force and moment, and the Newton matrix. The Newton matrix is the mass
-# minus γ h times the derivative of the force with respect to the velocity. In the names
-# of the matrix entries, M stands for the yaw rate.
+# Columns of the array with loads on the connectors in the `compliant` model. They
+# contain the momentum relative to the centre of mass, the force and moment, and the
+# Newton matrix. The Newton matrix is the mass minus γ h times the derivative of the
+# force with respect to the velocity. In the names of the matrix entries, M stands for
+# the yaw rate.
 MOMENTUM_X = 0
 MOMENTUM_Y = 1
 MOMENTUM_YAW = 2
@@ -59,8 +60,8 @@ class BodyParameters(NamedTuple):
             masses, shape (N,), kg·m².
         length: length l of each segment, shape (segments,), m.
         gap: rigid gap L_o, m.
-        frozen: 1 if all chords have the length l + L_o (model `simplified`), or 0 if
-            the chords shorten with the bend.
+        frozen: 1 if all chords have length l + L_o (model `simplified`), or 0 if the
+            chords shorten with the bend.
         weight: total mass M, kg.
         pitch: mean distance between the connectors of the straight body, m.
     """
@@ -96,7 +97,7 @@ class BodyParameters(NamedTuple):
 
 
 class Chord(NamedTuple):
-    """Chord between the ends of a segment with the bend q.
+    """Chord between the ends of a segment with bend q.
 
     Attributes:
         cos_half, sin_half: cosine and sine of q/2, the angle between the chord and the

@@ -1,10 +1,10 @@
 r"""Contact of the `compliant` model with obstacles.
 
 **Shapes.** The body is a chain of straight stretches, one around each point of the
-chain of `cells`. A stretch has the heading of its point, round ends and the half width
-w, and it reaches half way to the neighbouring points. Each circle and each side of a
-polygon is represented by a line segment with a radius. A contact force acts where a
-stretch is closest to an obstacle, and it loads only the point of this stretch.
+chain of `cells`. A stretch has the heading of its point, round ends and half width w.
+It reaches half way to the neighbouring points. Each circle and each side of a polygon
+is represented by a line segment with a radius. A contact force acts where a stretch is
+closest to an obstacle, and it loads only the point of this stretch.
 
 **Law.** The normal force N and the friction f_t of a contact depend on the overlap δ
 and on the normal and tangential velocities v_n and v_t of the body at the contact. A
@@ -454,7 +454,7 @@ def fill_rates(obstacles, model, free, free_rates, rates, workspace):  # type: i
     implicit method evaluates the stiff normal forces when an impact has almost stopped
     the body. `ENERGY_LOSS` then holds the work of the compressed air, whose rate Σ T_j
     q̇_f,j is smooth. Here T = k (q_f − q) + c (q̇_f − q̇) is the torque of a whole
-    segment with the bend q, the free bend q_f, the stiffness k and the damping c.
+    segment with bend q, free bend q_f, stiffness k and damping c.
 
     Args:
         obstacles: obstacles with the forces of the stage.

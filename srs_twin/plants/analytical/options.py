@@ -79,9 +79,9 @@ class AnalyticalOptions:
             twice (E19).
         base: support of the snake, "free" on the floor, or with its head "clamped" in
             the air. "compliant" bodies cannot be clamped.
-        track: distance of the two contacts of a connector from the centre line, m. The
-            default for laws with wheels or skids is the robot's half track. The default
-            for other laws is 0, and each connector then has one contact.
+        track: distance of each of the two contacts of a connector from the centre line,
+            m. The default for laws with wheels or skids is the robot's half track. The
+            default for other laws is 0, and each connector then has one contact.
         contact: whether the body touches obstacles (module `obstacles`), which requires
             the model "compliant". Without contact, the body passes through obstacles.
         cells: approximate number of cells per segment, for a wheeled robot that can

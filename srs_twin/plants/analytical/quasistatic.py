@@ -5,23 +5,23 @@ rotation from the frame of the segment's rear connector to the frame of the fron
 connector. The components z, −y and x of w are the bend to the left, the bend upwards
 and the twist. The generalised coordinates are the pose of the head connector and the
 bends q and twists of all segments. Weight and contacts act at points along the axis of
-the body, which has the radius r.
+the body, which has radius r.
 
 **Equilibrium.** Without inertia, the forces are balanced at all times. The chambers
-impose the free bends q̂ with the stiffness k and the damping c. Point i has the height
-z_i, the mass m_i and the normal load N_i. In a time step of length h, the velocities of
-the coordinates minimise
+impose the free bends q̂ with stiffness k and damping c. Point i has height z_i, mass
+m_i and normal load N_i. In a time step of length h, the velocities of the coordinates
+minimise
 
 $$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,\dot q^2
    + \sum_i m_i g\,h \dot z_i + \tfrac{\kappa_i}2 \max(0, r - z_i - h\dot z_i)^2 + h
    \sum_i N_i D(s_i) + \tfrac h2 \sum_i \frac{m_i}{\tau}(\dot z_i^2 + \dot\rho_i^2), $$
 
 divided by h. The first three terms are the elastic energy, the dissipation in the
-segments, and the potential energy of the weight. The floor has the stiffness κ_i = m_i
-g/δ, so that a resting point sinks by δ. D(s_i) is the dissipation potential of a
+segments, and the potential energy of the weight. The stiffness of the floor is κ_i =
+m_i g/δ, so that a resting point sinks by δ. D(s_i) is the dissipation potential of a
 friction law. The slip s_i is the velocity of the material point vertically below the
-axis. The last term is a drag with the time constant τ. As a result, the pose at rest
-has the minimum potential energy, and the body moves along the floor with the minimum
+axis. The last term is a drag with time constant τ. As a result, the pose at rest has
+the minimum potential energy, and the body moves along the floor with the minimum
 dissipated power.
 
 The normal loads N_i that multiply D depend on the solution. A step is therefore solved
@@ -131,7 +131,7 @@ class QuasistaticArcs(Body):
     """Body of the model `quasistatic`, with states as in `spatial_kinematics`.
 
     Attributes:
-        constants: constants of the body and of the floor.
+        constants: parameters of body and floor that do not change during a run.
         workspace: work arrays of a time step.
     """
 
@@ -195,7 +195,7 @@ class QuasistaticArcs(Body):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`. The bends have the shape (samples, segments, 2)."""
+        """See `Body.motion`. The bends have shape (samples, segments, 2)."""
         shape = len(states), self._spec.segments, 3
         bend = states[:, kinematics.BENDS : self._impulses.start].reshape(shape)[
             ..., :2

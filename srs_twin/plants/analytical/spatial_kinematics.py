@@ -111,7 +111,8 @@ class Workspace(NamedTuple):
         force: friction along and across the body, shape (S P, 2), N.
         linear: derivative of the residual without contacts, shape (velocities,
             velocities).
-        at_rest: residual without contacts at zero velocities, shape (velocities,).
+        at_rest: residual without contacts if all velocities are zero, shape
+            (velocities,).
         matrix: lower triangle of the Newton matrix, shape (velocities, velocities).
         residual, direction, trial: vectors of the Newton method, shape (velocities,).
         bend, bend_rate: free bends (rad) and their rates (rad/s), with a twist of 0,
@@ -236,7 +237,7 @@ def _arc(w, u, lengths, offset, turn, derivatives):  # type: ignore[no-untyped-d
     m_x = turn[0, 0]
     m_y = turn[1, 0]
     m_z = turn[2, 0]
-    # The chord of an arc with the bend b is parallel to the tangent in the middle of
+    # The chord of an arc with bend b is parallel to the tangent in the middle of
     # the arc. The ratio of the chord to the arc is sin(b/2)/(b/2).
     bend = math.sqrt(y * y + z * z)
     a = u * bend / 2

@@ -69,8 +69,8 @@ class TwinBatch(Claimable):
             engine: "cpu" for MuJoCo, or "warp" for MuJoCo Warp.
             device: device of Warp, such as "cuda:0" or "cpu". The default is Warp's
                 default device.
-            **settings: keyword arguments of `__init__`. With `deterministic=True` Warp
-                sums in a fixed order.
+            **settings: keyword arguments of `__init__`. With `deterministic=True`, Warp
+                computes sums in a fixed order.
 
         Raises:
             InputError: MuJoCo Warp is not installed, or does not support the settings.
@@ -189,8 +189,8 @@ class TwinBatch(Claimable):
         """Execute schedules of valve commands without feedback.
 
         Args:
-            schedules: schedule of each run over a whole number of ticks. Runs with the
-                schedule None are not advanced.
+            schedules: valve schedule for each run, which lasts a whole number of ticks.
+                Runs whose schedule is None are not advanced.
             samples: number of equally spaced samples of each run. The last sample is at
                 the end of the schedule.
 

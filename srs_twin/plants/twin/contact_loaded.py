@@ -5,7 +5,7 @@ In MuJoCo, the contacts between wheels and floor are frictionless (condim 1). A 
 module computes the time steps in a compiled loop that calls the engine's C functions.
 The module `friction_solve` computes the friction of one step and lists the symbols.
 
-**Equation of a step.** A step has the length h, the initial velocity v₋ and the final
+**Equation of a step.** A step of length h starts with velocity v₋ and ends with
 velocity v. MuJoCo first solves the step with the friction forces f̂ of the previous
 step, which gives the velocity v̂:
 

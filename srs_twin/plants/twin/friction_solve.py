@@ -210,8 +210,8 @@ class Workspace(NamedTuple):
         theta: fraction θ of the step, shape (C,).
         step_motion, mid_motion: spatial velocities of v̂ − v₋ and of (v₋ + v̂)/2, shape
             (nv, 6).
-        motion: spatial velocities of δ, or the spatial forces exerted by friction,
-            shape (nv, 6).
+        motion: work array for the spatial velocities due to δ, and for the spatial
+            forces exerted by friction, shape (nv, 6).
         impulse: spatial impulses due to the change of the contact forces, shape (nv,
             6).
         derivative: spatial derivatives of the contact forces, shape (nv, 6, 6).
@@ -513,7 +513,7 @@ def _friction_load(contacts, workspace, w):  # type: ignore[no-untyped-def]
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
     """Return the fraction θ of a step at which friction is evaluated.
 
-    If the slip decays by the factor e^(−x) per step, an implicit step with this θ has
+    If the slip decays by a factor of e^(−x) per step, an implicit step with this θ has
     the same decay. θ tends to 1/2 for slow decay and to 1 for fast decay.
     """
     if x > 0.1:
@@ -738,8 +738,8 @@ def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[
         clear(derivative[i])
     for w in range(contacts.body.shape[0]):
         # tt, tn and nn are derivatives of r with respect to δ, where t stands for along
-        # and n for across the heading. These derivatives have the factor −θ h, because
-        # ∂u/∂δ is θ J and friction enters r with the factor −h.
+        # and n for across the heading. These derivatives have a factor of −θ h, because
+        # ∂u/∂δ is θ J and friction enters r with a factor of −h.
         weight = -workspace.theta[w] * h
         tt = weight * response[w, _DERIVATIVE_ALONG]
         tn = weight * response[w, _OFF_DIAGONAL]

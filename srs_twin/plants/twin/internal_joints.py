@@ -1,9 +1,9 @@
 r"""Energy stored and dissipated by the joints in the segments of the twin.
 
-A segment with the stiffness k and the damping c has n hinges, each with the stiffness n
-k and the damping n c. The angle q_k of a hinge deviates by e_k = q_k − q_f/n from an
-equal share of the free bend q_f. The segment has the bend q = Σ q_k and the torque T =
-k (q_f − q) + c (q̇_f − q̇). The power of the compressed air is
+A segment with stiffness k and damping c has n hinges, each with stiffness n k and
+damping n c. The angle q_k of a hinge deviates by e_k = q_k − q_f/n from an equal share
+of the free bend q_f. The segment has bend q = Σ q_k and torque T = k (q_f − q) + c
+(q̇_f − q̇). The power of the compressed air is
 
 $$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 . $$
 

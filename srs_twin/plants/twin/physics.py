@@ -245,7 +245,7 @@ class SnakePhysics(Stateful):
         Args:
             spec: robot to simulate.
             settings: time step, discretisation and contact.
-            chambers: chambers of the robot.
+            chambers: pneumatic model.
             supply_pa: maximum chamber pressure, Pa.
             world: obstacles and floor. Without `world`, the floor is level and has no
                 obstacles.
@@ -458,7 +458,7 @@ class SnakePhysics(Stateful):
         """
         engine = np.asarray(state.get("engine"))
         if engine.shape != (mujoco.mj_stateSize(self.model, _SAVED_STATE),):
-            raise InputError("the saved MuJoCo state is missing or of another model")
+            raise InputError("the saved MuJoCo state is missing or from another model")
         super().load_state_dict(state)
         mujoco.mj_setState(self.model, self.data, engine, _SAVED_STATE)
         self.refresh()
@@ -503,10 +503,9 @@ class SnakePhysics(Stateful):
     def controls(self, trace: Trace) -> np.ndarray:
         """Return the controls of the actuators for each row of a trace.
 
-        A segment with the bend q and the free bend q_f exerts the moment k (q_f − q) +
-        c (q̇_f − q̇), with the stiffness k and the damping c. The springs and dampers
-        of the joints act relative to the rest bends. The actuators exert the remainder
-        of the moment.
+        A segment with bend q and free bend q_f exerts the moment k (q_f − q) + c (q̇_f
+        − q̇), with stiffness k and damping c. The springs and dampers of the joints act
+        relative to the rest bends. The actuators exert the remainder of the moment.
         """
         spec = self._spec
         driven = (

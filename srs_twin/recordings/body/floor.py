@@ -174,7 +174,8 @@ def _find_floor(
     notes = [f"up is {up}: markers stay within {1e3 * spread[0]:.1f} mm of a plane"]
     if abs(height) <= 1e-3:
         notes.append(
-            f"the markers have the height 0, so {up} is assumed to point up, not down"
+            f"the markers are at a height of 0, so {up} is assumed to point up, not"
+            " down"
         )
     levelled, tilt_notes = _levelled(points, axis, level)
     return up, levelled, notes + tilt_notes

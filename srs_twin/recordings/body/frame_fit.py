@@ -158,7 +158,7 @@ def marker_offsets(
 ) -> np.ndarray:
     """Return the complex offsets of markers from their stations, m, shape (markers,).
 
-    A single marker at a station has the offset 0. Two markers without a stated side are
+    A single marker at a station has offset 0. Two markers without a stated side are
     assumed to lie symmetrically about the station, along or across the body. Two
     markers with equal names represent a rigid body and may lie in any direction. In
     `points`, the positions of hidden markers must have been interpolated.

@@ -159,7 +159,7 @@ def length_model(
 def marker_noise(points: np.ndarray) -> float:
     """Estimate the standard deviation of the noise in a marker coordinate, m.
 
-    The n-th differences of white noise with variance σ² have the variance C(2n, n) σ²,
+    The n-th differences of white noise with variance σ² have variance C(2n, n) σ²,
     where C is the binomial coefficient. Motion increases the estimate of σ, mainly at
     low orders n, so the minimum over all orders is returned. Each estimate is based on
     a median, which is robust to outliers. In `points` (m), hidden markers are NaN.

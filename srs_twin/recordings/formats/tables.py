@@ -196,7 +196,7 @@ def _dlc_scale(file: RecordedFile, unstated: Unstated) -> float:
         )
     if missing:
         raise file.error(
-            "DeepLabCut files contain only frame numbers and pixels; give"
+            "DeepLabCut files contain only frame numbers and pixel coordinates; give"
             f" {' and '.join(missing)}"
         )
     if pixels:

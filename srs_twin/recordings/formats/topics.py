@@ -109,7 +109,7 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
             total += size
     if total > allowed:
         raise file.error(
-            f"the unpacked chunks have {total / (1 << 20):.0f} MB, but at most"
+            f"the unpacked size is {total / (1 << 20):.0f} MB, but at most"
             f" {allowed >> 20} MB are allowed for a file of"
             f" {len(file.data) / 1000:.0f} kB; record fewer topics, or for a shorter"
             " time"

@@ -227,8 +227,8 @@ def join(
     segments = {log.values.shape[1], trajectory.stack("bend").shape[1]}
     if segments != {spec.segments}:
         raise InputError(
-            f"{log.source}: the log or the motion does not have the {spec.segments}"
-            f" segments of {spec.name}"
+            f"{log.source}: {spec.name} has {spec.segments} segments, but the log has"
+            f" {log.values.shape[1]} and the motion {trajectory.stack('bend').shape[1]}"
         )
     if offset is not None and not np.isfinite(offset):
         raise InputError(f"offset {offset!r} is not allowed; it must be finite")

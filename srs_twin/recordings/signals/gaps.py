@@ -27,7 +27,7 @@ class FrameGrid:
     Attributes:
         time: times in ascending order, s, shape (frames,).
         rows: file row of each frame, or −1 for a missing frame, shape (frames,).
-        corrections: notes on changes to the data.
+        corrections: descriptions of changes to the data.
     """
 
     time: np.ndarray

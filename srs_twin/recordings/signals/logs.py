@@ -102,7 +102,7 @@ def read_bends(
 ) -> Recording:
     """Read the longest interval of a bend log in which all bends are known.
 
-    In the returned recording, the head is at the origin with the heading 0.
+    In the returned recording, the head is at the origin with heading 0.
     `gait_frequency_hz` (Hz) is None if the motion is not periodic.
     """
     table = _table(path, as_map(map), ("bend",))

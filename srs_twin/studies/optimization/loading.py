@@ -312,7 +312,7 @@ def load_study(
     *,
     set: Overrides = (),
 ) -> OptimizationStudy:
-    """Load a study by its shipped name (gen2_speed) or the path of a study file.
+    """Load a shipped study by name (gen2_speed), or a study file by path.
 
     Args:
         study: name or path of the study. A loaded study is returned unchanged.

@@ -118,7 +118,7 @@ class StudyResult:
 
     Attributes:
         study: optimised study.
-        runs: runs of the search.
+        runs: simulated designs with their results.
         initial: scenario before the optimisation, with the fixed fields.
         designs: best designs in descending order of quality.
         files: names of the written files, if an output folder was given.

@@ -8,11 +8,11 @@ O'Hagan 2000). New designs maximise the expected improvement
 $$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \qquad z =
 (y^* - μ)/σ, $$
 
-where μ and σ are the predicted mean and standard deviation at the design u, and y* is
-the best result so far. Each round selects two designs. The second design is selected as
-if the first design had its predicted result. Candidates are all designs that the
-low-fidelity model has simulated. Every round draws many new designs near the best
-designs and in the whole space, and interpolates their low-fidelity results between
+where μ and σ are the predicted mean and standard deviation at design u, and y* is the
+best result so far. Each round selects two designs. The second design is selected as if
+the first design had already yielded its predicted result. Candidates are all designs
+that the low-fidelity model has simulated. Every round draws many new designs near the
+best designs and in the whole space, and interpolates their low-fidelity results between
 earlier results. The low-fidelity model then simulates the most promising new designs.
 Failed runs are left out when the Gaussian processes are fitted. If the run nearest to a
 design has failed, the design's expected improvement is zero.
@@ -286,7 +286,8 @@ class _Search:
             if score[k] < 0:
                 break
             chosen.append(candidates[k].fractions)
-            # The next design is selected as if this run had its predicted result.
+            # The next design is selected as if this run had already yielded its
+            # predicted result.
             assumed_costs = np.vstack([assumed_costs, mean[k]])
         self._run("twin", np.array(chosen))
         self._round += 1

@@ -433,7 +433,7 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
     batch_class = warp_batch()
     if device is None and not batch_class.accelerated():
         message = (
-            "engine 'warp' finds no accelerator, so all points run on the processor"
+            "engine 'warp' finds no accelerator, so all points run on the CPU"
             " (engine 'local')"
         )
         warnings.warn(message, EngineWarning, stacklevel=1)
@@ -455,7 +455,7 @@ def on_device(device: str | None = None, workers: int | None = None) -> Engine:
                 yield TaskResult(number, row, None)
         if unsupported:
             message = (
-                f"{len(unsupported)} of {len(points)} points run on the processor:"
+                f"{len(unsupported)} of {len(points)} points run on the CPU:"
                 f" {next(iter(unsupported.values()))}"
             )
             warnings.warn(message, EngineWarning, stacklevel=1)

@@ -61,7 +61,7 @@ def load_sweep(
     set: Overrides = (),
     plants: Sequence[str] | None = None,
 ) -> Sweep:
-    """Load a sweep by its shipped name (fig31) or the path of a sweep file.
+    """Load a shipped sweep by name (fig31), or a sweep file by path.
 
     Args:
         sweep: name or path of the sweep. A loaded sweep is returned unchanged.

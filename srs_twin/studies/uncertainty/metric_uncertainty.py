@@ -15,7 +15,7 @@ without group g of G groups. The groups are random, because consecutive Sobol po
 not independent.
 
 The bootstrap cannot represent values beyond the outermost samples. All n samples lie
-above the quantile of probability p with the probability (1 − p)^n. For the bounds of a
+above the quantile of probability p with probability (1 − p)^n. For the bounds of a
 95 % interval, this probability exceeds 2.5 % if there are fewer than
 `MIN_BOUNDING_SAMPLES` samples.
 """

@@ -480,7 +480,7 @@ def uncertainty(
     changed: bool = False,
     progress: Progress = quiet,
 ) -> Propagation:
-    """Compute prediction intervals of the metrics of a scenario.
+    """Compute prediction intervals for the metrics of a scenario.
 
     The command `srs-twin uncertainty` calls this function. An interrupted study resumes
     in its folder, where finished runs are kept.

@@ -98,7 +98,7 @@ _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
 
 
 class FollowCamera:
-    """Camera that follows the snake's centre of mass on the right side of the snake.
+    """Camera that follows the centre of mass and views the snake from its right side.
 
     The camera path is averaged over one gait period. If there is a ghost, the camera
     follows the midpoint of the two bodies at a distance that keeps both bodies in view.
@@ -220,7 +220,7 @@ def write_image(
         path: output file.
         scenario: simulated scenario.
         run: trajectory of the twin.
-        time: time of the image, s. The nearest sample is drawn.
+        time: time of the image, s. The image shows the sample nearest to this time.
         size: image size.
         ghost: name and trajectory of another plant, or None.
     """

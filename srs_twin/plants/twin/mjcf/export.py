@@ -118,8 +118,8 @@ def robot_files(
         linear: whether to omit the dead zone of a robot instead of rejecting the robot.
 
     Raises:
-        InputError: the robot has a skin or a tail on two axles, or it has a dead zone
-            and `linear` is false.
+        InputError: the robot has a skin, or its tail has two axles, or it has a dead
+            zone and `linear` is false.
     """
     if spec.skin is not None:
         raise InputError(

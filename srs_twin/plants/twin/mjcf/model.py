@@ -4,12 +4,11 @@ The robot is a free-floating chain in three dimensions, built in both directions
 its middle connector. A connector is a body with two feet on the floor (`wheels`). A
 robot with skin lies on the floor with its whole body (`belly`).
 
-A segment with the stiffness k and the damping c is a chain of n equal bending hinges,
-each with the stiffness n k and the damping n c. One pitch hinge and one roll hinge in
-the middle of the segment distribute the floor load. The controls are the chamber
-pressures p⁺ and p⁻ in Pa. The actuators ``plus_j`` and ``minus_j`` exert the moment k G
-(p⁺ − p⁻), with the gain G, on the tendon ``bend_j``, whose length is the bend q_j of
-the segment.
+A segment with stiffness k and damping c is a chain of n equal bending hinges, each with
+stiffness n k and damping n c. One pitch hinge and one roll hinge in the middle of the
+segment distribute the floor load. The controls are the chamber pressures p⁺ and p⁻ in
+Pa. The actuators ``plus_j`` and ``minus_j`` exert the moment k G (p⁺ − p⁻), where G is
+the gain, on the tendon ``bend_j``, whose length is the bend q_j of the segment.
 
 A spatial robot has no pitch hinge. Each bending hinge is paired with a tilt hinge,
 which rotates the head end upwards. Two successive rotations about different axes
@@ -162,7 +161,7 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
         # There are few normal forces, so the engine may choose between a dense and a
         # sparse Jacobian. A strict tolerance is needed, because errors of 1e-7 in the
         # normal forces would push stopping wheels sideways, in a direction that depends
-        # on the processor.
+        # on the CPU.
         option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         option.tolerance = 1e-12
     else:
@@ -292,7 +291,7 @@ class _Chain:
     def _add_joint(
         self, body: MjsBody, kind: str, name: str, x: float, ahead: int
     ) -> MjsJoint:
-        """Add a joint at the position x (m).
+        """Add a joint at position x (m).
 
         In front of the root the axis of the joint is reversed, so that the sign of the
         angle is independent of the building direction.

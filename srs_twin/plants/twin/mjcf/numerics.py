@@ -226,7 +226,7 @@ class ModelSettings:
 
     @property
     def loaded(self) -> bool:
-        """Whether the robot is on a floor with loaded contact."""
+        """Whether the loaded contact is used, which requires a robot on the floor."""
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
     def for_robot(self, spec: RobotSpec) -> ModelSettings:
@@ -261,7 +261,7 @@ PRESETS: dict[str, dict[str, float]] = {
 }
 """Arguments of `TwinSnake` for each preset.
 
-The script benchmarks/presets.py measures the errors of the presets. A step of 2 ms is
+The script benchmarks/presets.py measures the errors of each preset. A step of 2 ms is
 the longest round step below the damping time of the segments.
 """
 

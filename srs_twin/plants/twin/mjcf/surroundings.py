@@ -119,7 +119,7 @@ def add_steps(
 ) -> list[str]:
     """Lower the floor, add boxes for raised levels, and return the names of the boxes.
 
-    The floor before the step with the smallest x has the height 0. The extent of the
+    The floor before the step with the smallest x is at height 0. The extent of the
     model is set to the length of the robot, because the boxes would otherwise move the
     cameras away.
     """

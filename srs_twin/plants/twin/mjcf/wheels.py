@@ -19,7 +19,7 @@ their contact forces (`contact_loaded`).
 
 MuJoCo's convex friction model lifts a sliding contact off the floor. Without preload,
 the wheels of a snake would be in the air for more than half of the time, and the snake
-would be up to a tenth too fast. The actuator ``press_i``, which has no control,
+would be up to a tenth too fast. The actuator ``press_i`` exerts a constant force. It
 therefore presses connector i down with κ times its static load. The friction
 coefficients of the contact pairs are the robot's coefficients divided by 1 + κ. The
 contacts then stay closed, and friction equals friction under the static load, as in the
@@ -151,10 +151,10 @@ class FixedInertia(NamedTuple):
 def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> FixedInertia:
     """Return the inertia of skids or wheels fixed to a connector.
 
-    Skids have the mass of the wheels that they replace. Wheels on axles under a
-    preloaded contact are separate bodies and add no inertia. Without a floor, the
-    wheels are fixed and do not rotate. Under loaded contact the friction law includes
-    the spin of the wheels.
+    Skids have the mass of the wheels that they replace. With the preloaded contact,
+    wheels are separate bodies, so the result is zero. Without a floor, the wheels are
+    fixed and do not rotate. With the loaded contact, the friction law includes the spin
+    of the wheels.
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
@@ -338,7 +338,7 @@ def add_force_sensor(
 
     Args:
         mj: model, changed in place.
-        name: name of the sensor.
+        name: name of the new sensor.
         kind: type of `source`, a geom or a body.
         source: name of the geom or body that exerts the force. A body includes all its
             geoms.
