@@ -247,7 +247,9 @@ def test_number_in_place_of_an_array_of_a_state_is_refused(plant):
         for name in place[:-1]:
             inner = inner[name]
         inner[place[-1]] = 1.0
-        with pytest.raises(InputError, match="the saved (value must be|MuJoCo state is)"):
+        with pytest.raises(
+            InputError, match="the saved (value must be|MuJoCo state is)"
+        ):
             snake.restore(replace(state, content=content))
     assert snake.restore(state).time == 0.0
 
