@@ -270,21 +270,19 @@ def code_digest(text: str) -> str:
     tree = ast.parse(text)
     for node in ast.walk(tree):
         if isinstance(node, ast.JoinedStr):
-            _clear_wording([part for part in node.values if _is_string(part)])
-        elif _is_string(node):
-            _clear_wording([node])
+            parts = [part.value for part in node.values if _is_string(part)]  # type: ignore[attr-defined]
+            if _is_wording("".join(parts)):
+                node.values = []
+        elif _is_string(node) and _is_wording(node.value):  # type: ignore[attr-defined]
+            node.value = ""  # type: ignore[attr-defined]
         body = getattr(node, "body", None)
         if isinstance(body, list):
             node.body = [item for item in body if not _is_text(item)] or [ast.Pass()]  # type: ignore[attr-defined]
     return hashlib.sha256(ast.unparse(tree).encode()).hexdigest()
 
 
-def _clear_wording(parts: list[Any]) -> None:
-    """Clear the strings of a text if the text has two successive words."""
-    words = " ".join(" ".join(part.value for part in parts).split())
-    if _TWO_WORDS.search(words):
-        for part in parts:
-            part.value = ""
+def _is_wording(text: str) -> bool:
+    return _TWO_WORDS.search(" ".join(text.split())) is not None
 
 
 def _is_string(node: ast.AST) -> bool:
