@@ -415,7 +415,7 @@ def test_expectations_use_stored_intervals_until_the_scenario_changes(
     stale = srs_twin("run", str(path), "--check", cwd=tmp_path)
     for item, why in (
         (moved, "the stored interval was computed for the value "),
-        (stale, "to another robot or scenario"),
+        (stale, "for another robot or scenario"),
     ):
         assert item.returncode == 0
         assert (
