@@ -12,9 +12,9 @@ _, HEADER, BODY = PAPER.split("---\n", 2)
 WORDS = (1000, 1500)
 NUMBERS = [
     ("−2.1 to +2.6 % in speed and by at most 6.9 %", "verification"),
-    ("within 0.6 % at 19 points", "verification"),
-    ("within 1.2 % at a further point", "verification"),
-    ("−18 to +7.5 % in speed", "verification"),
+    ("within 0.6 % for 19 combinations", "verification"),
+    ("within 1.2 % for a snake with a tail", "verification"),
+    ("differs by −18 to +7.5 %", "verification"),
     ("of the twin by 0.6 % only", "verification"),
     ("raise it by 39 %", "verification"),
     ("crawls at 183 mm/s", "verification"),
