@@ -43,7 +43,7 @@ def test_a_policy_finds_its_observations_by_name():
         InputError, match="does not provide goal_left_m, goal_ahead_m; select these"
     ):
         policy.bind(make_task("GoTo", observations=("pose",)))
-    with pytest.raises(InputError, match="It was trained for the task GoTo"):
+    with pytest.raises(InputError, match="was trained for the task GoTo"):
         policy.bind(make_task("Obstacles"))
 
 

@@ -268,7 +268,7 @@ def test_a_compression_bomb_in_a_bag_is_refused_before_unpacking(tmp_path, monke
     monkeypatch.setattr(bags, "unpacked", None)
     with pytest.raises(
         InputError,
-        match=r"the unpacked chunks have 60 MB, but at most 16 MB .* a file of \d+ kB",
+        match=r"the unpacked size is 60 MB, but at most 16 MB .* a file of \d+ kB",
     ):
         read_markers(path)
 

@@ -672,7 +672,7 @@ def test_invalid_sensor_options_raise(options, words):
             [0.0, 1.0, 2.0],
             "a calibration line cannot be fitted to voltages between 1 and 1 V",
         ),
-        ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "the angles must increase"),
+        ([1.0, 2.0, 3.0], [0.0, 2.0, 1.0], "each angle must be larger"),
     ],
 )
 def test_invalid_calibration_pairs_raise(voltage, angle, words):
