@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from common.grid import table
 from common.results import FOLDER, Result, load_result, path_of
 from common.studies import BENCHMARKS
 
@@ -76,9 +77,8 @@ def _table(result: Result, number: int) -> str:
         raise ValueError(
             f"`{result.study}` has {len(result.tables)} tables, not {number}"
         )
-    table = result.tables[number - 1]
-    rows = [table.columns, ["---"] * len(table.columns), *table.rows]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    stored = result.tables[number - 1]
+    return table(stored.columns, stored.rows)
 
 
 def update_pages(folder: Path = DOCS) -> list[Path]:
