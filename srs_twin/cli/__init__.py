@@ -14,7 +14,14 @@ import sys
 import warnings
 from typing import TYPE_CHECKING, Any, TextIO
 
-from srs_twin.cli.console import INTERRUPTED, as_started, launcher, say, show_traceback
+from srs_twin.cli.console import (
+    INTERRUPTED,
+    as_started,
+    is_interrupt,
+    launcher,
+    say,
+    show_traceback,
+)
 from srs_twin.errors import (
     RENAMED,
     CacheWarning,
@@ -107,7 +114,7 @@ def main(argv: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except Exception as error:  # report an unexpected error on one line
-        if _is_interrupt(error):
+        if is_interrupt(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
         code = errno.errorcode.get(getattr(error, "errno", None) or 0)
@@ -193,13 +200,3 @@ def _format_warning(message: Any, category: type[Warning], *location: Any) -> st
     if category in _SHORT_WARNINGS:
         return as_started(f"warning: {message}\n")
     return _PYTHON_FORMATWARNING(message, category, *location)
-
-
-def _is_interrupt(error: BaseException | None) -> bool:
-    """Return whether an error was caused by an interrupt.
-
-    If an import is interrupted, C extensions may raise a different error.
-    """
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None

@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
+from srs_twin.errors import SrsError
 from srs_twin.io.files import data_root, escape_unprintable
 
 if TYPE_CHECKING:
@@ -75,6 +76,16 @@ def handle_signals(
             signal.signal(number, handler)
 
 
+def is_interrupt(error: BaseException | None) -> bool:
+    """Return whether an error was caused by an interrupt.
+
+    If an import is interrupted, C extensions may raise a different error.
+    """
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
+
+
 @contextmanager
 def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
     """On Ctrl-C or SIGTERM, print a message and exit with code `INTERRUPTED`."""
@@ -86,7 +97,9 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
         signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         yield
-    except KeyboardInterrupt as interrupt:
+    except (KeyboardInterrupt, Exception) as interrupt:
+        if isinstance(interrupt, SrsError) or not is_interrupt(interrupt):
+            raise
         text = message if isinstance(message, str) else message()
         say(
             "; ".join(

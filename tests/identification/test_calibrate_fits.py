@@ -18,6 +18,7 @@ from synthetic_takes import Take
 
 from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 from srs_twin.cli import main
+from srs_twin.cli.console import interruptible
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import load_fit
@@ -354,6 +355,17 @@ def test_an_interrupt_during_an_import_is_reported_as_an_interrupt(monkeypatch):
     with pytest.raises(SystemExit) as end:
         main(["doctor"])
     assert end.value.code == 130
+
+
+def test_a_command_interrupted_during_an_import_says_what_was_written(capsys):
+    """Before, only an interrupt outside of imports printed the message of the command."""
+    with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as error:
+            raise ImportError("initialization failed") from error
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "interrupted; nothing was written\n"
 
 
 # Inputs of fits and replays from recordings
