@@ -496,8 +496,11 @@ class FaultDetector(Stateful):
         if settled.sum() * 2 >= len(pressures):
             expected = before * response[settled]
             self._level = float(np.median(pressures[settled] / expected))
+        # In the first strokes, most chambers may appear to have lost pressure, because the
+        # usual residuals are not yet known.
+        known = settled & self._levels.are_known()
         if self.supply.follow_sudden_change(
-            residual[settled], response[settled], sd[settled]
+            residual[known], response[known], sd[known]
         ):
             self.leaks.drop_all()
             self._adopt_supply(before)

@@ -152,6 +152,8 @@ class PressureLevels(Stateful):
     _WIDTH_S = 0.02
     _MOST_COUNTED = 40
     """Number of pressures over which a mean is computed."""
+    _LEAST_COUNTED = 4
+    """Number of pressures from which a mean is known."""
 
     def __init__(self, segments: int, sd: float) -> None:
         """Initialise the means to 0 and the standard deviations to `sd`."""
@@ -164,6 +166,10 @@ class PressureLevels(Stateful):
         """Return mean and standard deviation in current bins, shape (segments, 2)."""
         index = self.ages.index()
         return Estimates(self._mean[index], np.sqrt(self._variance[index]))
+
+    def are_known(self) -> np.ndarray:
+        """Return whether enough pressures were learnt in current bins, shape (segments, 2)."""
+        return np.asarray(self._count[self.ages.index()] > self._LEAST_COUNTED)
 
     def update(self, residual: np.ndarray, learns: np.ndarray) -> None:
         """Learn from the pressure residuals of the chambers selected by `learns`.

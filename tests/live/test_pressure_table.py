@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from srs_twin.live.pressure_table import PressureRates
+from srs_twin.live.pressure_table import PressureLevels, PressureRates
 
 SUPPLY = 50e3
 TAU = 0.11
@@ -63,3 +63,18 @@ def test_first_order_chamber_has_no_deviation():
     rates, off = followed(lambda age, opens: 0.0)
     assert np.sqrt(np.mean(rates.rate[0, 0] ** 2)) < 2 * NOISE / TICK
     assert np.sqrt(np.mean(off[-300:] ** 2)) < 2.5 * NOISE
+
+
+def test_usual_residuals_are_known_after_a_few_strokes():
+    """Each chamber is judged by the time since its own valve switched."""
+    levels = PressureLevels(1, 0.1)
+    known = []
+    for step in range(400):
+        half = step // 10
+        levels.ages.advance(np.array([[half % 2, 0.0]]), TICK)
+        known.append(levels.are_known()[0])
+        levels.update(np.full((1, 2), 0.2), np.array([[True, True]]))
+    strokes = np.array(known)[:, 0].reshape(-1, 10)[1::2]
+    assert not strokes[:3].any() and strokes[6:].all()
+    # The other chamber vents all the time, so all its pressures belong to the last bin.
+    assert np.array(known)[-1, 1]
