@@ -117,7 +117,7 @@ STUDIES = {
         seeds="0 to 9",
     ),
     "intervals": Study(
-        10, "identification.md", _words("20"), _words("2"), seeds="0 to 19"
+        10, "identification.md", _words("100"), _words("2"), seeds="0 to 99"
     ),
     "learning": Study(
         12,
@@ -158,8 +158,9 @@ STUDIES = {
     "planning": Study(
         8,
         "planning.md",
-        _words("--draws 5 --worlds 100 --maps 1"),
-        seeds="0 to 4",
+        _words("--draws 50 --worlds 100 --maps 1"),
+        _words("--draws 2 --worlds 10 --maps 1"),
+        seeds="0 to 49",
     ),
     "predict_others": Study(
         10,
