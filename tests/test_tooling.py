@@ -77,6 +77,7 @@ def test_called_scripts_and_options_exist():
                 "pytest",
                 "ruff",
                 "sphinx-build",
+                "srs-twin",
             ), line
 
 
@@ -154,7 +155,8 @@ def test_ci_runs_every_test():
         if "pytest" in line and not line.startswith(".ci/targets")
     ] == [
         "uv run --group dev pytest",
-        'uv run --group dev pytest -m "slow and not nightly"',
+        'uv run --group dev pytest -m "slow and not nightly"'
+        " --durations=40 --durations-min=5",
         "uv run --group dev pytest -m nightly",
     ]
 
@@ -165,7 +167,8 @@ def test_nightly_studies_have_time_limits():
     assert all(
         re.match(
             r"timeout \d+[mh] (\.ci/targets all |uv run --group dev pytest -m nightly"
-            r"|uv run (--extra gpu )?python (benchmarks|tools)/)|newer$",
+            r"|uv run (--extra gpu )?python (benchmarks|tools)/"
+            r"|uv run srs-twin (reproduce|run) )|(newer|videos)$",
             study,
         )
         for study in studies

@@ -135,8 +135,13 @@ def test_a_wheel_prints_its_pages(srs_twin, tmp_path, monkeypatch):
     (tmp_path / "_data").symlink_to(ROOT)
     for module in (files, console):
         monkeypatch.setattr(module, "data_root", lambda: tmp_path / "_data")
-    text = console.as_started("no number is uncertain (docs/uncertainty.md#what-is-uncertain)")
-    assert text == "no number is uncertain (`srs-twin show docs/uncertainty.md#what-is-uncertain`)"
+    text = console.as_started(
+        "no number is uncertain (docs/uncertainty.md#what-is-uncertain)"
+    )
+    assert (
+        text
+        == "no number is uncertain (`srs-twin show docs/uncertainty.md#what-is-uncertain`)"
+    )
     done = srs_twin("show", "docs/uncertainty.md#what-is-uncertain", cwd=tmp_path)
     assert done.stdout == (ROOT / "docs/uncertainty.md").read_text("utf-8")
 
