@@ -71,7 +71,7 @@ PURPOSES = {
     "gpu": "twins on a GPU (`srs-twin sweep --engine warp`)",
     "ray": "sweeps on several machines (`srs-twin sweep --engine ray`)",
     "live": "live twin over MQTT, journals",
-    "recordings": "recordings in C3D and MCAP files and ROS bags",
+    "recordings": "recordings in MCAP files and ROS bags",
     "optimize": "studies (`srs-twin optimize`)",
     "video": "videos (`srs-twin render RUN --video out.mp4`)",
     "rl": "training of policies (tools/train_ppo.py)",
