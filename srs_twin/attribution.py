@@ -1,15 +1,16 @@
-r"""Attribution of the difference between the two plants to individual assumptions.
+r"""Analysis of the assumptions that cause the difference between the two plants.
 
-A switch replaces one assumption of the analytical model by the corresponding assumption
-of the twin. Every subset S of the switches therefore defines a model, and v(S) is the
-difference between this model and the twin. The contribution of switch i is its Shapley
-value φ_i, which is the average over all n! orders of switching:
+A switch replaces one assumption of the analytical model with the corresponding
+assumption of the twin. Each subset S of the switches defines a variant of the model,
+and v(S) is the difference between this variant and the twin. The contribution of switch
+i is its Shapley value φ_i, the mean change of v over all n! switching orders:
 
 $$ \phi_i = \sum_{S \not\ni i} \frac{|S|!\,(n - |S| - 1)!}{n!}\,\bigl[v(S \cup i) - v(S)\bigr]. $$
 
-The contributions add up to v(all) − v(none). An approximation that only one plant
-makes, such as a finite time step, cannot be switched. It is refined instead, and the
-effect is extrapolated to the exact limit.
+The contributions add up to the difference between v with all switches and v without
+switches. An approximation that only one plant makes, such as a finite time step, cannot
+be switched. Instead, the approximation is refined, and the effect of the refinement is
+extrapolated to the exact limit.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ from srs_twin.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class Contribution:
-    """Average, minimum and maximum contribution of a switch over all orders."""
+    """Mean, minimum and maximum contribution of a switch over all switching orders."""
 
     value: np.ndarray
     low: np.ndarray
@@ -62,7 +63,7 @@ class Contribution:
 
 
 def subsets(names: Sequence[str]) -> list[frozenset[str]]:
-    """Return all subsets, sorted by size."""
+    """Return all subsets of the names, sorted by size."""
     return [
         frozenset(subset)
         for size in range(len(names) + 1)
@@ -73,7 +74,7 @@ def subsets(names: Sequence[str]) -> list[frozenset[str]]:
 def contributions(
     names: Sequence[str], differences: Mapping[frozenset[str], np.ndarray]
 ) -> dict[str, Contribution]:
-    """Return the Shapley value of each switch."""
+    """Return the contribution of each switch, computed from all differences v(S)."""
     n = len(names)
     shapley = {}
     for name in names:
@@ -81,8 +82,8 @@ def contributions(
         changes = [
             differences[subset | {name}] - differences[subset] for subset in others
         ]
-        # The weight is the fraction of orders in which exactly this subset precedes the
-        # switch.
+        # The weight is the fraction of switching orders in which exactly this subset
+        # precedes the switch.
         weights = [
             math.factorial(len(subset))
             * math.factorial(n - len(subset) - 1)
@@ -100,22 +101,22 @@ def contributions(
 
 FROZEN_CHORDS = "frozen chords"
 MATCHED_STIFFNESS_FACTOR = 45.0
-"""Factor on the twin's bending stiffness for the comparison of matched plants.
+"""Ratio of the stiff twin's bending stiffness to the bending stiffness of the robot.
 
-The factor raises the stiffness of gen2 from 0.44 to 20 N·m/rad. Such stiff segments
-always have the free bend, which the analytical model prescribes.
+For the robot gen2, the stiffness increases from 0.44 to 20 N·m/rad. Loads hardly
+deflect such stiff segments, so their bends match those of the analytical model.
 """
 
 
 class Switch(NamedTuple):
-    """Assumption of the analytical model that the twin's assumption can replace.
+    """Assumption of the model that can be replaced with the assumption of the twin.
 
     Attributes:
         name: short name.
         title: assumption of the model and assumption of the twin, separated by an
             arrow.
-        differs: whether the assumptions of the two plants in the scenario differ.
-        options: arguments of the analytical model when the switch is active. Later
+        differs: whether model and twin make different assumptions in the scenario.
+        options: arguments of the analytical model that activate the switch. Later
             switches override the arguments of earlier switches.
     """
 
@@ -127,20 +128,20 @@ class Switch(NamedTuple):
 
 @dataclass(frozen=True)
 class Refinement:
-    """Reduction of an approximation that only one plant makes.
+    """Refinement of an approximation that only one plant makes.
 
-    The total effect of the approximation is estimated as `factor` times the change due
-    to the refinement. The factor is 2 for a first-order error whose step is halved. It
-    is 4/3 for a second-order error whose step is halved, or a first-order error whose
-    step is quartered. The factor is 1 if the refinement removes the approximation.
+    For a first-order error, the factor is 2 if the step is halved and 4/3 if the step
+    is quartered. For a second-order error, the factor is 4/3 if the step is halved. The
+    factor is 1 if the refinement removes the approximation.
 
     Attributes:
         name: short name.
         title: description of the approximation.
         options: plant arguments that implement the refinement.
-        factor: total effect divided by the change due to the refinement.
+        factor: total effect of the approximation divided by the effect of the
+            refinement.
         plant: plant that makes the approximation, "twin" or "analytical".
-        base: plant arguments of the baseline for the refined plant.
+        base: plant arguments of the run with which the refined run is compared.
     """
 
     name: str
@@ -156,14 +157,13 @@ class PlantVariants:
 
     Attributes:
         all_switches: all switches, in the order in which their options are applied.
-        first: switches that must precede the other switches, because compliant bends
-            need arcs instead of frozen chords.
-        switches: other switches in which the plants of the scenario differ.
+        first: list of the switch from chords to arcs, which is activated before all
+            others, or an empty list.
+        switches: remaining switches whose assumptions differ between the plants.
         first_on: names of the switches in `first`.
-        sets: simulated sets of active switches, the largest set last.
+        sets: sets of active switches to simulate, sorted by size.
         same: names of the assumptions that both plants share.
-        refinements: refined numerical settings, one for each approximation that only
-            one plant makes.
+        refinements: one refinement for each approximation that only one plant makes.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -269,7 +269,8 @@ class PlantVariants:
             "axis",
         ):
             return []
-        # The preloaded twin needs axles with inertia, whereas the loaded twin does not.
+        # A twin with preloaded contact needs axles with inertia, but a twin with loaded
+        # contact does not.
         wheel_spin = 0.25
         factor = 4 / 3
         if self._twin.contact == "loaded":
@@ -284,8 +285,8 @@ class PlantVariants:
         hinges = self._twin.hinges_per_segment
         arcs = {"numerics": Numerics(constant_curvature=True)}
         finer_hinges = arcs | {"hinges_per_segment": 2 * hinges}
-        # Time integration is second-order accurate in the loaded twin, and first-order
-        # accurate in the preloaded twin.
+        # The time integration is second-order accurate with loaded contact, and
+        # first-order accurate with preloaded contact.
         order_factor = 4 / 3 if self._twin.contact == "loaded" else 2.0
         finer_model = {
             "timestep": self._model.timestep_s / 4,
@@ -333,7 +334,7 @@ class PlantVariants:
         ]
 
     def analytical(self, on: frozenset[str], **options: Any) -> Plant:
-        """Build the analytical model with some switches active."""
+        """Build the analytical model with the switches named in `on` active."""
         spec = self._scenario.robot
         changes: dict[str, Any] = {}
         for switch in self.all_switches:
@@ -344,16 +345,16 @@ class PlantVariants:
         return self._scenario.build_plant("analytical", robot=spec, **changes | options)
 
     def twin(self, **options: Any) -> Plant:
-        """Build the twin with changed arguments in a world without obstacles."""
+        """Build the twin with changed arguments and without obstacles and objects."""
         free = replace(self._scenario.world, obstacles=(), polygons=(), objects=())
         return self._scenario.build_plant("twin", **{"world": free} | options)
 
     def damped_twins(self) -> dict[str, Callable[[], Plant]]:
-        """Return builders of twins with the damping time at a 95 % interval bound.
+        """Return builders of twins whose damping time is a bound of the 95 % interval.
 
         The dictionary is empty if the robot file states no interval, or if the chamber
-        pressures depend on the bends. Closed chambers of the second kind would diverge
-        with short damping times (docs/planar-models.md).
+        pressures depend on the bends. Closed chambers of this kind diverge if the
+        damping time is short (docs/planar-models.md).
         """
         if self._scenario.document["pneumatics"]["kind"] != "lag":
             return {}
@@ -374,7 +375,7 @@ class PlantVariants:
         return twins
 
     def stiff_twin(self) -> Plant:
-        """Build a twin with stiff bends, which is compared with `matched`."""
+        """Build the twin with stiff segments, for comparison with `matched`."""
         spec = self._scenario.robot
         stiffness = MATCHED_STIFFNESS_FACTOR * spec.bending.stiffness
         return self.twin(
@@ -394,25 +395,23 @@ def _with_bending(spec: RobotSpec, **changes: float) -> RobotSpec:
 
 
 Progress = Callable[[float, float | None], None]
-"""Callback with the finished fraction, 0 to 1, and the estimated remaining time, s."""
+"""Callback that receives the finished fraction (0 to 1) and the remaining time (s)."""
 
 _MAX_STEPS = 12_000
-"""Maximum number of twin time steps if the controller reads the state.
+"""Maximum number of twin time steps under a controller that reads the state.
 
-Such a controller is evaluated at every tick, which takes several times as long as the
-physics. The attribution simulates the twin about eleven times.
+The evaluation of such a controller at every tick takes several times as long as the
+physics, and the attribution simulates the twin about eleven times.
 """
 _TICK_ROUNDING = 1e-6
 """Tolerance for rounding a duration to whole ticks."""
 _MIN_WINDOW_PERIODS = 4
-"""Minimum number of gait periods in a shortened attribution."""
+"""Minimum number of gait periods if only the first part of a run is attributed."""
 
 _TWIN_COST = 1.4
-"""Mean computing time of a refined twin, relative to the unrefined twin."""
+"""Mean computing time of a refined twin, relative to the original twin."""
 _MODEL_COST = 2.5
-"""Mean computing time of a switched model, relative to the original model.
-
-Compliant bends need more computing time than prescribed bends.
+"""Mean computing time of a model with active switches, relative to the original model.
 """
 
 
@@ -426,26 +425,28 @@ def explain(
 ) -> Attribution:
     """Attribute the difference between the two plants of a run to assumptions.
 
-    The analytical model is simulated with every subset of the switches and compared
-    with the given twin, which gives the Shapley value of each switch. Then each
-    approximation that only one plant makes is refined, and the effect is measured with
-    all switches active. Contributions and remainder add up to the difference.
+    The analytical model is simulated with every subset of the switches. The differences
+    between these variants and the twin determine the Shapley value of each switch. Then
+    each approximation that only one plant makes is refined, and its effect is measured
+    with all switches active. The contributions and an unexplained remainder add up to
+    the difference between the plants.
 
     If the controller reads the state, only the first part of a long run is attributed
-    (`Attribution.window_s`). A run with a contact is attributed up to the first
-    contact, and the variants of the twin run without obstacles.
+    (see `Attribution.window_s`). If the snake touches an obstacle, only the time before
+    the first contact is attributed. All variants of the twin run without obstacles.
 
     Args:
         scenario: scenario of the run.
         trajectories: trajectory of each plant, keyed by plant name.
-        progress: callback with the finished fraction, 0 to 1, and the remaining time,
-            s.
-        wall_s: computing time of each plant, from which the remaining time is
-            estimated, s.
+        progress: callback that receives the finished fraction (0 to 1) and the
+            estimated remaining time (s).
+        wall_s: computing time of each plant (s), keyed by plant name, for the estimate
+            of the remaining time.
         whole: whether to attribute the whole duration of long runs.
 
     Raises:
-        InputError: only one plant ran, or the runs are too short for gait metrics.
+        InputError: only one plant ran, the runs are too short for gait metrics, or the
+            scenario sets `comparison.gap_factor`.
         DivergedError: a variant of a plant diverged.
     """
     if not {"analytical", "twin"} <= trajectories.keys():
@@ -521,15 +522,14 @@ def _is_script(controller: Controller) -> bool:
 def main_cause(
     scenario: Scenario, trajectories: Mapping[str, Trajectory]
 ) -> dict[str, Any] | None:
-    """Return the effect of compliance in the analytical model, from one additional run.
-
-    Compliance usually makes the largest of the contributions that `explain` computes.
+    """Return the effect of compliant bends, which is usually the largest contribution.
 
     Returns:
-        Name of the assumption (`name`), and effects on `com_speed_m_s` and
-        `yaw_rate_rad_s`. If the run has a contact, the effects cover only the time
-        before the contact, which is added as `window_s`. The result is None if the run
-        has no gait, the model is already compliant, or the robot is spatial.
+        Dictionary with the name of the assumption (`name`) and its effects on
+        `com_speed_m_s` and `yaw_rate_rad_s`. If the snake touches an obstacle, the
+        effects cover only the time before the first contact, which is added as
+        `window_s`. The result is None for runs without a gait, runs with a planner,
+        compliant models and spatial robots.
     """
     if scenario.robot.is_spatial:
         return None
@@ -596,8 +596,8 @@ def _run_all(
     results: Iterable[Trajectory | DivergedError]
     if not _is_script(controller):
         # A controller that reads the state holds the interpreter lock, so the variants
-        # run in processes instead of threads. Each process receives the controller with
-        # its plan, so that planning is not repeated.
+        # run in processes instead of threads. Each process receives a controller that
+        # already contains the plan.
         duration = window or scenario.duration
         tasks = [_Task(scenario, name, controller, duration) for name in builders]
         results = _in_processes(tasks, report)
@@ -713,7 +713,7 @@ def _refinement_shares(
 def _make_share(
     assumption: Switch | Refinement, how: str, contribution: Contribution
 ) -> AssumptionShare:
-    """Return the share of an assumption, positive if it explains the difference."""
+    """Return a share, which is positive if the assumption explains the difference."""
     value, low, high = (
         _to_floats(-bound)
         for bound in (contribution.value, contribution.high, contribution.low)

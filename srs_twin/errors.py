@@ -1,8 +1,8 @@
 """Exceptions and warnings of the package.
 
-Every error that the package raises on purpose is an `SrsError`. The message states
-where the problem is, what was given, what is allowed and which valid input is closest.
-The command line prints the message and exits with `exit_code`.
+Every error that the package raises on purpose is an `SrsError`. The error message
+states where the problem is, what was given, what is allowed and which valid input is
+closest.
 """
 
 from __future__ import annotations
@@ -21,20 +21,19 @@ MAX_LISTED_NAMES = 12
 
 _MAX_SUGGESTIONS = 3
 _MIN_SIMILARITY = 0.6
-"""Minimum similarity of a suggested name, on the scale of `difflib`."""
+"""Minimum similarity of a suggested name, as computed by `difflib`."""
 
 _SIMILARITY_TIE = 0.05
-"""Maximum difference from the best similarity for a further suggested name."""
+"""Maximum difference in similarity between the best and any further suggestion."""
 
 _MIN_PREFIX_SIMILARITY = 0.75
-"""Minimum similarity to the first words of a name.
+"""Minimum similarity between a text and the first words of a name.
 
 This value exceeds `_MIN_SIMILARITY`, because short texts are often similar by chance.
 """
 
 OUTSIDE: set[str] = set()
-"""Source files of imported plug-ins. Messages about errors in a plug-in name its file.
-"""
+"""Source files of imported plug-ins, for the location in error messages."""
 
 _FILE_SUFFIXES = (
     ".yaml",
@@ -54,16 +53,16 @@ class SrsError(Exception):
     """Base class of all errors raised on purpose.
 
     Attributes:
-        exit_code: exit code of the command line: 2 for invalid input, 3 for a
+        exit_code: exit code of the command line, which is 2 for invalid input, 3 for a
             divergence, or 4 for an internal error.
     """
 
     exit_code = 4
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle class, arguments and attributes.
+        """Pickle the class, the arguments and the attributes.
 
-        By default, unpickling would call `__init__` with the message alone.
+        By default, unpickling would call `__init__` with only the message.
         """
         return _restore_error, (type(self), self.args, self.__dict__)
 
@@ -71,8 +70,8 @@ class SrsError(Exception):
 class InputError(SrsError):
     """Error for invalid input, with exit code 2.
 
-    A command raises this error before it writes results. A sweep on a full disk keeps
-    its finished rows.
+    Commands raise this error before they write results. A sweep that runs out of disk
+    space raises the error later and keeps the finished rows.
     """
 
     exit_code = 2
@@ -119,8 +118,8 @@ class TimeStepError(InputError):
     def __init__(
         self, name: str, period_s: float, step_name: str, step_s: float
     ) -> None:
-        # With six digits, 0.13999994 s would be printed as 0.14 s, which is a multiple of
-        # 0.02 s. The message therefore shows enough digits to make the problem visible.
+        # With six digits, 0.13999994 s would be printed as 0.14 s, which is a multiple
+        # of 0.02 s.
         period = shortest_decimal(period_s, lambda time: not _is_whole(time / step_s))
         self.problem = (
             f"{name} {period} s is not a multiple of {step_name}"
@@ -157,11 +156,11 @@ class EngineWarning(UserWarning):
 
 
 class SessionWarning(UserWarning):
-    """Warning that a live twin is too slow, or that a file or forecast failed."""
+    """Warning that a live twin is too slow, or that a file or a forecast failed."""
 
 
 class CacheWarning(UserWarning):
-    """Warning that kernels cannot be cached and are compiled at every start."""
+    """Warning that compiled kernels cannot be cached and are rebuilt at every start."""
 
 
 class DivergedError(SrsError):
@@ -169,7 +168,8 @@ class DivergedError(SrsError):
 
     Attributes:
         time: simulated time at which the divergence was detected, s.
-        history: samples of the unfinished chunk before the divergence, or None.
+        history: samples that the plant computed since the last recorded sample, or
+            None.
         trajectory: samples that `rollout` recorded before the divergence, or None.
     """
 
@@ -233,7 +233,7 @@ class WorkerDiedError(SrsError):
 def describe_error(error: BaseException) -> str:
     """Return the type, the message and the source line of an error.
 
-    If the error passed through a plug-in, the last plug-in line is returned.
+    If the error passed through a plug-in, the last line in the plug-in is returned.
     """
     frames = _frames(error, OUTSIDE) or traceback.extract_tb(error.__traceback__)
     if frames:
@@ -296,9 +296,10 @@ def _longest_round_divisor(period_s: float, step_s: float) -> float:
 def format_names(
     names: Sequence[str], listing: str = "", longest: int = MAX_LISTED_NAMES
 ) -> str:
-    """Return the names as text.
+    """Return the names as text, separated by commas.
 
-    A long list is replaced by the number of names and the command `listing`.
+    If there are more than `longest` names, the text states only their number and the
+    command `listing`, which prints them.
     """
     if len(names) > longest:
         return f"{len(names)} names{listing and f'; {listing} lists them'}"
@@ -375,9 +376,8 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
     For a former name, the suggestion is "; it is now called A".
 
     Only the last component of a dotted name is compared, for example `frequency_hz` in
-    `controller.frequency_hz`. Abbreviations and names without a unit suffix are treated
-    as similar. Among equally similar names, names in the section of `text` are
-    preferred.
+    `controller.frequency_hz`. Among equally similar names, those in the same section as
+    `text` are preferred.
     """
     available = tuple(available)
     if (renamed := current_name(text)) in available:
@@ -387,7 +387,7 @@ def did_you_mean(text: str, available: Iterable[str]) -> str:
     for name in available:
         name_section, candidate = _split_name(name)
         closeness = _similarity(last, candidate)
-        # The text may be the beginning of a dotted name.
+        # A text without dots may be the beginning of a dotted name.
         if not section and name_section:
             closeness = max(closeness, _similarity(last, name.lower()))
         if closeness >= _MIN_SIMILARITY:
@@ -421,8 +421,8 @@ def _similarity(text: str, name: str) -> float:
         return max(whole, 0.85 + 0.1 * len(text) / len(name))
     text = _WORD_SEPARATOR.sub("_", text)
     words = _WORD_SEPARATOR.split(name)
-    # The text may be the first words of a name that ends in a unit, or any words of the
-    # name.
+    # The text may consist of the first words of a name that ends in a unit, or of any
+    # consecutive words of the name.
     prefix = 0.95 * max(
         (_ratio(text, "_".join(words[:i])) for i in range(1, len(words))), default=0.0
     )
@@ -475,7 +475,7 @@ def _is_whole(ratio: float, tolerance: float = 1e-9) -> bool:
 
 
 def shortest_decimal(value: float, fits: Callable[[float], bool]) -> str:
-    """Return the shortest decimal text of at least six digits that satisfies `fits`."""
+    """Return a number as text, with six digits or as many as `fits` requires."""
     return next(
         (text for n in range(6, 17) if fits(float(text := f"{value:.{n}g}"))),
         repr(value),
@@ -492,8 +492,8 @@ class SamplingGrid(NamedTuple):
 
     Attributes:
         tick: control tick, s.
-        step: time step, s. Sampling intervals shorter than a tick must be multiples of
-            this step. If None, any interval is allowed.
+        step: time step of which sampling intervals shorter than a tick must be
+            multiples, s, or None if there is no such restriction.
     """
 
     tick: float
@@ -533,7 +533,7 @@ def _integers_near(number: float) -> range:
 def nearest_rate(
     rate: float, grids: Sequence[SamplingGrid], low: float = 0.0, high: float = math.inf
 ) -> str | None:
-    """Return the sampling rate closest to a requested rate that fits all plants.
+    """Return the sampling rate that fits all plants and is closest to a given rate.
 
     Args:
         rate: requested rate, Hz.
@@ -544,8 +544,7 @@ def nearest_rate(
     Returns:
         Rate in Hz as text, or None if no rate fits.
     """
-    # Ticks with different periods coincide at multiples of the least common multiple of
-    # the periods.
+    # Ticks of different lengths coincide at the least common multiple of the lengths.
     ticks = [Fraction(grid.tick).limit_denominator(1_000_000) for grid in grids]
     scale = math.lcm(*(tick.denominator for tick in ticks))
     common = math.lcm(*(max(1, int(tick * scale)) for tick in ticks)) / scale
@@ -553,8 +552,8 @@ def nearest_rate(
     candidates += [near for grid in grids for near in grid.rates_near(rate)]
 
     def fits(rate: float) -> bool:
-        # The tolerance is tighter here than in the plants, because their division adds
-        # rounding errors.
+        # The tolerance is tighter here than in the plants, because the plants add
+        # rounding errors when they divide.
         return low <= rate <= high and all(grid.fits(rate, 1e-10) for grid in grids)
 
     fitting = sorted(

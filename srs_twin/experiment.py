@@ -55,7 +55,7 @@ from srs_twin.viewing.content import RunContent, end_event
 
 METRICS = "metrics.json"
 RESOLVED = "scenario.resolved.yaml"
-"""File name of the scenario with all defaults and the robot written out."""
+"""File name of the resolved scenario, which contains all defaults and the robot."""
 REPORT = "report.html"
 RECORDING = "recording.rrd"
 MEASURED = "measured"
@@ -67,13 +67,12 @@ PRODUCTS = (
     RECORDING,
     *(f"{plant}.parquet" for plant in PLANTS),
 )
-"""Files that a run writes. The first file exists only if the run is complete."""
+"""Files that a run writes. The file metrics.json exists only if the run is complete."""
 _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
-"""Files that a run can write, including the measured trajectory."""
 
 Progress = Callable[..., None]
-"""Callback that receives the name of a task, the completed fraction and optionally the
-remaining time, s."""
+"""Callback that receives the name of a task, the completed fraction (0 to 1) and
+optionally the remaining time (s)."""
 Explain = Callable[..., Attribution]
 """Function that attributes the difference between the plants, such as
 `attribution.explain`."""
@@ -86,12 +85,12 @@ class RunResult:
     Attributes:
         name: name of the scenario.
         folder: output folder, which no longer exists if it was temporary.
-        trajectories: trajectory of each plant. The trajectory of a diverged plant ends
-            at the divergence.
+        trajectories: trajectory of each plant, keyed by plant name. The trajectory of a
+            diverged plant ends at the divergence.
         metrics: content of metrics.json, or an empty dictionary if a plant diverged.
-        diverged: errors of diverged plants. The error message contains the path of the
+        diverged: errors of diverged plants, whose messages contain the path of the
             recorded trajectory.
-        failed_attributions: errors of attribution runs that diverged.
+        failed_attributions: errors of simulations that diverged during the attribution.
     """
 
     name: str
@@ -121,7 +120,7 @@ class PreparedRun:
     def build(
         cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None
     ) -> PreparedRun:
-        """Build plants and controllers and open the output folder."""
+        """Build the plants and controllers of a scenario."""
         kinds = tuple(plants or scenario.plants)
         scenario = scenario.run_on(plants)
         with scenario.named_in_errors():
@@ -140,17 +139,17 @@ class PreparedRun:
     ) -> RunResult:
         """Simulate all plants, compute and compare metrics, and write the files.
 
-        The file metrics.json is written last. The recording is omitted if Rerun is not
-        installed. If a plant diverges, the remaining plants are still simulated, and
-        each trajectory is written. After a divergence, the comparison, the pictures and
-        metrics.json are omitted.
+        The Rerun recording is omitted if Rerun is not installed. If a plant diverges,
+        the remaining plants are still simulated, but only the resolved scenario and the
+        trajectories are written.
 
         Args:
-            progress: callback with the name of the plant and the completed fraction.
+            progress: callback that receives the plant name, or "attribution", and the
+                completed fraction (0 to 1).
             explain: function that attributes the difference between the plants
                 (`attribution.explain`), or None to skip the attribution.
             main_cause: function that computes the main cause of the difference
-                (`attribution.main_cause`) if `explain` is None.
+                (`attribution.main_cause`) if there is no attribution, or None.
 
         Raises:
             InputError: a file cannot be written, or the difference cannot be
@@ -161,7 +160,7 @@ class PreparedRun:
             scenario.robot.require_planar("the attribution of a difference")
         done = _Simulated()
         for kind, (plant, controller) in self.pairs.items():
-            # The kernels are compiled here, so that the measured time excludes compilation.
+            # This step compiles the kernels, so the measured time excludes compilation.
             shape = (plant.spec.segments, plant.spec.chambers)
             plant.step(np.full(shape, -1, dtype=np.int8))
             report = partial(progress, kind) if progress else None
@@ -208,8 +207,8 @@ class PreparedRun:
         if main_cause is not None and not (done.diverged or attribution):
             cause = main_cause(scenario, done.trajectories)
         metrics: dict[str, object] = {}
-        # All files are replaced together at the end. The files of an earlier run
-        # therefore survive an interruption or a full disk.
+        # All files are replaced together at the end, so the files of an earlier run
+        # survive an interruption or a full disk.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
             self._write_trajectories(fresh, done.trajectories)
             if not done.diverged:
@@ -246,8 +245,8 @@ class PreparedRun:
         """Return the entries of metrics.json, and the data for report and recording.
 
         Args:
-            trajectories: trajectory of each plant.
-            walls: wall time of each plant, s.
+            trajectories: trajectory of each plant, keyed by plant name.
+            walls: computing time of each plant, keyed by plant name, s.
             attribution: attribution of the difference, or None if it was not computed.
             cause: result of `attribution.main_cause`, or None if it was not computed.
         """
@@ -309,12 +308,9 @@ class PreparedRun:
     def _judged(
         self, metrics: dict[str, Any], runs: Mapping[str, Trajectory]
     ) -> dict[str, Any]:
-        """Return the expectation entries of metrics.json.
-
-        `runs` includes the measured trajectory.
-        """
+        """Return the entries of metrics.json that concern expectations."""
         scenario = self.scenario
-        # An expectation about a plant that did not run does not count as a failure.
+        # Expectations about a plant that did not run are not checked.
         available = metrics["plants"].keys() - {MEASURED}
         if metrics["comparison"]:
             available |= {"comparison"}
@@ -343,7 +339,7 @@ class PreparedRun:
         content: RunContent,
         attribution: Attribution | None,
     ) -> None:
-        # These modules are imported here because importing rerun takes half a second.
+        # These imports are local, because the import of rerun takes half a second.
         from srs_twin.viewing.html.report import write_report
         from srs_twin.viewing.rerun.viewer import has_rerun
 
@@ -370,7 +366,7 @@ INTERVALS = Path("calibration/intervals")
 
 
 def twin_contact(scenario: Scenario) -> str | None:
-    """Return the contact model of the twin, or None if there is no twin or no floor."""
+    """Return the name of the twin's contact model, or None if the scenario has none."""
     contact: str | None = (scenario.document["plants"].get("twin") or {}).get("contact")
     return contact
 
@@ -378,14 +374,16 @@ def twin_contact(scenario: Scenario) -> str | None:
 def stored_intervals(scenario: Scenario) -> dict[str, Any]:
     """Return the intervals that `srs-twin uncertainty SCENARIO --write` has stored.
 
-    The file is looked up in the current folder, and then among the shipped files.
+    The interval file is looked up first in the current folder, and then among the
+    shipped files.
 
     Returns:
-        Dictionary whose entry "stale" states why the stored file does not apply, or is
-        None. For a file that applies, "file" is its path, and "renew" is the command
-        that updates it. The entry "plants" contains the metric intervals of each plant.
-        The entry "segments" is the range of the twin's speed over stiffness and
-        damping, or None.
+        Dictionary with an entry "stale", which states why no stored interval applies.
+        If intervals apply, "stale" is None, the entry "file" is the path of the
+        interval file, and "renew" is the command that updates the file. The entry
+        "plants" contains the metric intervals of each plant. The entry "segments"
+        contains the speed ranges of the twin for plausible values of segment stiffness
+        and damping, or is None.
     """
     if scenario.name in shipped_names("scenario"):
         reference = scenario.name
@@ -468,9 +466,9 @@ def _can_be_explained(done: _Simulated) -> bool:
 
 
 def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
-    """Return speeds and yaw rates before the first contact, or None without a contact.
+    """Return speeds and yaw rates before the first contact, or None if there is none.
 
-    A speed or yaw rate is None if too few whole gait periods precede the contact.
+    Speed and yaw rate are None if too few whole gait periods precede the contact.
     """
     end = contact_free_s(runs.values())
     names = ("com_speed_m_s", "yaw_rate_rad_s")
@@ -519,7 +517,7 @@ class ComparedRuns(Comparison):
         return notebook_run(self.title, self.results, self.trajectories, self.spec)
 
     def show(self) -> None:
-        """Display the page in a notebook. Outside a notebook, print the headline."""
+        """Display the comparison as a page in a notebook, or print it elsewhere."""
         try:
             from IPython.display import display
         except ImportError:
@@ -539,22 +537,22 @@ def compare(
     """Compare two trajectories, or run a scenario and compare its plants.
 
     Args:
-        reference: trajectory of the analytical model, or a scenario given as an object,
-            by name or by path.
+        reference: trajectory of the analytical model, or a scenario (object, name or
+            path).
         candidate: trajectory of the twin, or None if `reference` is a scenario.
         set: values that override scenario fields, as described in `load_scenario`.
         gap_factor: whether to scale the speed as described in
             `comparison.compare.compare`. For a scenario, the key
-            `comparison.gap_factor` of the file is used instead.
+            `comparison.gap_factor` in the file is used instead.
 
     Returns:
         Comparison of the plants. For a scenario, the result is a `ComparedRuns`, which
         also contains the trajectories.
 
     Raises:
-        InputError: the combination of arguments is not allowed, or
-            `comparison.compare.compare` or `load_scenario` rejects an argument.
-        DivergedError: the state of a plant is no longer finite.
+        InputError: the combination of arguments is not allowed, the trajectories cannot
+            be compared, or the scenario cannot be loaded.
+        DivergedError: a plant diverged.
     """
     if isinstance(reference, Trajectory):
         if candidate is None or set is not None:
@@ -594,11 +592,11 @@ def compare(
 def prepare(
     scenario: Scenario, out: Path, *, plants: Sequence[str] | None = None
 ) -> PreparedRun:
-    """Build the plants and controllers of a scenario and open the output folder.
+    """Build the plants and controllers of a scenario and check the output folder.
 
     Args:
         scenario: scenario to run.
-        out: output folder, which is created if necessary and may contain other files.
+        out: output folder, which may not exist yet and may contain other files.
         plants: names of the plants in the order in which they run, or None for the
             plants of the scenario.
 
@@ -612,7 +610,7 @@ def prepare(
 
 
 def check_run(scenario: Scenario, out: Path) -> None:
-    """Check the output folder and the plan of a scenario before plants are built.
+    """Check the output folder and the plan of a scenario.
 
     Raises:
         InputError: the folder is not writable, or the plan cannot be computed.
@@ -639,16 +637,17 @@ def run_scenario(
         set: values that override scenario fields, as described in `load_scenario`.
         plants: names of the plants in the order in which they run, or None for the
             plants of the scenario.
-        progress: callback with the name of the plant and the completed fraction.
+        progress: callback that receives the plant name and the completed fraction.
         explain: function that attributes the difference between the plants
             (`attribution.explain`), or None to skip the attribution.
 
     Returns:
-        Trajectories and metrics. Errors of diverged plants are in `diverged`.
+        Trajectories and metrics. If a plant diverges, the attribute `diverged` contains
+        the error.
 
     Raises:
-        InputError: the scenario cannot run or the folder is not writable. The error is
-            raised before the simulation.
+        InputError: the scenario cannot run, the folder is not writable, or the
+            difference cannot be attributed.
     """
     loaded = load_scenario(scenario, set=set)
     with folder_or_temporary(out) as folder:
@@ -661,8 +660,9 @@ class FinishedRun:
 
     Attributes:
         folder: output folder.
-        scenario: scenario with all defaults and the robot written out.
-        trajectories: trajectory of each plant, and the measured trajectory, if any.
+        scenario: resolved scenario, which contains all defaults and the robot.
+        trajectories: trajectory of each plant, keyed by plant name, and the measured
+            trajectory if there is one.
     """
 
     folder: Path
@@ -676,7 +676,7 @@ class FinishedRun:
 
 
 def load_run(run: str | Path) -> FinishedRun:
-    """Load a finished run from an output folder, or from ``./runs`` by name.
+    """Load a finished run, given by output folder or by name in ``./runs``.
 
     Raises:
         InputError: the run does not exist, or its files are not valid.
@@ -698,7 +698,7 @@ def load_run(run: str | Path) -> FinishedRun:
 
 
 def find_run(run: str | Path) -> Path:
-    """Return the output folder of a run, given by path or by name in ``./runs``.
+    """Return the output folder of a run, given by its path or by a name in ``./runs``.
 
     Raises:
         InputError: the run does not exist.

@@ -1,15 +1,15 @@
 """Registry of extensions and plug-ins.
 
-The core refers to extensions only in this module. Each table entry has the form ``name:
-"module:object"``, and the module is imported when the object is first used. Entries of
-extensions that are not installed are ignored.
+The core of the package refers to extensions only in this module. Each table entry has
+the form ``name: "module:object"``, and the module is imported when the object is first
+used. Entries of extensions that are not installed are ignored.
 
-Files may also name plug-in classes as ``module:Name``. To prevent a file from executing
-arbitrary code, the user must allow the module with `allow_plugin`. Modules of installed
-distributions with entry points ``srs_twin.*`` are allowed as well. Such a distribution
-may register short names in the groups ``srs_twin.controllers``, ``pneumatics``,
-``sensors``, ``metrics`` and ``formats``. The entry points are read only if a file
-contains an unknown name.
+Scenarios and other files may also name plug-in classes as ``module:Name``. To prevent a
+file from executing arbitrary code, the user must allow the module with `allow_plugin`.
+Modules of installed distributions with entry points ``srs_twin.*`` are allowed as well.
+Such a distribution may register short class names in the entry point groups
+``srs_twin.controllers``, ``srs_twin.pneumatics``, ``srs_twin.sensors``,
+``srs_twin.metrics`` and ``srs_twin.formats``.
 """
 
 from __future__ import annotations
@@ -44,27 +44,27 @@ COMMANDS = {
     "shadow": "srs_twin.live.shadow_command:shadow",
     "calibrate": "srs_twin.identification.command:app",
 }
-"""Commands, each of which is a function or a typer application with subcommands."""
+"""Functions or Typer applications that implement the commands."""
 
 CONTROLLERS = {
     "replay": "srs_twin.recordings.takes:ReplayFile",
     "follow": "srs_twin.planning.follow_file:FollowFile",
 }
-"""Additional values of `controller.kind` in a scenario, with the file model of each."""
+"""Additional controller kinds (subclasses of `controllers.ControllerSection`)."""
 
 SECTIONS = {
     "recording": "srs_twin.recordings.takes:RECORDING",
     "planner": "srs_twin.planning.scenario:PLANNER",
 }
-"""Additional scenario sections, each a `scenario.fields.SectionEntry`."""
+"""Additional scenario sections, defined by `scenario.fields.SectionEntry`."""
 
 METRICS = {
     "following": "srs_twin.planning.metrics:METRICS",
 }
-"""Additional run metrics, each a `comparison.sampling.MetricGroup`."""
+"""Additional run metrics, defined by `comparison.sampling.MetricGroup`."""
 
 PICTURES = {"following": "srs_twin.planning.pictures:PICTURES"}
-"""Additional run pictures, each a `viewing.additions.RunPictures`."""
+"""Additional run pictures, defined by `viewing.additions.RunPictures`."""
 
 PAGES = {
     "run": "srs_twin.viewing.html.report:page_of_run",
@@ -90,7 +90,7 @@ FORMATS = {
     "deeplabcut": "srs_twin.recordings.formats.tables:DeepLabCut",
     "plain": "srs_twin.recordings.formats.tables:PlainCsv",
 }
-"""File formats of motion recordings, of the type `recordings.formats.base.Format`.
+"""File formats of motion recordings (subclasses of `recordings.formats.base.Format`).
 
 Each file is read by the first format that recognizes it. The format `plain` is last,
 because it accepts most tables.
@@ -115,12 +115,12 @@ def load(entry: str) -> Any:
 
 
 def installed(table: Mapping[str, str]) -> dict[str, str]:
-    """Return those entries of a table that belong to installed extensions."""
+    """Return the table entries that belong to installed extensions."""
     return {name: entry for name, entry in table.items() if _is_installed(entry)}
 
 
 def objects(table: Mapping[str, str]) -> Iterator[tuple[str, Any]]:
-    """Yield the names and objects of the installed entries of a table."""
+    """Yield the name and the object of each table entry that is installed."""
     return ((name, load(entry)) for name, entry in installed(table).items())
 
 
@@ -153,8 +153,8 @@ class _LazyPackage(ModuleType):
         return sorted(self.__all__)
 
     def __setattr__(self, name: str, value: object) -> None:
-        # Importing a submodule sets it as an attribute of the package, where it would
-        # hide a public object of the same name.
+        # The import of a submodule sets an attribute of the package, which would hide
+        # a public object of the same name.
         if isinstance(value, ModuleType) and name in self._homes:
             value = getattr(value, name)
         super().__setattr__(name, value)
@@ -166,8 +166,7 @@ class _LazyPackage(ModuleType):
 def lazy(package: str) -> None:
     """Make a package import its public names on first use.
 
-    The names are read from the ``if TYPE_CHECKING:`` block in the package's source,
-    which type checkers read as well.
+    The names are read from the ``if TYPE_CHECKING:`` block in the package's source.
     """
     module = sys.modules[package]
     homes = {
@@ -182,13 +181,11 @@ def lazy(package: str) -> None:
 
 
 PLUGINS = "SRS_TWIN_PLUGINS"
-"""Environment variable that lists the plug-ins that the user allows.
-
-The entries are Python files and module names. Child processes inherit the variable.
+"""Environment variable that lists the allowed plug-ins (Python files or module names).
 """
 
 PART_PATTERN = r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z]\w*"
-"""Pattern ``module:Name`` for the name of a plug-in class."""
+"""Regular expression for the name of a plug-in class, ``module:Name``."""
 
 READING = ContextVar("READING", default=False)
 """Whether a finished run is being read, in which case no plug-ins are imported."""
@@ -198,12 +195,12 @@ def allow_plugin(source: str | os.PathLike[str] | ModuleType | type) -> None:
     """Allow scenarios and other files to name the classes of a plug-in.
 
     Args:
-        source: path of a Python file, a module, the name of a module, or a class in a
-            module.
+        source: plug-in, given as a module, a module name, a class or the path of a
+            Python file.
 
     Raises:
-        InputError: the file or module does not exist, or another module has the same
-            name as the file.
+        InputError: the file or module does not exist, or the file name is not a valid
+            and unused module name.
     """
     if isinstance(source, type | ModuleType):
         source = getattr(source, "__module__", source.__name__)
@@ -244,7 +241,7 @@ def _why_unusable(entry: str) -> str:
 
 
 def plugins() -> dict[str, str]:
-    """Return the file path or module name of each allowed plug-in, keyed by module."""
+    """Return the path or module name of each allowed plug-in, keyed by module name."""
     entries = os.environ.get(PLUGINS, "").split(os.pathsep)
     return {
         os.path.basename(entry).removesuffix(".py"): entry for entry in entries if entry
@@ -252,7 +249,7 @@ def plugins() -> dict[str, str]:
 
 
 class _PluginFinder:
-    """Import hook for plug-in files, which runs after all other finders."""
+    """Import hook for plug-in files, which runs after all other import hooks."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> Any:
@@ -266,8 +263,8 @@ sys.meta_path.append(_PluginFinder)
 
 
 def owners() -> dict[str, Any]:
-    """Return the distributions with entry points ``srs_twin.*``, by package name."""
-    # An empty entry in sys.path is the current folder, whose files are not trusted.
+    """Return distributions with ``srs_twin.*`` entry points, keyed by package name."""
+    # An empty entry in sys.path stands for the current folder, which is not trusted.
     return _owners(tuple(filter(None, sys.path)))
 
 
@@ -290,10 +287,7 @@ def _owners(path: tuple[str, ...]) -> dict[str, Any]:
 
 
 def registered(kind: str) -> dict[str, str]:
-    """Return the classes of one kind that installed distributions have registered.
-
-    The dictionary maps short names to ``module:Name``.
-    """
+    """Return registered classes of a kind as ``module:Name``, keyed by short name."""
     group = f"srs_twin.{kind.removesuffix('s')}s"
     entries = (
         each.entry_points.select(group=group)
@@ -336,14 +330,15 @@ def part(
     """Import a plug-in class.
 
     Args:
-        kind: kind of class: controller, pneumatics, sensor or format.
-        name: name in the form ``module:Name``, or a registered short name.
+        kind: kind of the class, such as "controller" or "sensor".
+        name: class name in the form ``module:Name``, or a registered short name.
         bases: allowed base classes.
-        known: other names of this kind, which the error message suggests.
+        known: further valid names of this kind, for suggestions in error messages.
 
     Raises:
         UnknownNameError: no distribution has registered the short name.
-        InputError: the class is not allowed, or has none of the base classes.
+        InputError: the module is not allowed, or the class is abstract or does not
+            derive from an allowed base class.
     """
     names = {name: name} if ":" in name else registered(kind)
     if name not in names:
@@ -368,7 +363,7 @@ def part(
 
 
 def plugin_parts(base: type) -> Iterator[tuple[str, Any]]:
-    """Yield the instances and subclasses of a class in plug-ins, with their modules."""
+    """Yield all instances and subclasses of `base` in plug-ins, with module names."""
     for module in plugins():
         for found in vars(import_plugin(module)).values():
             is_class = isinstance(found, type) and found.__module__ == module

@@ -1,9 +1,8 @@
-"""Simulation of plants under controllers.
+"""Functions that simulate plants under controllers.
 
 The function `rollout` simulates one run, and `run_many` simulates independent runs on
-several threads. Kernels and MuJoCo release the interpreter lock during a step, so the
-threads run in parallel. The function `run_batch` simulates a batch of twins, for which
-one policy computes all commands tick by tick.
+several threads. The function `run_batch` simulates a batch of twins under one policy,
+which computes the valve commands of all twins at every tick.
 
 >>> from functools import partial
 >>> from srs_twin import AnalyticalSnake, Gait, Job, load_robot, run_many
@@ -58,10 +57,10 @@ if TYPE_CHECKING:
 
 Observer = Callable[[SnakeState], None]
 PlaceFunction = Callable[[Plant, int], SnakeState]
-"""Function that maps a plant and a seed to an initial state, which it also sets."""
+"""Function that takes a plant and a seed, sets the initial state and returns it."""
 
 Policy = Callable[[SnakeState], np.ndarray]
-"""Function that maps the states of a batch to valve commands."""
+"""Function that maps the states of all twins in a batch to valve commands."""
 
 
 def rollout(
@@ -82,26 +81,26 @@ def rollout(
 
     The snake starts at rest at `pose`, unless `initial_state` or `resume` is given. A
     controller without sensor input provides a script of valve commands, which the plant
-    executes in chunks of many ticks. If sensor input, `until` or `observers` is used,
-    plant and controller alternate in every tick.
+    executes in chunks of many ticks. A controller with sensor input is called at every
+    tick, as is any controller if `until` or `observers` is given.
 
     Args:
         plant: simulated robot.
         controller: controller that computes the valve states.
         duration: simulated time, a multiple of the plant's tick, s.
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
-        initial_state: function of plant and seed that sets another initial state, such
-            as `Plant.set_state`.
-        resume: saved states of plant and controller from which the run continues. The
-            simulated time continues from the saved time.
+        initial_state: function that takes the plant and the seed, sets another initial
+            state (see `Plant.set_state`) and returns it.
+        resume: saved states of plant and controller from which the run continues,
+            including the simulated time.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz. Either the number of samples per tick or the
             number of ticks per sample must be an integer.
-        until: predicate that ends the run after the first tick for which it returns
-            True.
+        until: function of the state that ends the run after the first tick at which it
+            returns True.
         observers: functions called with the initial state and with the state after
             every tick.
-        progress: function called at intervals with the simulated time, s.
+        progress: function called at intervals with the time simulated so far, s.
 
     Returns:
         Trajectory that begins with the initial state. If `until` or the controller ends
@@ -110,13 +109,13 @@ def rollout(
         controller (``control``).
 
     Raises:
-        InputError: duration, tick, time step and record_hz are not compatible, or
-            several of pose, initial_state and resume are given. The error is also
-            raised if the controller does not fit the valve layout or the saved state.
-            Further reasons are an obstacle that overlaps the initial body, and another
-            thread that uses the plant or the controller.
-        DivergedError: plant or controller diverged. The attribute `trajectory` of the
-            error contains the samples before the divergence.
+        InputError: the duration or the sampling rate does not fit the tick, or several
+            of pose, initial_state and resume are given. The error is also raised if the
+            controller does not support the robot, the valves or the saved state, if an
+            obstacle overlaps the body at the start, or if another thread uses the plant
+            or the controller.
+        DivergedError: the plant or the controller diverged. The attribute `trajectory`
+            of the error contains the samples before the divergence.
     """
     check_types("rollout", rollout, locals())
     if sum(start is not None for start in (pose, initial_state, resume)) > 1:
@@ -161,7 +160,7 @@ def _initial_state(
         check_start(plant, state, TOUCHING_M)
     else:
         state = initial_state(plant, seed)
-        # The state of another run may already be in contact with an obstacle.
+        # The body may already touch an obstacle in a state from another run.
         check_start(plant, state, PENETRATION_M * plant.spec.scale.length)
     return state
 
@@ -271,12 +270,14 @@ def _describe_controller(controller: Controller) -> str:
 def sample_counts(
     tick: float, record_hz: float, step: float | None = None
 ) -> tuple[int, int]:
-    """Return samples per tick and ticks per sample, at least one of which is 1.
+    """Return the number of samples per tick and the number of ticks per sample.
+
+    At least one of the two numbers is 1.
 
     Args:
         tick: control tick of the plant, s.
         record_hz: sampling rate, Hz.
-        step: time step of which the sampling interval must be a multiple, s.
+        step: time step of which the sampling interval must be a multiple, s, or None.
 
     Raises:
         InputError: the rate is not compatible with the tick. The message suggests the
@@ -327,7 +328,7 @@ class Recorder:
         self.ended_by: str | None = None
 
     def add(self, state: SnakeState) -> None:
-        """Append one or several states with the current signals of the controller."""
+        """Append one or several states, with the current signals of the controller."""
         self._states.append(state)
         self._signals.append(
             (np.size(state.time), _flatten_signals(self.controller.signals()))
@@ -336,7 +337,7 @@ class Recorder:
     def trajectory(
         self, metadata: Mapping[str, object] = MappingProxyType({})
     ) -> Trajectory:
-        """Return the trajectory recorded so far with additional metadata."""
+        """Return the trajectory recorded so far, with additional metadata."""
         states = SnakeState.history(self._states)
 
         def values_of(name: str) -> np.ndarray:
@@ -455,14 +456,14 @@ def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]
 def _numbered_columns(
     prefix: str, values: np.ndarray, names: str | None = None
 ) -> dict[str, np.ndarray]:
-    """Return the columns of an array (samples, n) with the suffixes 1…n or `names`."""
+    """Split an array (samples, n) into columns with the suffixes 1…n or `names`."""
     suffixes = names or [str(i) for i in range(1, values.shape[1] + 1)]
     return {f"{prefix}{suffix}": values[:, i] for i, suffix in enumerate(suffixes)}
 
 
 @dataclass(frozen=True)
 class Job:
-    """Arguments of one `rollout` in `run_many`.
+    """Arguments of one `rollout` call in `run_many`.
 
     Attributes:
         plant: simulated robot, or a function that builds it. A thread reuses the plant
@@ -473,8 +474,7 @@ class Job:
         pose: initial centre of mass x, y (m) and mean heading (rad), zero by default.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz.
-        initial_state: function that sets another initial state of the plant, instead of
-            `pose`.
+        initial_state: function that sets another initial state, as in `rollout`.
     """
 
     plant: Plant | Callable[[], Plant]
@@ -496,21 +496,24 @@ def run_many(
     threads: int | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> list[Trajectory | DivergedError]:
-    """Run jobs on several threads, with results bit-identical to `rollout`.
+    """Run jobs on several threads.
+
+    The trajectories are bit-identical to those of `rollout`.
 
     Args:
         jobs: jobs to run. Two jobs must not share a plant or controller object.
         threads: number of threads, by default one per processor.
-        progress: function called on the calling thread with the number of finished
+        progress: function called in the calling thread with the number of finished
             jobs.
 
     Returns:
-        Trajectory of each job, in order. For a diverged job, the list contains the
-        error, whose attribute `trajectory` has the samples before the divergence.
+        Trajectory of each job, in the order of the jobs. For a diverged job, the list
+        contains the error, whose attribute `trajectory` has the samples before the
+        divergence.
 
     Raises:
         InputError: two jobs share a plant or a controller, or a job cannot be run. The
-            message contains the number of the first invalid job.
+            message contains the job number.
     """
     jobs = list(jobs)
     _check_not_shared(jobs)
@@ -530,7 +533,7 @@ def run_many(
             parts = {"plant": _build_plant(job, thread_data), "controller": controller}
             return rollout(**vars(job) | parts, progress=check_cancelled)
         except DivergedError as error:
-            # The traceback is removed because its frames would keep the plant in memory.
+            # The frames of the traceback would keep the plant in memory.
             return error.with_traceback(None)
         except InputError as error:
             raise InputError(f"job {k + 1} of {len(jobs)}: {error}") from error
@@ -548,26 +551,26 @@ def run_batch(
     record_hz: float = 100,
     progress: Callable[[float], None] | None = None,
 ) -> list[Trajectory | DivergedError]:
-    """Simulate a batch of twins that one policy commands at every tick.
+    """Simulate a batch of twins under one policy, which is evaluated at every tick.
 
     Args:
         batch: batch of twins, one per run.
         policy: function that maps the states of all twins (leading axis: runs) to valve
             commands of shape (runs, segments, 2) or (runs, slots, segments, 2).
         duration: simulated time, a multiple of the tick, s.
-        poses: initial pose of each twin as in `rollout`, by default the origin.
+        poses: initial pose of each twin, as in `rollout`.
         seed: random seed of the twins.
-        record_hz: sampling rate as in `rollout`, Hz.
-        progress: function called with the simulated time after every tick, s.
+        record_hz: sampling rate, as in `rollout`, Hz.
+        progress: function called after every tick with the simulated time, s.
 
     Returns:
-        Trajectory of each twin, in order. For a diverged twin, the list contains the
-        error, whose attribute `trajectory` has the samples before the divergence. The
-        simulation of the remaining twins continues.
+        Trajectory of each twin, in the order of the batch. For a diverged twin, the
+        list contains the error, whose attribute `trajectory` has the samples before the
+        divergence. The simulation of the remaining twins continues.
 
     Raises:
-        InputError: duration, tick and record_hz are not compatible, or a valve command
-            is invalid.
+        InputError: the duration or the sampling rate does not fit the tick, or a valve
+            command is invalid.
     """
     ticks = count_steps("duration", duration, "tick", batch.tick)
     with claim(batch):
@@ -642,9 +645,9 @@ def run_scripts(
         batch: batch of twins, one per run.
         controllers: controllers without sensor input, one per twin.
         duration: simulated time, a multiple of the tick, s.
-        poses: initial pose of each twin as in `rollout`, by default the origin.
+        poses: initial pose of each twin, as in `rollout`.
         seed: random seed of twins and controllers.
-        record_hz: sampling rate as in `rollout`, Hz.
+        record_hz: sampling rate, as in `rollout`, Hz.
         progress: function called at intervals with the simulated time, s.
 
     Returns:
@@ -711,7 +714,6 @@ def _check_not_shared(jobs: Sequence[Job]) -> None:
 
 
 def _build_plant(job: Job, thread_data: threading.local) -> Plant:
-    """Build the plant of a job, or reuse a plant that the same function has built."""
     if isinstance(job.plant, Plant):
         return job.plant
     if getattr(thread_data, "builder", None) is not job.plant:
@@ -722,11 +724,11 @@ def _build_plant(job: Job, thread_data: threading.local) -> Plant:
 
 
 class _CancelledError(Exception):
-    """Exception that ends a run whose result is no longer needed."""
+    """Exception that stops a simulation whose result is no longer needed."""
 
 
 class _PolicyController(Controller):
-    """Placeholder controller for batches, whose commands come from a policy."""
+    """Placeholder controller for a batch whose commands come from a policy."""
 
     kind = "policy"
 

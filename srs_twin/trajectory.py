@@ -1,7 +1,4 @@
-"""Recorded signals of a rollout over time, with units and events.
-
-Trajectories are stored as Parquet files.
-"""
+"""Signals recorded during a rollout, with units and events."""
 
 from __future__ import annotations
 
@@ -40,15 +37,15 @@ _COLUMNS_OF_UNIT = {
     "J": "work internal_loss pneumatic_energy",
     "mixed": "qpos",
 }
-# Numbered columns are listed without number, for example "bend". Columns that are not
-# listed are dimensionless.
+# Numbered columns are listed without their number, for example "bend". Columns that are
+# not listed are dimensionless.
 _UNIT_OF_COLUMN = {
     name: unit for unit, names in _COLUMNS_OF_UNIT.items() for name in names.split()
 }
 
 _FILE_KIND = "a trajectory written by srs-twin"
 _TIME_ROUNDING_S = 1e-9
-"""Maximum difference between times that count as equal, s."""
+"""Maximum difference between two times that count as equal, s."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +55,7 @@ class Event:
     Attributes:
         time: time of the event, s.
         kind: type of the event, for example ``"ilc_update"``.
-        text: description of the event on one line.
+        text: one-line description of the event.
     """
 
     time: float
@@ -85,33 +82,34 @@ class HtmlResult:
 
 @dataclass(frozen=True)
 class Trajectory(HtmlResult):
-    """Recorded columns of one rollout over time.
+    """Signals recorded during one rollout, stored as columns.
 
     The arrays must not be modified. The columns have the following names.
 
-    - The body has the columns ``time``, ``heading``, the centre of mass ``com_x`` and
-      ``com_y``, and the connector poses ``x_1…N``, ``y_1…N`` and
-      ``connector_heading_1…N``, head first. The energies are ``work`` and, if the plant
-      measures the consumed air, ``pneumatic_energy``.
-    - Segments have the columns ``bend_1…``, ``measured_bend_1…`` and ``torque_1…``.
-      Chambers have the columns ``pressure_plus_1…``, ``pressure_minus_1…``,
-      ``valve_plus_1…`` and ``valve_minus_1…``.
-    - The controller adds its own signals, and the twin adds ``qpos_1…``.
-    - A world with objects has the columns ``object_x_1…``, ``object_y_1…`` and
+    - The columns of the body are ``time``, ``heading``, ``com_x`` and ``com_y`` (centre
+      of mass), and ``x_1…N``, ``y_1…N`` and ``connector_heading_1…N`` (connector poses
+      from the head). The energies are ``work``, ``internal_loss`` and
+      ``pneumatic_energy``, of which some plants record only the first.
+    - The columns of the segments are ``bend_1…``, ``measured_bend_1…`` and
+      ``torque_1…``. The columns of the chambers are ``pressure_plus_1…``,
+      ``pressure_minus_1…``, ``valve_plus_1…`` and ``valve_minus_1…``.
+    - The controller adds its own signals, and the twin adds its generalised positions
+      ``qpos_1…``.
+    - In a world with objects, the object poses are ``object_x_1…``, ``object_y_1…`` and
       ``object_heading_1…``. In a world with obstacles or objects, ``clearance`` is the
       distance from the body to the nearest obstacle or object. A plant that simulates
-      contact has the columns ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
+      contact adds the forces ``obstacle_force_x_1…`` and ``obstacle_force_y_1…``.
     - A spatial robot also has ``pitch_1…`` (upward bends), ``measured_pitch_1…``,
       ``torque_pitch_1…``, ``z_1…``, ``quaternion_w_1…`` to ``quaternion_z_1…`` and
-      ``load_1…``. Each chamber c has the columns ``pressure_c_1…`` and ``valve_c_1…``
-      instead of the columns for plus and minus.
+      ``load_1…``. In this case, the chamber columns are ``pressure_c_1…`` and
+      ``valve_c_1…`` for each chamber number c.
 
     Attributes:
-        columns: float array of each column, keyed by name, shape (samples,).
-        units: units of columns whose names are not listed above.
+        columns: float array of each column, keyed by column name, shape (samples,).
+        units: units of columns that are not listed above, keyed by column name.
         events: events in chronological order.
         metadata: JSON values such as plant, robot, tick, gait frequency and valve
-            switch counts. Wall times are excluded.
+            switch counts, without computing times.
     """
 
     columns: Mapping[str, Array]
@@ -144,7 +142,7 @@ class Trajectory(HtmlResult):
 
     @property
     def position(self) -> Array:
-        """Connector positions in the world, head first, shape (samples, N, 2), m."""
+        """Connector positions in the world frame, shape (samples, N, 2), m."""
         return np.stack([self.stack("x"), self.stack("y")], axis=-1)
 
     def stack(self, name: str) -> Array:
@@ -194,7 +192,7 @@ class Trajectory(HtmlResult):
     def to_pandas(self) -> pd.DataFrame:
         """Return the columns as a pandas data frame, indexed by time (s).
 
-        ``attrs["units"]`` is a dictionary with the unit of every column and of the
+        The attribute ``attrs["units"]`` contains the unit of each column and of the
         index.
 
         Raises:
@@ -214,9 +212,9 @@ class Trajectory(HtmlResult):
     def to_parquet(self, path: Any) -> None:
         """Write the trajectory to a Parquet file or a file-like object.
 
-        Equal trajectories give identical bytes. Units are stored in the metadata of the
-        Parquet fields. Events and metadata are stored as JSON in the metadata of the
-        Parquet schema.
+        Equal trajectories produce identical files. The metadata of the Parquet fields
+        contain the units. The metadata of the Parquet schema contain the events and the
+        metadata of the trajectory as JSON.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -229,8 +227,8 @@ class Trajectory(HtmlResult):
             "srs_twin.events": json.dumps([asdict(event) for event in self.events]),
             "srs_twin.metadata": json.dumps(dict(self.metadata), sort_keys=True),
         }
-        # Buffers are passed because pa.array() would import pandas if it is installed,
-        # which takes half a second.
+        # The arrays are passed as buffers, because pa.array() imports pandas if it is
+        # installed, which takes half a second.
         values = [
             np.ascontiguousarray(column, dtype=float)
             for column in self.columns.values()
@@ -244,9 +242,7 @@ class Trajectory(HtmlResult):
             ],
             schema=pa.schema(fields, metadata=schema_metadata),
         )
-        # BYTE_STREAM_SPLIT stores the first bytes of all floats together, then the
-        # second bytes, and so on. This encoding compresses smooth signals better than a
-        # dictionary.
+        # BYTE_STREAM_SPLIT compresses smooth signals better than a dictionary.
         encoding = dict.fromkeys(self.columns, "BYTE_STREAM_SPLIT")
         options = {
             "compression": "zstd",
@@ -257,7 +253,7 @@ class Trajectory(HtmlResult):
 
     @classmethod
     def from_parquet(cls, path: Any) -> Trajectory:
-        """Read a file that was written by `to_parquet`.
+        """Read a trajectory from a file that was written by `to_parquet`.
 
         Raises:
             InputError: the file is damaged, too large, or not a trajectory in Parquet

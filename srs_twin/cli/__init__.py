@@ -1,6 +1,6 @@
 """Command line of srs_twin.
 
-Commands import their dependencies only when they run, so that `--help` is fast.
+Commands import their dependencies when they run, so that `--help` is fast.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 _GC_THRESHOLD = 200_000
 """Number of new objects after which Python collects garbage.
 
-With Python's default of 700, garbage collection takes a sixth of the time of `compare`.
-The threshold of 200,000 increases memory use by 3 %.
+With Python's default of 700, `compare` spends a sixth of its time on garbage
+collection. The threshold of 200,000 increases memory use by 3 %.
 """
 
 _SHORT_WARNINGS = (
@@ -54,9 +54,9 @@ _SHORT_WARNINGS = (
 )
 _PYTHON_FORMATWARNING = warnings.formatwarning
 
-# File system errors that earlier checks cannot exclude, such as a full disk or missing
-# permission, are reported as invalid input. A missing file is not among them, because it
-# would indicate a bug.
+# These file system errors are reported as invalid input, because earlier checks cannot
+# exclude them. The error for a missing file is not listed, because it would indicate a
+# bug.
 _FILE_SYSTEM_ERRORS = [
     "ENAMETOOLONG",
     "EROFS",
@@ -78,7 +78,7 @@ def main(argv: list[str] | None = None) -> None:
     command continues and the exit code is unaffected.
 
     Args:
-        argv: arguments without the program name. By default, `sys.argv` is used.
+        argv: arguments without the program name, by default from `sys.argv`.
     """
     sys.stdout = _without_broken_pipes(sys.stdout)
     sys.stderr = _without_broken_pipes(sys.stderr)
@@ -104,8 +104,8 @@ def main(argv: list[str] | None = None) -> None:
             )
         finally:
             if sys.stdout is not None:
-                # Unlike an error when the interpreter flushes at exit, an error in this
-                # explicit flush can still be reported.
+                # An error in this flush can be reported, unlike an error in the flush
+                # of the interpreter at exit.
                 sys.stdout.flush()
     except SrsError as error:
         show_traceback(error)
@@ -136,7 +136,6 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _with_current_option(argument: str) -> str:
-    """Replace a former option name by the current name and issue a warning."""
     option, equals, value = argument.partition("=")
     if not option.startswith("--") or option not in RENAMED:
         return argument
@@ -157,18 +156,19 @@ def _check_current_folder() -> None:
 class _StandardStream(io.FileIO):
     """Standard stream that is redirected to the null device if a write fails.
 
-    A closed pipe is ignored. Any other failure, such as a full disk, raises an error.
+    Writes to a closed pipe are ignored. Any other failure, such as a full disk, raises
+    an `InputError`.
     """
 
     def write(self, data: ReadableBuffer, /) -> int:
         if not memoryview(data).nbytes:
-            return 0  # libraries test whether a stream is binary by writing no bytes
+            return 0  # libraries write an empty bytes object to test for binary mode
         try:
             return super().write(data)
         except OSError as error:
             null = os.open(os.devnull, os.O_WRONLY)
-            # Replacing the file descriptor itself lets later writes succeed, whether by
-            # libraries, by child processes or at interpreter shutdown.
+            # Replacing the file descriptor lets later writes succeed, including writes
+            # by libraries, by child processes and at interpreter shutdown.
             os.dup2(null, self.fileno())
             os.close(null)
             if isinstance(error, BrokenPipeError):

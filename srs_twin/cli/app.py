@@ -1,4 +1,4 @@
-"""Typer application with core commands and extension commands."""
+"""Typer application with the core commands and the commands of extensions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CORE_COMMANDS = {
     "models": "srs_twin.cli.models:app",
     "new": "srs_twin.cli.new:app",
 }
-"""Core commands, in the same form as the entries of `extensions.COMMANDS`."""
+"""Core commands, in the same format as `extensions.COMMANDS`."""
 
 _HELP_ORDER = [
     "list",
@@ -54,7 +54,7 @@ _HELP_ORDER = [
     "models",
     "new",
 ]
-"""Order of the commands in the help. Unlisted commands follow in alphabetical order."""
+"""Commands that the help lists first, in this order."""
 
 _WITHOUT_PLUGINS = [
     "view",
@@ -66,19 +66,17 @@ _WITHOUT_PLUGINS = [
     "reproduce",
     "emulate",
 ]
-"""Commands that never import plug-ins, because they read only finished runs or no files.
-"""
+"""Commands without the option `--plugin`."""
 
 
 @cache
 def command(only: str = "") -> Any:
-    """Return the click command of the application.
+    """Return the Click command of the application.
 
-    If `only` names a command, only this command is imported. Otherwise, all commands
-    are imported.
+    If `only` is the name of a command, no other command is imported.
     """
-    # Help and usage errors are printed without rich, whose boxes break file names across
-    # lines and whose import would double the duration of `--help`.
+    # Help and usage errors are printed without rich, because its boxes break file names
+    # across lines and its import would double the duration of `--help`.
     app = typer.Typer(
         no_args_is_help=True,
         rich_markup_mode=None,
@@ -124,8 +122,8 @@ def _options(
 ) -> None:
     """Simulate a soft robotic snake with an analytical model and a MuJoCo twin.
 
-    Both models receive the same valve commands. Messages refer to documentation pages
-    as docs/NAME.md; `srs-twin show docs/NAME.md` prints the page.
+    Both models accept the same valve commands. Messages refer to documentation pages as
+    docs/NAME.md, which you can print with `srs-twin show docs/NAME.md`.
     """
     if debug:
         os.environ[DEBUG] = "1"

@@ -1,4 +1,4 @@
-"""Scenarios given on the command line, with the results of their runs."""
+"""Scenarios given on the command line, and the results of their runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ EXPECTATION_FAILED = 1
 
 @dataclass(frozen=True)
 class CaseResult:
-    """Result of a run without trajectories, as returned by worker processes.
+    """Result of a run, as returned by a worker process without the trajectories.
 
     Attributes:
         run: results of the run, or None if the input was invalid or a worker process
@@ -42,13 +42,16 @@ class CaseResult:
 
     @property
     def verdicts(self) -> Counter[str]:
-        """Number of expectations in each state (`scenario.expectation.verdict`)."""
+        """Number of expectations in each state, as defined by `expectation.verdict`."""
         from srs_twin.scenario.expectation import verdict
 
         return Counter(map(verdict, self.metrics.get("expectations", ())))
 
     def exit_code(self, fails: Set[str]) -> int:
-        """Return the highest exit code due to errors, or expectations in `fails`."""
+        """Return the highest exit code due to errors and failed expectations.
+
+        `fails` contains the states of failed expectations.
+        """
         if fails & self.verdicts.keys():
             failed = EXPECTATION_FAILED
         else:
@@ -61,11 +64,11 @@ class Case:
     """Scenario given on the command line.
 
     Attributes:
-        source: name or path as typed by the user.
+        source: name or path of the scenario as typed by the user.
         scenario: loaded scenario, or None if it is invalid.
         folder: output folder.
         result: result of the run, or None if the run is incomplete.
-        in_folder: whether the user gave a folder that contains the scenario.
+        in_folder: whether the scenario was found in a folder that the user gave.
     """
 
     source: str
@@ -76,7 +79,7 @@ class Case:
 
     @property
     def name(self) -> str:
-        """Name of the scenario. An invalid scenario is named after its file."""
+        """Name of the scenario, or of its file if the scenario is invalid."""
         if self.scenario is None:
             return Path(self.source).stem
         return self.scenario.name

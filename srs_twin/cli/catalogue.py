@@ -16,10 +16,10 @@ from srs_twin.extensions import SCHEMAS, installed, load, plugins, reading
 
 _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _DEFAULT_KINDS = _KINDS[:-1]
-"""Kinds that `list --json` prints without an argument. They are a public interface."""
+"""Kinds that `list --json` prints by default, as part of the public interface."""
 
 _PRINTED_KINDS = ("scenarios", "robots", "sweeps", "studies", "controllers")
-"""Kinds that `list` prints without an argument."""
+"""Kinds that `list` prints by default."""
 
 _BEGINNING = {
     "gen2_straight": (
@@ -31,7 +31,7 @@ _BEGINNING = {
     "module_step_direct": "control the bend of one module",
     "sensor_up": "read a curvature sensor",
 }
-"""Scenarios for new users, with descriptions. Each group has at most one."""
+"""Descriptions of scenarios for new users, at most one in each group."""
 
 _GROUPS = {
     "crawl": r"(gen\d|skin)_(straight|climb)",
@@ -43,7 +43,7 @@ _GROUPS = {
     "touch and move objects": "(pegs|push|grasp)_.*",
     "three dimensions": "spatial_.*",
 }
-"""Pattern of scenario names in each group, keyed by group title."""
+"""Patterns of the scenario names in each group, keyed by group title."""
 
 _FILE_KINDS = {
     "scenarios": "scenario",
@@ -57,9 +57,9 @@ def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List the shipped scenarios, robots, sweeps and controllers.
+    """List the shipped scenarios, robots, sweeps, studies and controllers.
 
-    The list begins with six scenarios that introduce the program.
+    The list begins with six scenarios for new users.
 
     Options:
         kind: What to list: scenarios, robots, sweeps, controllers, metrics or studies.
@@ -152,8 +152,8 @@ def show(
 ) -> None:
     """Show a scenario, a robot or a documentation page.
 
-    The values of a scenario or robot are printed with units and sources, including
-    default values.
+    The command prints all values of a scenario or robot, including default values, with
+    units and sources.
 
     Options:
         name: Name of a shipped scenario or robot, path of a scenario or robot file, or
@@ -230,9 +230,9 @@ def is_robot(name: str) -> bool:
 def _leaves(
     data: Any, loc: tuple[str | int, ...] = ()
 ) -> Iterator[tuple[tuple[str | int, ...], Any]]:
-    """Yield path and value of each leaf in nested data.
+    """Yield the path and the value of each leaf in nested data.
 
-    A value with unit and source counts as a single leaf.
+    A value with a unit and a source counts as a single leaf.
     """
     is_block = isinstance(data, Mapping) and "unit" not in data
     if is_block or (

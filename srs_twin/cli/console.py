@@ -1,4 +1,4 @@
-"""Console output of commands: messages and progress on stderr, tables on stdout."""
+"""Console output of commands, with messages on stderr and tables on stdout."""
 
 from __future__ import annotations
 
@@ -35,21 +35,21 @@ _HINT = re.compile(r"(`(?:\w+=\w+ )?)(srs-twin )")
 
 
 def launcher() -> str:
-    """Return the prefix with which the user started `srs-twin`: "uv run ", "uvx " or ""."""
+    """Return the prefix with which `srs-twin` was started, such as "uv run " or ""."""
     if "UV_RUN_RECURSION_DEPTH" in os.environ:  # set by `uv run`
         return "uv run "
-    # `uvx` sets only the variable UV, which a user may also set. The environments of
-    # `uvx` are in uv's archive folder.
+    # `uvx` sets only the variable UV, which a user may also set. The Python environment
+    # of `uvx` lies in uv's archive folder.
     if "UV" in os.environ and "archive-v" in sys.prefix:
         return "uvx "
     return ""
 
 
 def as_started(text: str) -> str:
-    """Adapt the commands in a message to the way in which the program was started.
+    """Adapt the commands in a message to how the user started the program.
 
     Commands in backticks get the prefix "uv run " or "uvx " if the user typed it. In an
-    installed wheel, names of documentation pages are replaced by commands that print
+    installed wheel, names of documentation pages are replaced with commands that print
     the pages.
     """
     if data_root().name == "_data":
@@ -58,7 +58,7 @@ def as_started(text: str) -> str:
 
 
 def say(*lines: str, quiet: bool = False) -> None:
-    """Print lines, adapted by `as_started`, on stderr unless `quiet` is set."""
+    """Print lines on stderr, adapted by `as_started`, unless `quiet` is true."""
     for line in () if quiet else lines:
         print(
             escape_unprintable(as_started(line), keep="\n\t"),
@@ -79,7 +79,7 @@ def handle_signals(
 def is_interrupt(error: BaseException | None) -> bool:
     """Return whether an error was caused by an interrupt.
 
-    If an import is interrupted, C extensions may raise a different error.
+    C extensions may raise a different error if their import is interrupted.
     """
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
@@ -89,8 +89,8 @@ def is_interrupt(error: BaseException | None) -> bool:
 @contextmanager
 def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
     """On Ctrl-C or SIGTERM, print a message and exit with code `INTERRUPTED`."""
-    # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
-    # remains ignored.
+    # CI pipelines cancel jobs with SIGTERM. SIGTERM remains ignored if the parent
+    # process ignores it.
     handled = threading.current_thread() is threading.main_thread()
     handled = handled and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     if handled:
@@ -115,7 +115,7 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
 
 
 def console() -> Console:
-    """Return a rich console on stdout that ignores markup and escapes control codes."""
+    """Return a console on stdout that ignores markup and escapes control characters."""
     import rich.console
 
     class Plain(rich.console.Console):
@@ -132,7 +132,7 @@ def new_table(
 ) -> Table:
     """Return an empty table whose columns do not wrap.
 
-    Columns whose index is in `left` are left-aligned, all others right-aligned.
+    Columns with an index in `left` are left-aligned, and others are right-aligned.
     """
     from rich import box
     from rich.table import Table
@@ -151,16 +151,16 @@ def new_table(
 
 
 def show_traceback(error: Exception) -> None:
-    """Print the traceback of an error on stderr if `DEBUG` is set."""
+    """Print the traceback of an error on stderr if SRS_TWIN_DEBUG is set."""
     if os.environ.get(DEBUG, "0") not in ("", "0"):
         say("".join(traceback.format_exception(error)).rstrip())
 
 
 DISPLAY_DELAY_S = 2.0
-"""Delay before the progress of a task is displayed, s."""
+"""Time after which the progress of a task is displayed, s."""
 
 LINE_INTERVAL_S = 10.0
-"""Interval between two progress lines if stderr is not a terminal, s."""
+"""Time between two progress lines if stderr is not a terminal, s."""
 
 
 class Display(ABC):
@@ -168,7 +168,7 @@ class Display(ABC):
 
     Attributes:
         title: name of the task.
-        first_line_s: time of the first progress line, s.
+        first_line_s: minimum time before the first progress line, s.
     """
 
     first_line_s = LINE_INTERVAL_S
@@ -207,7 +207,7 @@ class Display(ABC):
 
     @abstractmethod
     def _bar(self) -> tuple[str, float | None, str]:
-        """Return title, completed fraction and status text for the progress bar."""
+        """Return the title, completed fraction and status text of the progress bar."""
 
     def _draw(self) -> None:
         # Importing rich takes as long as a short run.
@@ -232,7 +232,7 @@ class Display(ABC):
 
 
 class RunCounter(Display):
-    """Progress of several runs. Call the object after each completed run."""
+    """Progress display for several runs, called after each completed run."""
 
     def __init__(
         self,
@@ -262,7 +262,7 @@ class RunCounter(Display):
         self(failed=False)
 
     def follow(self, title: str, total: int, row: Any) -> None:
-        """Show the progress of one part of a study."""
+        """Count a completed run, or begin a new part of a study if `row` is None."""
         if row is None:
             self.title = title
             self.total = total
@@ -272,7 +272,7 @@ class RunCounter(Display):
 
     @contextmanager
     def hidden(self) -> Iterator[None]:
-        """Hide the bar while the `with` block prints to the terminal."""
+        """Hide the progress bar while a `with` block prints to the terminal."""
         if self._progress is not None:
             self._progress.stop()
         yield
@@ -280,7 +280,7 @@ class RunCounter(Display):
             self._progress.start()
 
     def _rate(self) -> float:
-        """Return the runs per second, excluding the start-up time of the workers."""
+        """Return the rate of completed runs after the start-up of the workers, 1/s."""
         if self._done < 2:
             return self._done / max(self._elapsed(), 1e-3)
         return (self._done - 1) / max(self._elapsed() - self._first_done_s, 1e-3)
@@ -306,7 +306,7 @@ class RunCounter(Display):
 
 
 class ScenarioProgress(Display):
-    """Progress of one scenario, as a callback for `PreparedRun.execute`."""
+    """Progress display for one scenario, used as callback of `PreparedRun.execute`."""
 
     first_line_s = 0.0
 
@@ -331,7 +331,7 @@ class ScenarioProgress(Display):
     ) -> None:
         """Update the completed fraction (0 to 1) of a stage.
 
-        If a stage is expected to take long, its start is displayed immediately.
+        The start of a long stage is displayed immediately.
         """
         is_new = stage != self._stage
         self._stage = stage

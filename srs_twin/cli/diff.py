@@ -20,7 +20,7 @@ EXIT_DIFFERENT = 1
 """Exit code if a difference exceeds the tolerance."""
 
 _MAX_ROWS = 40
-"""Maximum total number of rows in the printed tables."""
+"""Maximum number of rows in all printed tables together."""
 
 
 def diff(
@@ -34,9 +34,9 @@ def diff(
 ) -> None:
     """Compare two sets of results value by value.
 
-    The exit code is 1 if a difference exceeds the tolerance. A and B are results of
-    `run`, `compare`, `replay`, `sweep` or `reproduce`, given as a file (metrics.json,
-    results.parquet or reproduce.json) or as a folder of such files.
+    A and B are files (metrics.json, results.parquet or reproduce.json), or folders of
+    such files, written by `run`, `compare`, `replay`, `sweep` or `reproduce`. The exit
+    code is 1 if a difference exceeds the tolerance.
 
     Options:
         a: Folder or file with the reference results.
@@ -62,7 +62,7 @@ def diff(
         allowed = load_tolerances(tolerances) if tolerances else Tolerances()
         difference = compare_results(a, b, _with_options(allowed, rel=rel, abs=abs_))
     except InputError as error:
-        # The error replaces the report of an earlier comparison.
+        # A report of the error replaces the report of an earlier comparison.
         if report is not None:
             text = str(error)
             kind = type(error).__name__
@@ -111,9 +111,9 @@ def _show(difference: Difference) -> None:
 
 
 def _cells(change: ChangedValue) -> list[str]:
-    """Format a, b, b − a, and (b − a)/|a| in per cent.
+    """Return the cells for a, b, b − a, and (b − a)/|a| in per cent.
 
-    The values a and b get enough digits to show the difference.
+    The values a and b have enough digits to show their difference.
     """
     from srs_twin.comparison.diff import tolerance_names
     from srs_twin.comparison.sampling import is_near_zero, split_unit

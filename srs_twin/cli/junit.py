@@ -1,4 +1,4 @@
-"""JUnit XML reports with one test suite per scenario."""
+"""JUnit XML reports for continuous integration."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ if TYPE_CHECKING:
     from srs_twin.scenario.expectation import ExpectationRow
 
 _OUTCOMES = {"failures": "failure", "errors": "error", "skipped": "skipped"}
-# XML 1.0 excludes control characters and surrogates. Python uses surrogates for bytes in
-# file names that are not UTF-8.
+# XML 1.0 excludes control characters and surrogates. In file names, Python represents
+# invalid UTF-8 bytes by surrogates.
 _INVALID_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 
 def report_path(name: str) -> Path:
-    """Return the path of a report after checking the suffix.
+    """Return the path of a report, whose file name must end with .xml.
 
-    The suffix must be .xml, so that a mistyped command cannot overwrite a scenario
-    file.
+    The fixed suffix prevents a mistyped command from overwriting a scenario file.
 
     Raises:
         InputError: the name does not end with .xml.
@@ -41,15 +40,14 @@ def report_path(name: str) -> Path:
 
 
 class TestCase(NamedTuple):
-    """Test case in a report.
+    """Test case in a JUnit report.
 
     Attributes:
         classname: group of the test case, for example the scenario.
-        name: name of the test case.
         wall_s: wall time, s.
         outcome: "failure", "error" or "skipped", or an empty string if the test passed.
         message: one-line reason for the outcome.
-        kind: type of the failure.
+        kind: type of the failure or error.
         text: full description of the outcome.
     """
 
@@ -65,7 +63,7 @@ class TestCase(NamedTuple):
 def write_report(
     path: Path, name: str, suites: Iterable[tuple[str, Iterable[TestCase]]]
 ) -> None:
-    """Write a report atomically.
+    """Write a JUnit report atomically.
 
     Raises:
         InputError: the file cannot be written.
@@ -98,12 +96,12 @@ def write_report(
 def write_junit(
     path: Path, cases: Sequence[Case], fails: Set[str] = frozenset()
 ) -> None:
-    """Write a report with one suite per scenario.
+    """Write a JUnit report with one test suite per scenario.
 
     A suite contains a test case ``runs`` for the simulation and one test case per
     expectation. If the simulation diverges, the input is invalid or a worker process
-    dies, ``runs`` has an error. A test case is skipped if the expectation cannot be
-    judged or is missed for a known reason.
+    dies, ``runs`` has an error. By default, expectations that cannot be judged or are
+    missed for a known reason are skipped.
 
     Args:
         path: path of the report.

@@ -30,7 +30,7 @@ def export(
 ) -> None:
     """Write MJCF models of robots, one folder per robot.
 
-    For each robot, a message on stderr states what the MJCF files omit or approximate.
+    Messages on stderr state what the MJCF files omit or approximate.
 
     Options:
         names: Names of shipped robots with wheels, or paths of robot files. [default:
@@ -92,7 +92,6 @@ def check() -> None:
 
 
 def _exportable_robots() -> list[str]:
-    """Return the shipped robots with wheels. MJCF files do not support skin."""
     from srs_twin.io.files import shipped_names
     from srs_twin.robot.file import load_robot
 

@@ -38,14 +38,14 @@ OutOption = Annotated[
     ),
 ]
 
-# Values of generation 2, from which the values of new robots are scaled.
+# The values of new robots are scaled from these values of generation 2.
 _PITCH_M = 0.055
-"""Distance between connectors, m."""
+"""Distance between neighbouring connectors, m."""
 
 _MASS_KG = 0.15
 _PRESSURE_KPA = 48.3
 _AIR_ML = 45.0
-"""Increase of the chamber volume from the straight segment to full bend, ml."""
+"""Increase in chamber volume when a straight segment bends fully, ml."""
 
 _BEND_RAD = 1.57
 """Default bend of a segment at the supply pressure, rad."""
@@ -54,20 +54,18 @@ _SERVO_BEND_RAD = 0.6
 """Default maximum angle of a servo joint, rad."""
 
 _JOINT_FRACTION = 1 / 15
-"""Length of a servo joint as a fraction of the joint distance. The rest is a rigid link.
-"""
+"""Length of a servo joint as a fraction of the distance between joints."""
 
 _SERVO_PLANE_RATIO = 0.1
-"""Default pitch and roll stiffness of a servo joint, divided by weight times body
-length, dimensionless."""
+"""Ratio of a servo joint's pitch and roll stiffness to weight times length."""
 
 _SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
-"""Suffix of the written file for each template suffix."""
+"""Suffix of the written file, keyed by the suffix of the template."""
 
 
 @dataclass(frozen=True)
 class NewRobotOptions:
-    """Size and kind of a robot.
+    """Options for the size and the kind of a robot.
 
     Options:
         --length M: Body length in metres. [default: 0.22]
@@ -91,7 +89,7 @@ class NewRobotOptions:
     servo: bool = False
 
     def ask(self) -> RobotSize:
-        """Return the size of the robot and prompt for values not set by options.
+        """Return the size of the robot, prompting for values that are not set.
 
         Raises:
             InputError: a value is not positive, or a servo robot is given a supply
@@ -122,7 +120,7 @@ class NewRobotOptions:
 
 
 class RobotSize(NamedTuple):
-    """Size of a robot. The attributes have the names of the command's options.
+    """Size of a robot, with attributes named after the command options.
 
     Attributes:
         segments: number of segments.
@@ -139,9 +137,9 @@ class RobotSize(NamedTuple):
     bend: float
 
     def doubts(self) -> list[str]:
-        """Return a message for each value that is probably in a wrong unit.
+        """Return a message for each value that is probably in the wrong unit.
 
-        Each value is compared with the generation 2 value, scaled to the robot's size.
+        Each value is compared with a value that is scaled from generation 2.
         """
         from srs_twin.robot.plausibility import likely_unit
 
@@ -172,8 +170,7 @@ _PLAUSIBLE = {
     "pressure": ("kPa", 1 / 6, 20.0),
     "bend": ("rad", 0.0, 4.0),
 }
-"""Unit of each option, and plausible range of the ratio to the scaled generation 2 value.
-"""
+"""Unit of each option, and plausible range of its ratio to the scaled gen2 value."""
 
 
 def _default_mass(segments: int, length: float) -> float:
@@ -189,8 +186,8 @@ def robot(
 ) -> None:
     """Write a robot file for a robot of a given size.
 
-    The values are scaled from the robot gen2. On a terminal, the command asks for
-    values that are not set by options.
+    The values in the file are scaled from the robot gen2. On a terminal, the command
+    prompts for values that are not set by options.
     """
     size = options.ask()
     from srs_twin.robot.file import load_robot
@@ -227,7 +224,7 @@ _SERVO_SOURCES = {
     "plane_interval": "assumption",
     "plane_damping": "assumption",
 }
-"""Sources of values that differ in a robot with servo joints."""
+"""Sources that replace `_CHAMBER_SOURCES` for robots with servo joints."""
 
 
 def _robot_values(size: RobotSize, *, servo: bool) -> dict[str, object]:
@@ -345,7 +342,7 @@ for _command in (robot, scenario, controller, study):
 
 
 def _answer(question: str, value: float | None, default: float) -> float:
-    """Return the value of an option, or ask the user on a terminal.
+    """Return the value of an option, prompting for it on a terminal if it is not set.
 
     Without a terminal, the default is returned.
     """
@@ -365,9 +362,9 @@ def _write(
     doubts: Sequence[str] = (),
     **values: Any,
 ) -> Path:
-    """Write a file from a template and remove it if the check fails.
+    """Write a file from a template, and remove the file if the check fails.
 
-    The error message includes `doubts`, the probable causes of the failure.
+    If the file is invalid, the error message lists `doubts` about values, if any.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
         raise InputError(
@@ -387,7 +384,7 @@ def _write(
     except BaseException as error:
         path.unlink(missing_ok=True)
         if isinstance(error, InputFileError):
-            # Line numbers would be meaningless, because the file was removed.
+            # Line numbers are omitted, because the file no longer exists.
             place = re.compile(rf"{re.escape(str(path))}[\d:]*: ")
             raise InputError(
                 "\n".join(doubts or [place.sub("", line) for line in error.lines])

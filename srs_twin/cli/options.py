@@ -23,8 +23,7 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
 
     Args:
         declaration: flags and name of the value, such as "--robot -r ROBOT".
-        text: help text. By default, `expand_option_groups` takes the help text from a
-            docstring.
+        text: help text, which by default is taken from a docstring.
         settings: additional arguments of `typer.Option`.
     """
     words = declaration.split()
@@ -34,10 +33,7 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
 
 
 class OptionRange(NamedTuple):
-    """Minimum and maximum of an option that is documented in a docstring.
-
-    `expand_option_groups` evaluates the values.
-    """
+    """Minimum and maximum of an option that is declared in a docstring."""
 
     min: float | None = None
     max: float | None = None
@@ -50,7 +46,7 @@ def argument(
 
     Args:
         metavar: argument name shown in the help.
-        text: help text. By default, it is taken from a docstring.
+        text: help text, which by default is taken from a docstring.
         shipped: kinds of shipped files whose names are offered as shell completions.
     """
 
@@ -130,7 +126,7 @@ FloorOption = Annotated[str | None, option("--friction-law NAME", _FRICTION)]
 
 
 def print_json(document: Any) -> None:
-    """Print a JSON document on stdout. NumPy arrays become lists."""
+    """Print a JSON document on stdout, with NumPy arrays as lists."""
     import json
 
     # The output is ASCII, because file names may contain control characters, which a
@@ -143,7 +139,7 @@ def print_json(document: Any) -> None:
 
 
 def parse_plants(text: str | None) -> list[str] | None:
-    """Parse the value of `--plants`. Without this option, return None."""
+    """Return the plants listed in `--plants`, or None without this option."""
     plants = ("analytical", "twin")
     names = [name.strip() for name in text.split(",")] if text else []
     for name in names:
@@ -193,14 +189,13 @@ NO_CHANGES = ChangeOptions()
 def expand_option_groups(
     command: Callable[..., None], *, plugins: bool = False
 ) -> Callable[..., None]:
-    """Convert a command with option groups and documented options for Typer.
+    """Convert option groups and documented options of a command for Typer.
 
-    Typer supports neither option groups nor options in docstrings. This function
-    replaces a parameter whose type is a dataclass by the fields of the dataclass.
-    Options are declared in the section "Options:" in the docstring of the command or
-    dataclass, for example "--out DIR: Output folder." for the parameter `out`. For a
-    parameter annotated with `option` or `argument`, the section contains only the name
-    and the help text.
+    A parameter whose type is a dataclass is replaced with the fields of the dataclass.
+    Options are declared in the docstring of the command or dataclass, in a section
+    "Options:". For example, the entry "--out DIR: Output folder." declares the option
+    for the parameter `out`. If a parameter is annotated with `option` or `argument`,
+    its entry begins with the parameter name instead of flags.
     """
     description, options = _parse_docstring(command)
     hints = get_type_hints(command, include_extras=True)
@@ -254,9 +249,9 @@ def _with_option(annotation: object, declaration: str, text: str) -> object:
 
 
 def _parse_docstring(documented: object) -> tuple[str, dict[str, tuple[str, str]]]:
-    """Split a docstring into the description and the section "Options:".
+    """Return the description and the options in a docstring.
 
-    The section is returned as a mapping from parameters to declarations and help texts.
+    The options map parameter names to declarations and help texts.
     """
     description, _, section = (inspect.getdoc(documented) or "").partition(
         "\n\nOptions:\n"

@@ -49,11 +49,11 @@ RUNS_FOLDER = Path("runs")
 
 @dataclass(frozen=True)
 class ReportOptions:
-    """Options for reports and for the exit code.
+    """Options for reports and exit codes.
 
     Options:
-        --junit FILE.xml: Write a JUnit XML report on the runs and their expectations to
-            this file.
+        --junit FILE.xml: Write a JUnit XML report of the runs and expectations to this
+            file.
     """
 
     check: CheckOption = False
@@ -64,7 +64,7 @@ class ReportOptions:
 
     @property
     def fails(self) -> frozenset[str]:
-        """Expectation states that set the exit code to 1."""
+        """States of expectations that lead to exit code 1."""
         if self.strict:
             return frozenset({"missed", "expected_failure", "holds", "not_judged"})
         if self.check:
@@ -86,9 +86,9 @@ def run_case(
 
     Args:
         task: scenario and output folder.
-        progress: progress callback of `PreparedRun.execute`.
+        progress: callback that is passed to `PreparedRun.execute`, or None.
         plants: plants to run, by default the plants of the scenario.
-        explain: whether to attribute the difference between the plants.
+        explain: whether to attribute the difference between the plants to assumptions.
     """
     from srs_twin.experiment import prepare
 
@@ -109,8 +109,8 @@ def run_case(
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.failed_attributions)
     for failure in errors:
-        # Sending trajectories from a worker process is slow, and they are already stored
-        # in files.
+        # Trajectories are already stored in files, and sending them from a worker
+        # process would be slow.
         failure.trajectory = failure.history = None
     result = replace(result, trajectories={}, diverged=(), failed_attributions=())
     return CaseResult(result, errors, time.perf_counter() - start)
@@ -126,21 +126,22 @@ def run_all(
     explain: bool = False,
     changes: Sequence[Override] = (),
 ) -> None:
-    """Check all scenarios, run the valid scenarios, and exit with the highest code.
+    """Check all scenarios, run the valid ones, and exit with the highest exit code.
 
-    With `--json`, a single scenario prints its `metrics.json`, and several scenarios
-    print `{"runs": […]}`. A failed scenario prints `{"scenario": …, "errors": […]}`.
+    With `--json`, the output for a single scenario is the content of `metrics.json`, or
+    `{"scenario": …, "errors": […]}` after a failure. The output for several scenarios
+    is `{"runs": […]}`.
 
     Args:
-        cases: scenarios, which are loaded if necessary.
-        report: options for reports and the exit code.
-        out: output folder. If there are several scenarios, or if a folder of scenarios
-            is given, each scenario has a subfolder.
-        workers: number of worker processes, by default one per processor. With one worker,
-            the scenarios run in this process.
+        cases: scenarios to run, which are loaded if necessary.
+        report: options for reports and exit codes.
+        out: output folder, with a subfolder for each scenario if there are several
+            scenarios or if a folder of scenarios was given.
+        workers: number of worker processes, by default one per processor. With one
+            worker, the scenarios run in this process.
         plants: plants to run, by default the plants of each scenario.
-        explain: whether to attribute the difference between the plants.
-        changes: overridden fields.
+        explain: whether to attribute the difference between the plants to assumptions.
+        changes: overridden fields of the scenarios.
 
     Raises:
         InputError: the JUnit file or the output folder is not writable.
@@ -196,13 +197,13 @@ def _print_tally(results: Sequence[CaseResult]) -> None:
 
 
 def make_cases(names: Sequence[str]) -> list[Case]:
-    """Return one case per scenario, given names, scenario files or folders."""
+    """Return one case per scenario, given scenario names, files or folders."""
     from srs_twin.io.files import shipped_names
 
     in_folder: dict[str, bool] = {}
     for name in names:
-        # A shipped scenario takes precedence over a folder of the same name. If a name is
-        # too long, `glob` would raise an error, but `isdir` returns False.
+        # A shipped scenario takes precedence over a folder of the same name. For a name
+        # that is too long, `isdir` returns False, whereas `glob` would raise an error.
         is_folder = name not in shipped_names("scenario") and os.path.isdir(name)
         files: list[str] = []
         if is_folder:
@@ -243,7 +244,7 @@ def _load(
             folders.add(case.folder)
     valid = [case for case in cases if case.result is None]
     if len(valid) > 1:
-        # An unusable folder is reported only once, not for every scenario.
+        # An unusable folder is reported once instead of for every scenario.
         check_output_folder(base)
     for case in valid:
         with _record_input_errors(case):
@@ -272,7 +273,7 @@ def _run(
     *,
     quiet: bool,
 ) -> Generator[Case, None, None]:
-    """Run cases and yield them in order as soon as they are complete."""
+    """Run cases and yield completed cases in the given order."""
     from srs_twin.compute.workers import processor_count, run_tasks
 
     workers = min(workers or processor_count(), len(cases))
@@ -328,7 +329,6 @@ def _print_result(
 
 
 def _viewing_hint(folder: Path) -> str:
-    """Return how to view a run, or why there is no recording."""
     from srs_twin.experiment import RECORDING
 
     if (folder / RECORDING).is_file():

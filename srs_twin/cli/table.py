@@ -1,4 +1,4 @@
-"""Printed results of a run: metrics, events and expectations."""
+"""Printed metrics, events and expectations of a run."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ STATE_LABELS = {
 """Label of each expectation state at the start of a printed line."""
 
 _EXPLAINABLE = {"com_speed_rel", "yaw_rate_abs"}
-"""Differences that `compare --explain` attributes to assumptions."""
+"""Difference metrics that `compare --explain` attributes to assumptions."""
 
 _ZERO = 5e-5
-"""Absolute difference (m, m/s, rad or rad/s) below which 0 is printed."""
+"""Threshold below which a difference is printed as 0, in m, m/s, rad or rad/s."""
 
 
 def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
     """Return the rows of the metrics table.
 
-    The columns are metric, unit, the value for each plant, difference, difference in
-    per cent, and published value.
+    The columns contain the metric, the unit, the value for each plant, the difference,
+    the difference in per cent, and the published value.
     """
     plants = metrics["plants"]
     published_values = published(metrics["expectations"])
@@ -104,11 +104,7 @@ def show(result: RunResult) -> None:
 
 
 def _attribution_table(attribution: Mapping[str, Any]) -> Table:
-    """Return a table with the contribution of each assumption to the difference.
-
-    If a contribution depends on the order in which assumptions are switched, average,
-    minimum and maximum over all orders are shown.
-    """
+    """Return a table of contributions, with ranges over all switching orders."""
     measures = [MEASURES[measure] for measure in attribution["measures"]]
     # Multi-line headings leave space for the names of the assumptions.
     headings = [title.replace(" ", "\n", 1) + f"\n{unit}" for title, unit in measures]
@@ -146,13 +142,12 @@ def _number(value: float | str | None) -> str:
 
 
 def event_lines(metrics: Mapping[str, Any]) -> list[str]:
-    """Return one line per event. Contacts are not included."""
+    """Return one line of text for each event, except for contacts."""
     return [
         f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
         for plant, events in metrics.get("events", {}).items()
         for event in events
-        # A run may have many contacts. The headline states the first contact, and the
-        # table states the number and total duration.
+        # Contacts may be numerous, and are summarised in the headline and the table.
         if event["kind"] not in CONTACT_EVENTS
     ]
 
@@ -160,7 +155,7 @@ def event_lines(metrics: Mapping[str, Any]) -> list[str]:
 def expectation_lines(
     metrics: Mapping[str, Any], verdicts: Container[str] = STATE_LABELS
 ) -> list[str]:
-    """Return one line for each expectation whose state is in `verdicts`."""
+    """Return one line of text for each expectation whose state is in `verdicts`."""
     return [
         _expectation_line(row)
         for row in metrics["expectations"]
@@ -169,7 +164,7 @@ def expectation_lines(
 
 
 def needs_explanation(metrics: Mapping[str, Any]) -> bool:
-    """Return whether the plants differ unexpectedly and no attribution exists."""
+    """Return whether the plants differ unexpectedly and the cause is unknown."""
     missed = {
         row["metric"]
         for row in metrics["expectations"]

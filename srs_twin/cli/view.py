@@ -40,8 +40,8 @@ def view(
     Options:
         runs: Folders of runs, names of folders in runs/, or recordings (.rrd). Several
             runs are shown side by side.
-        --web: Show the viewer in a browser on this machine until you press Ctrl-C.
-        --port N: TCP port of the viewer in the browser. [default: any free port]
+        --web: Serve the viewer to a browser on this machine until you press Ctrl-C.
+        --port N: TCP port of the page in the browser. [default: any free port]
     """
     recordings = [find_recording(run) for run in runs]
     if port is not None and not web:
@@ -86,7 +86,7 @@ def find_recording(run: str) -> Path:
     """Return the path of a recording, given its path, a run folder or a run name.
 
     Raises:
-        InputError: no recording was found.
+        InputError: no recording was found, or the file is not a recording.
     """
     candidates = [
         Path(run),
@@ -111,7 +111,7 @@ def find_recording(run: str) -> Path:
 def name_recordings(recordings: Sequence[Path]) -> dict[str, Path]:
     """Return the recordings, keyed by unique names.
 
-    Each name consists of as few trailing parts of the path as possible.
+    Each name consists of the last parts of the path, as few as necessary.
 
     Raises:
         InputError: a recording is given twice.
@@ -137,10 +137,11 @@ def play(
 ) -> None:
     """Play a scenario or steer a robot in MuJoCo's viewer.
 
-    The left and right keys change the steering offset of the gait, and home resets the
-    offset. Up and down change the gait frequency, page up and page down the supply
-    pressure. Space pauses the simulation, and backspace restarts it. A scenario's
-    controller acts until you change the offset, the frequency or the pressure.
+    The left and right keys change the steering offset of the gait, and the home key
+    resets the offset. The up and down keys change the gait frequency, and the page up
+    and page down keys change the supply pressure. The space key pauses the simulation,
+    and the backspace key restarts it. The controller of a scenario acts until you
+    change the offset, the frequency or the pressure.
 
     Options:
         name: Name of a shipped scenario or robot, or path of a scenario or robot file.
@@ -198,24 +199,22 @@ def _changed_robot(
 VIDEO_SUFFIX = ".mp4"
 IMAGE_SUFFIX = ".png"
 _GHOST = "analytical"
-"""Plant that `--ghost` draws translucent."""
+"""Plant that `--ghost` draws as a translucent body."""
 
 _MIN_SAMPLES = 2
 """Minimum number of samples in a video or strobe image."""
 
+# Minimum and maximum of both the width and the height of an image.
 _MIN_SIDE_PX = 64
-"""Minimum width and height of an image, pixels."""
-
 _MAX_SIDE_PX = 4096
-"""Maximum width and height of an image, pixels."""
 
 
 @dataclass(frozen=True)
 class PictureOptions:
-    """Options for kind, content and output file of rendered pictures.
+    """Options of `srs-twin render`.
 
     Options:
-        --video FILE.mp4: Render a video to this file. With several runs, give a folder.
+        --video FILE.mp4: Render a video to this file. For several runs, give a folder.
         --image t=2.5: Render an image of the run at this time in seconds.
         --strobe: Render an image from above that shows the robot at several times.
         --ghost: Also draw the analytical model as a translucent body.
@@ -224,8 +223,7 @@ class PictureOptions:
         --size WxH: Width and height of the picture in pixels. With --strobe, only the
             width is used.
         --fps N: Frame rate of the video in Hz.
-        --speed X: Playback speed of the video. With 0.25, the video runs at a quarter
-            of real time.
+        --speed X: Playback speed of the video relative to real time, for example 0.25.
         --from S: Time in seconds at which the video or the strobe image starts.
             [default: start of the run]
         --to S: Time in seconds at which the video or the strobe image ends. [default:
@@ -309,7 +307,7 @@ class PictureOptions:
         return target
 
     def part(self, run: FinishedRun) -> Trajectory:
-        """Return the twin's samples in the selected interval.
+        """Return the trajectory of the twin in the selected time interval.
 
         Raises:
             InputError: the run lacks a required plant, or has fewer than two samples in
@@ -352,8 +350,8 @@ def render(
     picture.check()
     from srs_twin.viewing.mujoco.opengl import usable_opengl
 
-    # The OpenGL check must precede the import of MuJoCo, which fails if MUJOCO_GL has an
-    # unknown value.
+    # The OpenGL check must precede the import of MuJoCo, which fails for unknown values
+    # of MUJOCO_GL.
     usable_opengl()
     from srs_twin.experiment import load_run
     from srs_twin.io.files import check_output_folder

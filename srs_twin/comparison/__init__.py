@@ -1,1 +1,1 @@
-"""Metrics of single runs and comparisons of two runs."""
+"""Metrics of single runs, and comparisons between two runs."""

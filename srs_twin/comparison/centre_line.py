@@ -1,8 +1,8 @@
 """Centre line and sides of the body, computed from recorded connector poses.
 
-Between two connectors, a segment consists of an arc of constant curvature with half of
-the rigid gap at each end (Fig. 35). Each half gap is straight and has the heading of
-the adjacent connector.
+Each segment lies between two connectors. It consists of an arc of constant curvature
+and two straight parts, each as long as half the rigid gap and aligned with the adjacent
+connector (Fig. 35).
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 _MIN_OVERLAP = 0.25
-"""Minimum overlap between two parts of the body that is reported, in body widths.
+"""Minimum reported overlap between two parts of the body, in body widths.
 
-Smaller overlaps may be artefacts, because the twin's collision geoms are chords that
-lie up to 3 mm inside the arcs, and because contacts are not perfectly rigid.
+Smaller overlaps may be artefacts. The collision geoms of the twin are chords that lie
+up to 3 mm inside the arcs, and contacts are not perfectly rigid.
 """
 _MAX_SAMPLES = 200
-"""Maximum number of samples searched for overlaps."""
+"""Maximum number of samples that are searched for overlaps."""
 
 
 def centre_lines(
     trajectory: Trajectory, geometry: Geometry, divisions: int = 8
 ) -> Array:
-    """Return the centre line of every segment, ordered from the front.
+    """Return the centre line of every segment, starting with the front segment.
 
-    A centre line consists of the front connector, points on the arc, and the rear
-    connector. The twin bends in a few hinges instead of an exact arc, so the computed
-    rear end deviates from the recorded rear connector. The deviation is distributed
-    evenly along the segment, so that both ends keep their recorded positions.
+    The points of a centre line are the front connector, points on the arc, and the rear
+    connector. The twin bends at a few hinges and not along an exact arc, so the
+    computed rear end deviates from the recorded rear connector. This deviation is
+    distributed evenly along the line.
 
     Args:
-        trajectory: recorded connector poses.
+        trajectory: run with recorded connector poses.
         geometry: robot geometry.
         divisions: number of chords per arc.
 
@@ -62,16 +62,14 @@ def centre_lines(
 def line_height(geometry: Geometry) -> float:
     """Return the height at which the centre line is drawn, m.
 
-    It is at least half the body width, so that the body does not penetrate the floor.
+    The height is at least half the body width, so that the drawn body does not
+    penetrate the floor.
     """
     return max(geometry.com_height, geometry.width / 2)
 
 
 def connector_size(geometry: Geometry) -> tuple[float, float, float]:
-    """Return length, width and height with which a connector is drawn, m.
-
-    Connectors are visible even if the robot has no rigid gap.
-    """
+    """Return the length, width and height of a drawn connector, m."""
     track = geometry.half_track
     height = 0.7 * geometry.width
     return (
@@ -82,7 +80,7 @@ def connector_size(geometry: Geometry) -> tuple[float, float, float]:
 
 
 def connector_places(trajectory: Trajectory, geometry: Geometry) -> Array:
-    """Return the points at which connectors are drawn, shape (samples, N, 3), m."""
+    """Return the positions of the N drawn connectors, shape (samples, N, 3), m."""
     height = np.full_like(trajectory.stack("x"), line_height(geometry))
     if trajectory.has("z"):
         height = trajectory.stack("z") + (line_height(geometry) - geometry.com_height)
@@ -90,7 +88,7 @@ def connector_places(trajectory: Trajectory, geometry: Geometry) -> Array:
 
 
 def connector_orientations(trajectory: Trajectory) -> Array:
-    """Return connector orientations as quaternions xyzw, shape (samples, N, 4)."""
+    """Return connector orientations as xyzw quaternions, shape (samples, N, 4)."""
     if trajectory.has("quaternion_w"):
         parts = [trajectory.stack(f"quaternion_{axis}") for axis in "xyzw"]
         return np.stack(parts, axis=-1)
@@ -102,13 +100,14 @@ def connector_orientations(trajectory: Trajectory) -> Array:
 def spatial_centre_lines(
     trajectory: Trajectory, geometry: Geometry, divisions: int
 ) -> Array:
-    """Return the centre line of every segment in space.
+    """Return the centre line of every segment in three dimensions.
 
-    The centre lines are cubic curves between the connectors. At each end, the curve is
-    tangent to the axis of the connector.
+    The centre line of a spatial segment is a cubic curve between two connectors, which
+    is tangent to the connector axes. The centre lines of a planar snake are computed by
+    `centre_lines` and have a constant height.
 
     Args:
-        trajectory: recorded connector poses.
+        trajectory: run with recorded connector poses.
         geometry: robot geometry.
         divisions: number of chords per arc.
 
@@ -150,12 +149,12 @@ def body_sides(trajectory: Trajectory, geometry: Geometry, divisions: int = 8) -
 
 
 def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
-    """Return points offset to the left, followed by points offset to the right.
+    """Return the points offset to the left, followed by the points offset to the right.
 
     Args:
-        points: points, shape (…, k, 2), m.
-        heading: direction of the line, shape (…, k), rad.
-        half_width: offset, m.
+        points: points of the line, shape (…, k, 2), m.
+        heading: direction of the line at each point, shape (…, k), rad.
+        half_width: distance by which the points are offset, m.
     """
     offset = half_width * np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
     return np.concatenate([points + offset, points - offset], axis=-2)
@@ -164,11 +163,12 @@ def offset_to_sides(points: Array, heading: Array, half_width: float) -> Array:
 def body_overlap(trajectory: Trajectory, geometry: Geometry) -> float:
     """Return the maximum overlap between two parts of a planar body, m.
 
-    Self-contacts are simulated only by the twin in a world with objects. At most 200
-    samples are searched. Samples in which the connector headings span less than π are
-    skipped, because such a body cannot touch itself. Points are compared if their
-    distance along the body exceeds twice the body width. An overlap below a quarter of
-    the width is returned as 0.
+    Parts of the body can overlap, because only the twin in a world with objects
+    simulates contacts between them. Samples in which the connector headings span at
+    most π are skipped, because such a body cannot touch itself. Two points are
+    compared only if their distance along the body exceeds twice the body width. The
+    result is 0 for a spatial snake and for an overlap below a quarter of the body
+    width.
     """
     curled = np.flatnonzero(
         np.ptp(trajectory.stack("connector_heading"), axis=1) > np.pi

@@ -1,7 +1,7 @@
 """Differences between two runs, or between a run and a recording.
 
-An `Attribution` divides the difference between the plants into contributions of their
-different assumptions.
+An `Attribution` divides the difference between the two plants into contributions of
+their modelling assumptions.
 """
 
 from __future__ import annotations
@@ -28,29 +28,28 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult, Trajectory
 
 _TIME_ROUNDING_S = 1e-9
-"""Maximum difference between times that are considered equal, s."""
+"""Maximum difference between two times that are considered equal, s."""
 
 
 @dataclass(frozen=True)
 class Comparison(HtmlResult):
     """Difference between a candidate (the twin) and a reference (the analytical model).
 
-    A metric is None if a plant has no gait metrics or a denominator is close to zero.
-
     Attributes:
-        metrics: metrics listed in `COMPARISON_UNITS`. ``com_speed_rel`` is (candidate −
-            reference) / reference, where the reference speed is multiplied by
-            ``gap_factor`` (by default 1). For ``shape_rms_m``, both bodies are
-            transformed to their centre-of-mass frames at zero mean heading (Section
-            3.4.1). ``shape_rms_body`` is ``shape_rms_m`` divided by the body length of
-            the reference. Spatial snakes also have the metrics computed by
-            `gait.spatial_differences`.
-        time: sample times of the reference, shape (T,), s.
-        shape_error: RMS distance between corresponding connectors, shape (T,), m.
+        metrics: metrics listed in `COMPARISON_UNITS`. A metric is None if a run has no
+            gait metrics or a denominator is close to zero. ``com_speed_rel`` is
+            (candidate − reference) / reference, where the reference speed has been
+            multiplied by ``gap_factor`` (by default 1). ``shape_rms_m`` compares the
+            bodies in their centre-of-mass frames (`in_body_frame`). Spatial snakes also
+            have the metrics from `gait.spatial_differences`.
+        time: sample times of the reference at which the runs are compared, shape (T,),
+            s.
+        shape_error: RMS distance between corresponding connectors in the
+            centre-of-mass frames, shape (T,), m.
         path_error: distance between the centres of mass, shape (T,), m.
-        bend_error: candidate − reference, shape (T, segments), rad.
-        heading_error: candidate − reference, shape (T,), rad, without whole turns
-            between the initial headings.
+        bend_error: candidate bends − reference bends, shape (T, segments), rad.
+        heading_error: candidate heading − reference heading, shape (T,), rad. Whole
+            turns between the initial headings are removed.
     """
 
     page: ClassVar[str] = "comparison"
@@ -66,7 +65,7 @@ class Comparison(HtmlResult):
 def compare(
     reference: Trajectory, candidate: Trajectory, *, gap_factor: bool = False
 ) -> Comparison:
-    """Compare two runs at equal times.
+    """Compare two runs at the same times.
 
     If the sample times differ, the candidate is interpolated at the reference's sample
     times within the common interval.
@@ -74,8 +73,9 @@ def compare(
     Args:
         reference: run of the analytical model.
         candidate: run of the twin.
-        gap_factor: whether to multiply the reference speed by the candidate's
-            (l + L_o)/l, because the dissertation's model has no rigid gaps (Section
+        gap_factor: whether to multiply the reference speed by (l + L_o)/l, with the
+            segment length l and the rigid gap L_o of the candidate. This factor
+            accounts for the rigid gaps that the dissertation's model lacks (Section
             3.4.2).
 
     Raises:
@@ -91,7 +91,7 @@ def compare(
         (com, heading, position, bend),
     ) = (_sampled(run, time) for run in (reference, candidate))
 
-    # Unwrapped headings of parallel snakes may differ by whole turns.
+    # The unwrapped headings of parallel snakes may differ by whole turns.
     heading_error = heading - reference_heading
     heading_error -= 2 * np.pi * np.round(heading_error[0] / (2 * np.pi))
     shape = in_body_frame(position, com, heading)
@@ -117,9 +117,9 @@ def compare(
 def in_body_frame(
     position: np.ndarray, com: np.ndarray, heading: np.ndarray
 ) -> np.ndarray:
-    """Transform bodies to their centre-of-mass frames (Section 3.4.1, Fig. 27).
+    """Transform connector positions to centre-of-mass frames (Section 3.4.1, Fig. 27).
 
-    In this frame, the mean heading is zero, x points forward, and y points to the left.
+    In such a frame, the mean heading is zero, x points forward and y to the left.
 
     Args:
         position: positions of the connectors, shape (…, N, 2), m.
@@ -220,13 +220,13 @@ _MAX_INTERVALS = 50
 
 @dataclass(frozen=True)
 class MeasuredDifference:
-    """Difference between a plant and a measured motion.
+    """Difference between a simulated run and a measured motion.
 
     Attributes:
-        comparison: plant minus measurement.
-        only_bends: whether only bends were measured. The measured body position is then
-            computed from the bends.
-        clamped: whether the heads of plant and robot were clamped.
+        comparison: comparison with the measured motion as reference.
+        only_bends: whether only bends were measured. In this case, the positions in the
+            measured trajectory were computed from the bends.
+        clamped: whether the head of the snake was clamped.
     """
 
     comparison: Comparison
@@ -247,7 +247,7 @@ class MeasuredDifference:
 
     @property
     def metrics(self) -> dict[str, float | None]:
-        """Metrics listed in `MEASURED_UNITS`, or None if a quantity was not measured."""
+        """Metrics listed in `MEASURED_UNITS`, with None for quantities not measured."""
         measured = set(MEASURED_UNITS)
         if self.only_bends:
             measured = {"measured_bend_rms_rad"}
@@ -259,7 +259,7 @@ class MeasuredDifference:
         return metrics
 
     def signals(self) -> dict[str, np.ndarray]:
-        """Return shape and path differences (m), heading and bends (rad) over time."""
+        """Return differences of shape, path, heading and bends over time, m or rad."""
         bends = {
             f"bend_{j}_rad": error
             for j, error in enumerate(self.comparison.bend_error.T, start=1)
@@ -275,11 +275,11 @@ class MeasuredDifference:
 
     @property
     def bend_rms(self) -> np.ndarray:
-        """RMS bend difference over all segments, shape (T,), rad."""
+        """RMS of the bend differences over all segments, shape (T,), rad."""
         return np.asarray(np.sqrt((self.comparison.bend_error**2).mean(axis=1)))
 
     def document(self) -> dict[str, object]:
-        """Return RMS differences over the whole run and over equal intervals."""
+        """Return the RMS differences over the whole run and in equal time intervals."""
         time = self.comparison.time
         count = min(_MAX_INTERVALS, len(time))
         edges = np.linspace(0, len(time), count + 1).round().astype(int)
@@ -303,9 +303,10 @@ MEASURES = {
     "mean_bend_amplitude_rad": ("bend amplitude", "rad"),
     "shape_rms_m": ("body shape, RMS", "m"),
 }
-"""Measures divided by an attribution, with title and unit.
+"""Measures of the difference between the plants, with title and unit.
 
-Three are differences (twin − analytical) of metrics, and one is the shape distance.
+The first three measures are differences (twin − analytical) of plant metrics. The last
+measure is the RMS distance between the body shapes.
 """
 
 
@@ -314,13 +315,14 @@ class AssumptionShare:
     """Contribution of one assumption to the difference between the plants.
 
     Attributes:
-        name: short name.
-        title: one-line description.
-        value: contribution to each of `MEASURES`, in the order of `MEASURES`.
-        low: minimum contribution over all orders in which assumptions are switched.
-        high: maximum contribution over all orders in which assumptions are switched.
-        how: "averaged" over all orders, "first" if the assumption is switched first, or
-            "refined" if only one plant makes the assumption.
+        name: short name of the assumption.
+        title: one-line description of the assumption.
+        value: contribution to each measure, in the order of `MEASURES`.
+        low: minimum contribution over all orders of switching the assumptions.
+        high: maximum contribution over all orders of switching the assumptions.
+        how: "averaged" if the contribution is the mean over all orders, "first" if the
+            assumption is switched first, or "refined" if only one plant makes the
+            assumption.
     """
 
     name: str
@@ -338,18 +340,18 @@ class Attribution:
     The contributions and the remainder add up to the difference.
 
     Attributes:
-        reference: values of `MEASURES` for the analytical model. The shape distance of
-            the analytical model is 0.
-        gap: twin − analytical.
+        reference: value of each measure for the analytical model, whose shape distance
+            is 0.
+        gap: difference between the plants (twin − analytical) for each measure.
         remainder: unexplained part of the difference.
-        matched: difference between the plants if both have stiff bends and equal
+        matched: difference that remains if both plants have stiff bends and equal
             friction at the same points.
         same: assumptions that both plants share.
         shares: contributions of the assumptions.
-        window_s: duration of the attributed part, counted from the start of the runs,
-            s, or None if the whole runs are attributed.
-        damping: change of `gap` if the twin's damping time is at a bound of its 95 %
-            interval, keyed by bound.
+        window_s: duration of the attributed part from the start of the runs, s, or None
+            if the whole runs are attributed.
+        damping: change of `gap` if the damping time of the twin is at a bound of the
+            95 % interval, keyed by bound.
     """
 
     reference: tuple[float, ...]
@@ -363,7 +365,7 @@ class Attribution:
 
     @property
     def extent(self) -> str:
-        """Attributed part of the runs as text, or an empty string for whole runs."""
+        """Description of the attributed part, or an empty string for whole runs."""
         if self.window_s is None:
             return ""
         return f"first {self.window_s:g} s of the runs"

@@ -1,7 +1,7 @@
-"""Contacts with obstacles and objects, and object displacements.
+"""Contacts with obstacles and objects, and displacements of objects.
 
-In most analytical models, the body passes through obstacles. For these models, overlaps
-between body and obstacles are reported instead of contacts.
+Most analytical models ignore obstacles, so that the body passes through them. For these
+models, overlaps between the body and obstacles are reported instead of contacts.
 """
 
 from __future__ import annotations
@@ -30,23 +30,24 @@ OBJECT_UNITS = units_of(OBJECT_MEANINGS)
 CONTACT = "contact"
 OVERLAP = "overlap"
 CONTACT_EVENTS = (CONTACT, OVERLAP)
-"""Event kinds: contacts, or overlaps if the plant ignores obstacles."""
+"""Kinds of contact events, with overlaps for plants that ignore obstacles."""
 
 TOUCH_N = 1e-3
-"""Minimum contact force, N. Smaller forces are numerical errors."""
+"""Minimum force of a contact, N. Smaller forces are numerical errors."""
 _MAX_INTERRUPTION_S = 0.1
-"""Maximum gap between two contacts that count as one contact, s."""
+"""Maximum interruption within a single contact, s."""
 
 
 @dataclass(frozen=True)
 class ContactInterval:
-    """Contact with an obstacle.
+    """Contact between the body and obstacles or objects.
 
     Attributes:
         begin: start time, s.
         end: end time, s.
-        force: maximum force, N.
-        connector: connector with the maximum force, counted from 1 at the head.
+        force: maximum force on a connector, N.
+        connector: number of the connector with the maximum force, counted from 1 at the
+            head.
     """
 
     begin: float
@@ -72,7 +73,7 @@ def touches(trajectory: Trajectory) -> list[ContactInterval]:
 
 
 def contact_events(trajectory: Trajectory) -> list[Event]:
-    """Return contacts as events, or overlaps if the plant ignores obstacles."""
+    """Return the contacts of a run as events, or overlaps if obstacles are ignored."""
     events = []
     for touch in touches(trajectory):
         text = f"connector {touch.connector}, up to {touch.force:.2g} N"
@@ -88,18 +89,19 @@ def contact_events(trajectory: Trajectory) -> list[Event]:
 
 
 def _duration(begin: float, end: float) -> str:
-    # If a contact lasts for a single sample, the duration is unknown.
+    # The duration of a contact in a single sample is unknown.
     if end > begin:
         return f", for {end - begin:.2g} s"
     return ""
 
 
 def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics in `CONTACT_UNITS`, or None in a world without obstacles.
+    """Compute the contact metrics of a run (`CONTACT_MEANINGS`).
 
-    The clearance is the minimum distance, over all samples, between the body's
-    collision geoms and obstacles or objects (`plants.clearance`). If there was a
-    contact, the clearance is at most 0, even if the contact fell between two samples.
+    The metrics are None if the world has neither obstacles nor objects. The clearance
+    is the minimum distance between the body's collision geoms and obstacles or objects
+    over all samples (`plants.clearance`). If there is a contact, the clearance is at
+    most 0, even if the contact occurs between two samples.
     """
     metrics: dict[str, float | None] = dict.fromkeys(CONTACT_UNITS)
     touching = _touching(trajectory)
@@ -109,7 +111,7 @@ def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         metrics["contact_time_s"] = float(steps[touching].sum())
     if trajectory.has("clearance"):
         least = float(trajectory["clearance"].min())
-        # A contact between two samples shows only in the force.
+        # A contact between two samples is visible only in the contact force.
         if metrics["contacts"]:
             least = min(least, 0.0)
         metrics["clearance_m"] = least
@@ -117,21 +119,21 @@ def contact_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 
 
 def ignores_obstacles(trajectory: Trajectory) -> bool:
-    """Return whether the plant of a run passes through obstacles."""
+    """Return whether the plant of a run ignores obstacles."""
     return trajectory.has("clearance") and not trajectory.has("obstacle_force_x")
 
 
 def contact_free_s(runs: Iterable[Trajectory]) -> float:
     """Return the time of the last sample before the first contact in any run, s.
 
-    The time is infinite if there are no contacts. Overlaps are ignored, because they do
-    not affect the motion.
+    The result is infinite if there are no contacts. Overlaps do not count as contacts,
+    because they do not affect the motion.
     """
     end = math.inf
     for run in runs:
         for touch in touches(run)[:1]:
             # A sample contains the mean force since the previous sample, so the contact
-            # began after the previous sample.
+            # may have begun immediately after the previous sample.
             before = max(int(np.searchsorted(run.time, touch.begin)) - 1, 0)
             end = min(end, float(run.time[before]))
     return end
@@ -147,7 +149,7 @@ def _touching(trajectory: Trajectory) -> np.ndarray | None:
 
 
 def _spells(trajectory: Trajectory) -> list[np.ndarray]:
-    """Return the sample indices of each contact."""
+    """Return the sample indices of each contact or overlap."""
     touching = _touching(trajectory)
     if touching is None or not touching.any():
         return []
@@ -157,7 +159,7 @@ def _spells(trajectory: Trajectory) -> list[np.ndarray]:
 
 
 def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
-    """Return obstacle forces on the connectors, shape (samples, N), N, or None."""
+    """Return obstacle forces (N), shape (samples, connectors), or None if unknown."""
     if not trajectory.has("obstacle_force_x"):
         return None
     return np.hypot(
@@ -166,7 +168,7 @@ def obstacle_force(trajectory: Trajectory) -> np.ndarray | None:
 
 
 def object_metrics(trajectory: Trajectory) -> dict[str, float]:
-    """Return ``object_moved_m``, the maximum displacement of an object, or {}."""
+    """Compute ``object_moved_m``, or return {} for a world without objects."""
     if not trajectory.has("object_x"):
         return {}
     place = np.stack([trajectory.stack("object_x"), trajectory.stack("object_y")])

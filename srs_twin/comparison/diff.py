@@ -1,9 +1,9 @@
-"""Comparison of two sets of results, for example from two commits, machines or settings.
+"""Comparison of two sets of results, such as results from two commits or machines.
 
-Two numbers are equal if |a − b| ≤ max(abs, rel · max(|a|, |b|)). Other values, such as
-verdicts, must be identical. A number contained in only one set counts as a difference.
-Two single runs are compared even if their scenarios have different names. Wall times
-are not compared.
+Two numbers are equal if |a − b| ≤ max(abs, rel · max(|a|, |b|)), where `abs` and `rel`
+are tolerances. Other values, such as verdicts, must be identical. A number that is
+contained in only one set counts as a difference. Two single runs are compared even if
+their scenarios have different names. Wall times are not compared.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from srs_twin.io.untrusted import parse_json, read_json, read_table
 from srs_twin.io.validation import StrictModel, load_model
 
 REL = 1e-6
-"""Default relative tolerance, which covers differences between processor types."""
+"""Default relative tolerance, which allows for differences between processor types."""
 ABS = 1e-9
 """Default absolute tolerance, in the unit of the number."""
 
@@ -36,7 +36,7 @@ _NUMBERED = re.compile(r"(_(plus|minus))?(_\d+)?(_period_\d+)?(\[\d+\])*$")
 
 Leaf = bool | int | float | str | None
 ValueKey = tuple[str, str]
-"""Scenario, sweep point or reproduction row, followed by the metric."""
+"""Name of a scenario, sweep point or reproduction row, and name of a metric."""
 
 
 class Tolerance(StrictModel):
@@ -58,16 +58,16 @@ class Tolerance(StrictModel):
     ] = ABS
 
     def allows(self, a: Leaf, b: Leaf) -> bool:
-        """Return whether the tolerance allows the difference between two values."""
+        """Return whether two values are equal within the tolerance."""
         if _is_number(a) and _is_number(b):
             if math.isnan(a) and math.isnan(b):  # type: ignore[arg-type]
-                return True  # undefined in both sets
+                return True  # The number is undefined in both sets.
             return math.isclose(a, b, rel_tol=self.rel, abs_tol=self.abs)  # type: ignore[arg-type]
         return a == b and _is_number(a) == _is_number(b)
 
 
 class Tolerances(Tolerance):
-    """Tolerances file, with default tolerances and tolerances of individual metrics."""
+    """Default tolerances and tolerances for individual metrics, loaded from a file."""
 
     metrics: Annotated[
         dict[str, Tolerance],
@@ -77,8 +77,8 @@ class Tolerances(Tolerance):
     def for_metric(self, metric: str) -> Tolerance:
         """Return the tolerance for a metric.
 
-        A tolerance for the full metric name takes precedence over a tolerance for the
-        name without the plant. All other metrics have the default tolerance.
+        The tolerance is looked up under each of the `tolerance_names` in turn. If there
+        is no entry, the default tolerance applies.
         """
         names = (name for name in tolerance_names(metric) if name in self.metrics)
         return next(map(self.metrics.__getitem__, names), self)
@@ -116,7 +116,7 @@ class ChangedValue:
 
 @dataclass(frozen=True)
 class Results:
-    """Results of one or more runs as a flat table, with package versions."""
+    """Flat table with the results of one or more runs, and versions of the packages."""
 
     values: Mapping[ValueKey, Leaf]
     versions: Mapping[str, str]
@@ -130,7 +130,7 @@ class Difference:
         moved: values that differ.
         same: number of equal values.
         wheres: names of the compared scenarios, sweep points and reproduction rows.
-        versions: package versions that differ, keyed by package.
+        versions: pairs of different package versions, keyed by package.
     """
 
     moved: tuple[ChangedValue, ...]
@@ -139,7 +139,7 @@ class Difference:
     versions: Mapping[str, tuple[str, str]]
 
     def document(self) -> dict[str, object]:
-        """Return JSON data. Non-finite numbers become "NaN", "Infinity" or "-Infinity"."""
+        """Return JSON data, with non-finite numbers as strings such as "NaN"."""
         moved = [asdict(change) | {"rel": change.rel} for change in self.moved]
         return {
             "moved": [
@@ -165,13 +165,12 @@ def diff(
     b: StrPath | Results,
     tolerances: Tolerances | None = None,
 ) -> Difference:
-    """Compare two sets of results, like `srs-twin diff`.
+    """Compare two sets of results, as `srs-twin diff` does.
 
     Args:
-        a: reference results, or the path of results (see `read_results`).
-        b: results to compare, or the path of results.
-        tolerances: allowed differences. The defaults allow for differences between
-            processor types.
+        a: reference results, or a path that `read_results` accepts.
+        b: results to compare with the reference, or a path that `read_results` accepts.
+        tolerances: allowed differences, or None for the defaults.
 
     Raises:
         InputError: there are no results, or a file does not contain results.
@@ -185,7 +184,6 @@ def diff(
     after = b.values
     wheres = [{where for where, _ in values} for values in (before, after)]
     if all(len(names) == 1 for names in wheres):
-        # Two single runs are compared even if their names differ.
         (where,) = wheres[0]
         after = {(where, metric): value for (_, metric), value in after.items()}
     keys = list(dict.fromkeys((*before, *after)))
@@ -218,11 +216,11 @@ def tolerance_names(metric: str) -> tuple[str, str, str]:
 
 
 def read_results(path: StrPath) -> Results:
-    """Read the results of `run`, `compare`, `replay`, `sweep` or `reproduce`.
+    """Read results that `run`, `compare`, `replay`, `sweep` or `reproduce` wrote.
 
     Args:
-        path: metrics.json, results.parquet or reproduce.json, or a folder to search
-            recursively.
+        path: path of metrics.json, results.parquet or reproduce.json, or of a folder
+            that is searched recursively.
 
     Raises:
         InputError: the results are missing or invalid.
@@ -247,7 +245,7 @@ def read_results(path: StrPath) -> Results:
 
 
 def _result_files(folder: Path) -> Iterator[Path]:
-    """Yield the result files in a folder without following links to folders."""
+    """Yield all result files below a folder, without following links to folders."""
     pending = [os.fspath(folder)]
     # Recursion could exhaust the stack in deeply nested folders.
     while pending:

@@ -23,7 +23,7 @@ from srs_twin.robot.spec import GRAVITY
 from srs_twin.trajectory import Trajectory
 
 WARM_UP_PERIODS = 2
-"""Number of initial gait periods excluded from means."""
+"""Number of initial gait periods that are excluded from means."""
 MIN_PERIODS = 3
 """Minimum number of whole gait periods required for gait metrics."""
 _MIN_SAMPLES_PER_PERIOD = 4
@@ -31,25 +31,26 @@ _MIN_SAMPLES_PER_PERIOD = 4
 _MIN_TIMES_PER_PERIOD = 64
 """Minimum number of evaluation times per gait period."""
 _PERIOD_ROUNDING = 1e-6
-"""Tolerance when comparing times, as a fraction of a gait period."""
+"""Tolerance for comparisons between times, as a fraction of a gait period."""
 
 
 @dataclass(frozen=True)
 class GaitWindow:
-    r"""Time window of whole gait periods after the warm-up, used to compute means.
+    r"""Time window of whole gait periods over which means are computed.
 
-    The running mean of a signal x over one period T and its exact derivative are
+    The running mean of a signal x over one period T, and the derivative of this mean,
+    are
 
     $$\bar x(t) = \frac{1}{T} \int_t^{t+T} x\,ds, \qquad \dot{\bar x}(t) = \frac{x(t+T) - x(t)}{T},$$
 
-    where t ranges from the start of the window to one period before the end. The signal
-    x is interpolated by a cubic spline. Therefore T need not be a multiple of the
+    where t ranges from the start of the window to one period before the end. Because
+    the signal x is interpolated by a cubic spline, T need not be a multiple of the
     sample period, and the window need not begin at a sample.
 
     Attributes:
         start: start time, s.
         period: period T, s.
-        periods: number of periods, K ≥ 2.
+        periods: number K of periods, at least 2.
         times_per_period: number of evaluation times per period.
     """
 
@@ -63,8 +64,8 @@ class GaitWindow:
         """Return the window of all whole periods after a warm-up of two periods.
 
         If a run has exactly three whole periods, the warm-up is one period, so that two
-        periods remain for the means. Return None if the run has no gait frequency,
-        fewer than three whole periods, or too few samples per period.
+        periods remain for the means. The result is None if the run has no gait
+        frequency, fewer than three whole periods, or too few samples per period.
 
         Raises:
             InputError: the gait frequency in the metadata is not a positive number.
@@ -86,7 +87,7 @@ class GaitWindow:
 
     @classmethod
     def missing_reason(cls, trajectory: Trajectory) -> str:
-        """Return why a run has no window, or an empty string if there is a window."""
+        """Return the reason why a run has no window, or an empty string."""
         frequency = positive_number(trajectory, "gait_frequency_hz")
         if frequency is None:
             return "the run has no gait frequency"
@@ -103,10 +104,16 @@ class GaitWindow:
     def ending_at(
         cls, trajectory: Trajectory, period: float, end: float, periods: int
     ) -> GaitWindow | None:
-        """Return a window of several periods that ends at a given time (s).
+        """Return a window that ends at a given time.
 
-        The gait period is in seconds. Return None if the window would begin before the
-        run.
+        Args:
+            trajectory: run.
+            period: gait period, s.
+            end: end time of the window, s.
+            periods: number of periods in the window.
+
+        Returns:
+            Window, or None if the window would begin before the run.
         """
         start = end - periods * period
         step = float(np.median(np.diff(trajectory.time)))
@@ -121,10 +128,10 @@ class GaitWindow:
         return self.start + self.periods * self.period
 
     def times(self, periods: int) -> np.ndarray:
-        """Return equally spaced times (s) over the first periods of the window.
+        """Return the midpoints (s) of equal intervals in the first `periods` periods.
 
-        The times are midpoints of equal intervals. For a smooth periodic signal, the
-        mean over these times equals the mean over whole periods up to rounding.
+        The mean of a smooth periodic signal over these times equals the exact mean over
+        whole periods up to rounding errors.
         """
         step = self.period / self.times_per_period
         return self.start + step * (np.arange(periods * self.times_per_period) + 0.5)
@@ -132,10 +139,10 @@ class GaitWindow:
     def running_mean(
         self, trajectory: Trajectory, values: Array
     ) -> tuple[Array, Array]:
-        """Return the running mean of a signal over one period and its derivative.
+        """Return the running mean of a signal, and the derivative of this mean.
 
-        Both are evaluated at equally spaced times over K − 1 periods. The signal has
-        shape (samples, …).
+        The signal `values` has shape (samples, …). Mean and derivative are evaluated at
+        the equally spaced `times` of the first K − 1 periods.
         """
         signal = interpolant(trajectory, values)
         integral = signal.antiderivative()
@@ -155,7 +162,7 @@ class GaitWindow:
     def amplitude(self, trajectory: Trajectory, values: Array) -> Array:
         """Return the amplitude of a signal, averaged over all periods.
 
-        The amplitude in a period is half the signal's range in this period.
+        The amplitude in a period is half the range of the signal in this period.
         """
         signal = interpolant(trajectory, values)(self.times(self.periods))
         by_period = signal.reshape(
@@ -168,7 +175,7 @@ class GaitWindow:
 def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
     """Return the number of whole gait periods and the number of samples per period."""
     time = trajectory.time
-    # The tolerance keeps the last period if the run ends with a whole period.
+    # The tolerance ensures that the last period counts if the run ends with it.
     whole = int(np.floor((time[-1] - time[0]) * frequency + 1e-6))
     if len(time) < 2:
         return whole, 0.0
@@ -176,17 +183,19 @@ def _extent(trajectory: Trajectory, frequency: float) -> tuple[int, float]:
 
 
 MIN_TRAVEL_BODY_LENGTHS = 1e-3
-"""Distance per gait period above which a snake counts as travelling, in body lengths."""
+"""Distance per gait period above which a snake counts as moving, in body lengths."""
 
 
 def displacement_per_period(
     trajectory: Trajectory, window: GaitWindow
 ) -> tuple[Array, Array]:
-    """Return chord (m, negative for backward motion) and turn (rad) of each period.
+    """Return the chord (m) and the turn (rad) of each gait period.
 
-    Chord and turn are averaged over all gait phases at which a period may start. With a
-    single phase, the lateral oscillation of the body would distort the turning radius.
-    A window of K periods yields K − 1 chords and K − 1 turns.
+    The chord is the displacement of the centre of mass in a period, negative for
+    backward motion, and the turn is the change of the heading. Both are averaged over
+    all gait phases at which a period may start, because the lateral oscillation of the
+    body distorts the result of a single phase. A window of K periods yields K − 1
+    chords and K − 1 turns.
     """
     speed, turn_rate = running_rates(trajectory, window)
     shape = (window.periods - 1, window.times_per_period)
@@ -199,7 +208,7 @@ def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Ar
     """Return the speed along the period-averaged path (m/s) and the yaw rate (rad/s).
 
     The speed is negative if the mean motion is opposite to the heading. The yaw rate is
-    positive to the left.
+    positive for turns to the left.
     """
     heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
     _, velocity = window.running_mean(trajectory, trajectory.com)
@@ -211,13 +220,14 @@ def running_rates(trajectory: Trajectory, window: GaitWindow) -> tuple[Array, Ar
 STRAIGHT_BODY_LENGTHS = 100.0
 """Turning radius above which a path counts as straight, in body lengths.
 
-For generation 2, this radius is about 20 m. At this radius, a path of 2 m deviates from
-its tangent by 0.1 m.
+For generation 2, this radius is about 20 m, at which a path of 2 m deviates from its
+tangent by 0.1 m.
 """
 STRAIGHT_TURN_RAD = 1e-3
 """Turn per gait period below which a path counts as straight, rad.
 
-Due to contact creep, a snake that does not move forward turns by about 0.06°.
+Because of contact creep, a snake turns by about 0.06° per period even if it does not
+move forward.
 """
 
 
@@ -226,10 +236,10 @@ def turning_radius(
 ) -> float | None:
     """Return the signed turning radius (m), or None for a straight path.
 
-    The radius is positive to the left. It is computed from the chord (speed · period)
-    and the turn (yaw_rate · period) in one period. The quotient of speed and yaw rate
-    would give the radius of the averaged path, which is smaller by 1 % if the body
-    turns by half a radian per period.
+    The radius is positive for turns to the left. It is computed from the chord (speed ·
+    period) and the turn (yaw_rate · period) of one period. The quotient of speed and
+    yaw rate would be the radius of the period-averaged path, which is 1 % smaller at a
+    turn of half a radian per period.
 
     Args:
         speed: forward speed, m/s.
@@ -258,7 +268,6 @@ cost_of_transport: mechanical power divided by weight and speed
 pneumatic_power_w: mean power of the air drawn by the chambers
 pneumatic_cost_of_transport: pneumatic power divided by weight and speed
 """)
-"""Power and cost of transport of a gait."""
 
 
 def energy_metrics(
@@ -266,9 +275,10 @@ def energy_metrics(
 ) -> dict[str, Any]:
     """Compute power and cost of transport (`ENERGY_MEANINGS`) at a mean speed (m/s).
 
-    The mechanical power is the power dissipated by friction and in the segments. The
-    pneumatic power is the supply pressure times the volume flow of consumed air at the
-    supply pressure. A metric is None if the run lacks the required columns.
+    The mechanical power is dissipated by friction and in the segments. The pneumatic
+    power is the gauge supply pressure times the volume flow of consumed air at this
+    pressure. A power is None if its energy column is missing. A cost of transport is
+    also None if the mass is unknown or the speed is 0.
     """
     mass = positive_number(trajectory, "mass_kg")
     metrics: dict[str, Any] = dict.fromkeys(ENERGY_MEANINGS)
@@ -301,7 +311,6 @@ supports: mean number of separate parts of the body that press on the floor
 roll_turns: rotation of the body about its axis over the whole run in turns, mean over the connectors
 """)
 SPATIAL_UNITS = units_of(SPATIAL_MEANINGS)
-"""Units of the spatial metrics, each of which is a number or None."""
 
 SPATIAL_DIFFERENCE_MEANINGS = meanings_of("""
 travel_speed_rel: travel speed difference (twin minus analytical) divided by the analytical travel speed
@@ -317,9 +326,8 @@ SPATIAL_DIFFERENCES = units_of(SPATIAL_DIFFERENCE_MEANINGS) | {
 def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Compute the metrics of a spatial snake (`SPATIAL_MEANINGS`).
 
-    A sidewinder travels across its body axis, so the forward speed is smaller than the
-    travel speed. A body with two separate supports can roll over. Speed and direction
-    of travel are None if the run has fewer than three whole gait periods.
+    Speed and direction of travel are None if the run has fewer than three whole gait
+    periods. The result is empty for a planar snake.
     """
     if not trajectory.has("z"):
         return {}
@@ -343,7 +351,7 @@ def spatial_metrics(trajectory: Trajectory) -> dict[str, float | None]:
         (np.diff(touches, axis=1, prepend=False) & touches).sum(axis=1).mean()
     )
     w, x, y, z = (trajectory.stack(f"quaternion_{axis}") for axis in "wxyz")
-    # The heights of the left and upper axis tips determine the roll angle.
+    # The vertical components of the left and upward body axes determine the roll angle.
     roll = np.unwrap(np.arctan2(2 * (y * z + w * x), 1 - 2 * (x**2 + y**2)), axis=0)
     metrics["roll_turns"] = float(abs(roll[-1] - roll[0]).mean() / (2 * math.pi))
     return metrics
@@ -354,8 +362,8 @@ def spatial_differences(
 ) -> dict[str, float | None]:
     """Compare two runs of a spatial snake (`SPATIAL_DIFFERENCE_MEANINGS`).
 
-    The runs are compared at the times `time` (s). If they have whole gait periods,
-    contacts are compared over whole periods.
+    Contacts are compared at the given times (s). Times before the `GaitWindow` of the
+    reference are excluded.
     """
     if not (reference.has("z") and candidate.has("z")):
         return {}

@@ -1,8 +1,9 @@
 """Metrics of iterative learning: amplitudes, duty cycles, convergence and path.
 
-Amplitudes are computed from the sensor readings in each chamber period
-(`control.duties`). The centre-of-mass path is evaluated over the last periods of a run.
-The lateral extent of the body is measured from this path (Fig. 58, Table 8).
+Amplitudes are computed from the sensor readings in each period of a chamber
+(`control.duties`). The path of the centre of mass is evaluated over the last gait
+periods of a run. The lateral extent of the body is measured from this path (Fig. 58,
+Table 8).
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import Trajectory
 
 _PERIOD_ROUNDING = 1e-6
-"""Tolerance when comparing times, as a fraction of a gait period."""
+"""Tolerance for comparisons between times, as a fraction of a gait period."""
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,9 @@ class PeriodAmplitudes:
 
     Attributes:
         amplitude: maximum measured bend towards the side of the chamber, rad, or NaN if
-            the sensor has no valid reading.
-        target: target amplitude at the end of the period, rad, or NaN.
+            there is no valid sensor reading.
+        target: target amplitude at the end of the period, rad, or NaN if there is no
+            target.
         duty: duty cycle in the middle of the period.
     """
 
@@ -59,7 +61,7 @@ class PeriodAmplitudes:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory) -> PeriodAmplitudes:
-        """Divide a run into chamber periods.
+        """Compute the amplitudes, targets and duty cycles of a run.
 
         Raises:
             InputError: the metadata lack the fill times or the gait frequency.
@@ -86,15 +88,15 @@ class PeriodAmplitudes:
                 ):
                     valid = bend[first:end][np.isfinite(bend[first:end])]
                     result.amplitude[n, j, side] = valid.max() if len(valid) else np.nan
-                    # A sample is recorded at the end of a tick, so the sample before
-                    # `end` belongs to the same period.
+                    # Samples are recorded at the ends of ticks, so the sample before
+                    # `end` still belongs to this period.
                     result.target[n, j, side] = target[end - 1, j]
                     result.duty[n, j, side] = duty[(first + end) // 2, j]
         return result
 
 
 def _chamber_periods(trajectory: Trajectory, segments: int) -> tuple[float, Array]:
-    """Return the gait period and the time when each chamber is first filled, s."""
+    """Return the gait period (s) and the time (s) of the first fill of each chamber."""
     frequency = positive_number(trajectory, "gait_frequency_hz")
     listed = (trajectory.metadata.get("control") or {}).get("fill_begins_s")
     fill_starts = np.array(listed if isinstance(listed, list) else [], dtype=float)
@@ -122,10 +124,10 @@ class PathFit:
     """Circle or line fitted to the period-averaged path of the centre of mass.
 
     Attributes:
-        centre: centre of the circle, or any point on the line, shape (2,), m.
-        radius: radius, m, positive if the centre lies to the left of the heading, or
-            None for a line.
-        direction: unit vector along the line, or the heading in the middle of the
+        centre: centre of the circle, or a point on the line, shape (2,), m.
+        radius: radius of the circle, m, positive if the centre lies to the left of the
+            heading, or None for a line.
+        direction: unit vector along the line, or along the heading in the middle of the
             circular path, shape (2,).
     """
 
@@ -137,7 +139,7 @@ class PathFit:
     def from_trajectory(
         cls, trajectory: Trajectory, window: GaitWindow
     ) -> PathFit | None:
-        """Return the fit over whole periods, or None if the snake does not move."""
+        """Fit a circle or a line, or return None if the snake does not move."""
         mean, velocity = window.running_mean(trajectory, trajectory.com)
         heading, turn_rate = window.running_mean(trajectory, trajectory["heading"])
         centroid = mean.mean(axis=0)
@@ -150,7 +152,7 @@ class PathFit:
         direction = np.array([np.cos(middle_heading), np.sin(middle_heading)])
         turn = float(turn_rate.mean()) * window.period
         x, y = (mean - centroid).T / length
-        # Least-squares circle of Kåsa: x² + y² + a x + b y + c = 0.
+        # Kåsa's method fits the circle x² + y² + a x + b y + c = 0 by least squares.
         basis = np.stack([x, y, np.ones_like(x)], axis=-1)
         (a, b, c), _, rank, _ = np.linalg.lstsq(basis, -(x**2 + y**2), rcond=1e-10)
         curved = rank == 3 and abs(turn) * (window.periods - 1) >= _STRAIGHT_PATH_TURN
@@ -158,7 +160,7 @@ class PathFit:
             axis = np.linalg.svd(mean - centroid, full_matrices=False)[2][0]
             return cls(centroid, None, axis if axis @ direction > 0 else -axis)
         centre = np.array([-a / 2, -b / 2])
-        # Averaging over a period reduces the radius by the factor sinc(turn/2).
+        # Averaging over a period multiplies the radius by sinc(turn/2).
         reduction = float(np.sinc(turn / (2 * np.pi)))
         radius = length * float(np.sqrt(centre @ centre - c)) / reduction
         if direction[0] * centre[1] - direction[1] * centre[0] <= 0:
@@ -166,7 +168,7 @@ class PathFit:
         return cls(centroid + length * centre, radius, direction)
 
     def right_offset(self, points: Array) -> Array:
-        """Return the distances (m) of points (…, 2) to the right of the path."""
+        """Return distances of points (…, 2) from the path, positive on the right, m."""
         x, y = np.moveaxis(points - self.centre, -1, 0)
         if self.radius is None:
             side: Array = self.direction[1] * x - self.direction[0] * y
@@ -178,10 +180,11 @@ class PathFit:
 def box_edges(
     trajectory: Trajectory, window: GaitWindow, path: PathFit
 ) -> tuple[float, float]:
-    """Return the left (negative) and right edge of the area covered by the body, m.
+    """Return the left and right edges of the area that the body covers, m.
 
-    If the metadata contain the body width (``body_width_m``), half the width is added
-    on both sides of each connector.
+    Edges are distances from the path, positive to the right. If the metadata contain
+    the body width (``body_width_m``), half the width is added on both sides of each
+    connector.
     """
     inside = (trajectory.time >= window.start - 1e-9) & (
         trajectory.time <= window.end + 1e-9
@@ -220,15 +223,15 @@ LEARNING_LIST_UNITS = units_of(
 )
 """Units of metrics with one entry per period.
 
-Each entry is a nested list over segments and chambers, or a single number for heading.
+Each entry is a nested list over segments and chambers, except that the entries of
+``heading_drift_by_period_rad`` are numbers.
 """
 LEARNING_UNITS = units_of(
     name for name in LEARNING_MEANINGS if name not in LEARNING_LIST_UNITS
 )
-"""Units of the learning metrics, each of which is a number or None."""
 
 CONVERGENCE_TOLERANCE = 0.05
-"""Maximum relative amplitude error of a chamber that counts as converged."""
+"""Maximum relative amplitude error of a converged chamber."""
 LAST_PERIODS = 5
 """Number of final periods over which the path is evaluated."""
 
@@ -247,17 +250,17 @@ def learning_metrics(trajectory: Trajectory) -> dict[str, object]:
     """Compute the metrics of a run with iterative learning (`LEARNING_MEANINGS`).
 
     A metric that is not applicable is None. Amplitudes refer to the periods of each
-    chamber, the first of which may begin before time 0. Modules with a fault have no
-    target and are excluded. Amplitude errors are target minus amplitude.
-    ``amplitude_growth_rel`` is 1 if the chambers have their final pressures from the
-    start.
+    chamber, the first of which may begin before time 0. Amplitude errors are target
+    minus amplitude. Modules with a fault have no target and therefore no amplitude
+    error. ``amplitude_growth_rel`` is 1 if the pressure cycles of the chambers do not
+    change before learning begins.
 
-    In each period, the centre of mass moves along a chord while the body turns. Chord
-    and turn are averaged over the gait phase, so that five periods yield four values.
-    The curvature is 2 sin(turn/2)/chord. The curvature before learning is the mean over
-    the two periods before the first update of a duty cycle, or None if they begin less
-    than half a period after the start. ``extent_left_m`` and ``extent_right_m`` are
-    measured from the circle or line fitted to the path of the last five periods.
+    The path curvature is 2 sin(turn/2)/chord with the mean chord and turn of a period
+    (`gait.displacement_per_period`). The curvature before learning is computed from the
+    last two periods before the first update of a duty cycle. It is None if these
+    periods begin less than half a period after the start of the run. ``extent_left_m``
+    and ``extent_right_m`` are measured from the circle or line that is fitted to the
+    last five periods (`PathFit`).
 
     Raises:
         InputError: columns or metadata are missing or unusable.
@@ -287,8 +290,9 @@ def _amplitudes(by_period: PeriodAmplitudes) -> dict[str, float | None]:
     target = by_period.target[:, working]
     converged = np.all(error <= CONVERGENCE_TOLERANCE * target, axis=1)
     outside = np.flatnonzero(~converged)
-    # `outside[-1]` is the index of the last period outside the tolerance. Periods are
-    # numbered from 1, so the first converged period is number `outside[-1] + 2`.
+    # `outside[-1]` is the index of the last period that exceeds the tolerance. Periods
+    # are numbered from 1, so the first converged period has the number
+    # `outside[-1] + 2`.
     first = int(outside[-1]) + 2 if len(outside) else 1
     duty = by_period.duty[-1, working]
     metrics: dict[str, float | None] = {

@@ -1,4 +1,4 @@
-"""Metrics of single runs, metric descriptions, and summaries of results."""
+"""Metrics of single runs, descriptions of metrics, and summaries of results."""
 
 from __future__ import annotations
 
@@ -101,20 +101,20 @@ RELATIVE = {
 }
 """Metrics whose difference is also printed in per cent of the analytical value.
 
-Metric groups define further metrics of this kind (`MetricGroup.relative`).
+Metric groups add further metrics with this property (`MetricGroup.relative`).
 """
 
 _TENTH = 0.05
 """Relative difference (per cent) below which only one significant digit is printed."""
 
 _NOT_COMPARED = ("wall_s", "realtime_factor")
-"""Metrics whose difference is not shown because it says nothing about the plants."""
+"""Metrics of computing time, whose difference between the plants is not shown."""
 
 
 def _per_cent(metric: str, reference: float, value: float) -> str:
     """Format (value − reference)/reference in per cent.
 
-    The text is empty if the signs differ or the reference is close to zero.
+    The text is empty if the values differ in sign or the reference is close to zero.
     """
     if reference * value <= 0 or is_near_zero(reference, value, split_unit(metric)[1]):
         return ""
@@ -129,7 +129,7 @@ def _per_cent(metric: str, reference: float, value: float) -> str:
 def published(
     expectations: Sequence[Mapping[str, Any]],
 ) -> dict[str, tuple[float, str]]:
-    """Return the published value of each metric with the source."""
+    """Return the published value of each metric, and the source of this value."""
     return {
         row["metric"]: (row["near"], row["source"])
         for row in expectations
@@ -140,7 +140,6 @@ def published(
 
 
 METRICS_LISTED = "`srs-twin list metrics`"
-"""Command that lists all metrics, as quoted in messages."""
 
 _PLANT_MEANINGS = meanings_of("""
 com_speed_m_s: forward speed of the centre of mass, mean over whole gait periods after the first two
@@ -197,9 +196,10 @@ LIST_METRIC_UNITS = (
     units_of(("bend_amplitude_rad", "bend_bias_rad", "valve_switches"))
     | LEARNING_LIST_UNITS
 )
-"""Units of metrics with one value per segment, ordered from the head.
+"""Units of metrics whose values are lists.
 
-Learning metrics have one such list per period.
+Learning metrics have one entry per period (`LEARNING_LIST_UNITS`). The other metrics
+have one entry per segment, ordered from the head.
 """
 
 MEASURED_UNITS = units_of(_MEASURED_MEANINGS) | {"measured_yaw_rate_abs": "rad/s"}
@@ -227,7 +227,7 @@ COMPARISON_UNITS = (
 )
 """Units of the scalar metrics computed by `compare`.
 
-They are defined here so that commands can list them without importing `compare`.
+The units are defined here so that commands can list them without importing `compare`.
 """
 
 
@@ -249,13 +249,14 @@ def is_yes_no(metric: str) -> bool:
 
 
 def metric_name(name: str) -> str:
-    """Import the module of a metric and return the metric's name in results.
+    """Import the module of a metric, and return the name of the metric in results.
 
-    A metric of a plug-in or distribution is written as ``module:metric``. For an
-    unknown name, the registered metrics of all distributions are imported.
+    A metric from a plug-in or an installed distribution is written as
+    ``module:metric``. If a name without a module is unknown, all metrics that installed
+    distributions register are imported.
 
     Raises:
-        ValueError: the module is not allowed.
+        ValueError: the module is not allowed or cannot be imported.
     """
     module, _, metric = name.rpartition(":")
     if READING.get():
@@ -272,7 +273,7 @@ def metric_name(name: str) -> str:
 
 
 def written_name(metric: str) -> str:
-    """Return the name of a metric as written in files, ``module:metric`` for plug-ins."""
+    """Return the name of a metric in files, ``module:metric`` for a plug-in metric."""
     for module, group in plugin_parts(MetricGroup):
         if metric in group.meanings:
             return f"{module}:{metric}"
@@ -280,7 +281,7 @@ def written_name(metric: str) -> str:
 
 
 def meanings() -> dict[str, str]:
-    """Return the one-line descriptions of all metrics."""
+    """Return the one-line descriptions of all metrics, keyed by metric."""
     tables = (*MEANINGS, *(group.meanings for group in metric_groups()))
     return {name: text for table in tables for name, text in table.items()}
 
@@ -290,10 +291,10 @@ VALIDATION = (
     " replayed recordings compare them with hardware. All other differences are between"
     " the two plants."
 )
-"""Statement on validation in every report."""
+"""Statement about validation in every report."""
 
 _SAME_RATIO = 0.01
-"""Relative difference below which the plants are said to agree."""
+"""Relative difference below which a summary says that the plants agree."""
 _PRESET = (
     "The twin ran with preset {}, which is meant for searches: cite a run without it"
     " (docs/verification.md#presets)."
@@ -305,23 +306,21 @@ _OVERLAP = (
 _COMPLIANCE = (
     "Compliance: the segments of the twin yield to loads, those of the model do not."
 )
-"""Explanation of compliance, the most frequent cause named in headlines."""
 _MIN_CAUSE_RATIO = 0.25
-"""Fraction of a difference that a cause must explain to be mentioned."""
+"""Minimum fraction of a difference that a cause must explain to be mentioned."""
 
 _LEARNT = (
     "Learning brought the amplitudes to their targets. It does not control the path,"
     " whose curvature changed from {:.2g} to {:.2g} 1/m (docs/module.md)."
 )
-"""Sentence about a learning run whose amplitudes have converged."""
 
 
 def headline(metrics: Mapping[str, Any]) -> str:
     """Summarise the results in a few sentences.
 
-    The summary first mentions contacts with obstacles, if any. Then follow the
-    differences over the whole run and before the contact, and the main cause. The last
-    sentences explain terms and limitations.
+    The summary begins with contacts with obstacles or objects. It then compares the
+    plants over the whole run and before the first contact, and names the main cause of
+    each difference. The last sentences explain terms and limitations.
     """
     text = _summary(metrics)
     sentences = [*_contacts(metrics), text]
@@ -487,10 +486,10 @@ def _arrives(plant: Mapping[str, Any]) -> str:
 def _compared(
     metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, unit: str
 ) -> str:
-    """Compare a metric of the twin with the model and name the main cause.
+    """Compare a metric of the twin with the model, and name the main cause.
 
-    `part` contains the values to compare, either for the whole run or for the time
-    before a contact.
+    The argument `part` contains the metrics to compare, either for the whole run or for
+    the time before the first contact.
     """
     reference, value = (
         part["plants"][plant][metric] for plant in ("analytical", "twin")
@@ -517,10 +516,11 @@ def _main_cause(
     *,
     alone: bool,
 ) -> str:
-    """Describe the main cause of a relative difference (per cent).
+    """Describe the main cause of a relative difference, given as a fraction.
 
-    The text contains "would" if the effect was computed by switching only this cause.
-    It is empty if no cause acts in the direction of the difference.
+    If `alone` is true, the effect of the cause was computed by switching only this
+    cause, and the text contains "would". The text is empty if no cause explains a
+    sufficient part of the difference.
     """
     whole = round(100 * relative)
     for name, change in causes:
@@ -571,7 +571,7 @@ _GAIT = f"""
     periods_to_converge amplitude_error_end_rel path_speed_m_s path_curvature_before_per_m
     path_curvature_per_m mechanical_power_w cost_of_transport pneumatic_power_w {_MEASURED} realtime_factor
 """.split()
-# Metrics in the short table of a run on a bench or with a bend reference.
+# Metrics in the short table for a run on a bench or with a bend reference.
 _BENCH = f"""
     final_bend_rad {_MEASURED} rise_time_s overshoot_rel settling_5_s settling_2_s steady_error_rad
     steady_rms_rad ripple_pp_rad error_rms_rad amplitude_rel phase_lag_rad fit_residual_rad inlet_openings
@@ -582,7 +582,7 @@ _COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad", *SPATIAL_DIFFERENCES
 
 
 def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
-    """Return the metrics in the short table, which depend on the kind of run."""
+    """Return the metrics in the short table, which depends on the kind of run."""
 
     def measured(*names: str) -> bool:
         return any(
@@ -628,7 +628,7 @@ class ResultRow(NamedTuple):
 def result_rows(
     metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[ResultRow]:
-    """Yield the rows of a results table. Metrics without a value are omitted."""
+    """Yield the rows of a results table, omitting metrics without a value."""
     units = all_units()
     plants = metrics["plants"]
     for name in names:
@@ -650,7 +650,7 @@ def _differences(
 ) -> tuple[str, str]:
     """Format twin − analytical in the unit of the metric and in per cent.
 
-    The difference is 0 if both values are printed as the same text.
+    The difference is 0 if both values have the same printed text.
     """
     model, twin = (
         tidy(metric, metrics["plants"].get(p, {}).get(metric))
@@ -691,26 +691,26 @@ def plant_metrics(
 ) -> dict[str, Any]:
     """Compute the metrics of one run.
 
-    The gait metrics are means over whole gait periods after a warm-up of two periods
-    (`GaitWindow`). All gait metrics are None if the run is not periodic or has fewer
-    than three whole periods:
+    Gait metrics are means over whole gait periods after a warm-up of two periods
+    (`GaitWindow`). Gait metrics are None if the run is not periodic or has fewer than
+    three whole periods:
 
-    - ``com_speed_m_s``: length of the period-averaged centre-of-mass path divided by
-      the duration. The speed is negative if the motion is opposite to the mean heading.
-    - ``yaw_rate_rad_s``: derivative of the period-averaged heading, positive to the
-      left.
+    - ``com_speed_m_s``: length of the period-averaged path of the centre of mass,
+      divided by the duration. The speed is negative if the snake moves opposite to the
+      mean heading.
+    - ``yaw_rate_rad_s``: derivative of the period-averaged heading, positive for turns
+      to the left.
     - ``turning_radius_m``: radius of the circle on which the centre of mass moves from
-      period to period, positive to the left. It is None for a straight path
+      period to period, positive for turns to the left, or None for a straight path
       (`gait.turning_radius`).
-    - ``bend_amplitude_rad``: half the peak-to-peak range in a period, averaged over all
+    - ``bend_amplitude_rad``: half the range of the bend in a period, averaged over all
       periods.
 
     Further metrics are described in `gait.energy_metrics`, `tracking.tracking_metrics`,
-    `learning.learning_metrics` and `tracking.reading_metrics`. Bench runs without a
-    reference have ``final_bend_rad``, the final bend of the first segment. Extensions
-    add metric groups (`extensions.METRICS`). Differences from a recording
-    (``measured_…``) are None here and computed by `compare.MeasuredDifference`. The
-    number of valve openings is None if the plant does not count openings.
+    `learning.learning_metrics` and `tracking.reading_metrics`. Extensions add metric
+    groups (`extensions.METRICS`). Differences from a recording (``measured_…``) are
+    None here and are computed by `compare.MeasuredDifference`. The valve openings
+    (``valve_switches``) are None if the plant does not count them.
 
     Args:
         trajectory: run with ``body_length_m`` and ``gait_frequency_hz`` in its
@@ -718,7 +718,7 @@ def plant_metrics(
         wall_s: computing time, s.
 
     Returns:
-        JSON values, keyed by metric.
+        Metrics as JSON values, keyed by name.
 
     Raises:
         InputError: columns or metadata are missing or unusable.

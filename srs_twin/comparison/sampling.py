@@ -1,4 +1,4 @@
-"""Metric units, metric groups, trajectory checks and interpolation."""
+"""Metric units, metric groups, and functions to check and interpolate trajectories."""
 
 from __future__ import annotations
 
@@ -18,55 +18,55 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
 
 
-# Metric names have more unit suffixes than file keys. Longer suffixes come first,
-# because the first matching suffix is used.
+# Metric names have more unit suffixes than file keys. Because the first matching suffix
+# is used, longer suffixes come first.
 _UNITS = {"_rad_s": "rad/s", "_per_m": "1/m", "_w": "W", "_t": "T", **UNITS}
 
 
 def split_unit(metric: str) -> tuple[str, str]:
-    """Split a metric into name and unit. Without a unit suffix, the unit is "1"."""
+    """Split a metric into name and unit, where the unit is "1" without a suffix."""
     suffix = next((suffix for suffix in _UNITS if metric.endswith(suffix)), "")
     return metric.removesuffix(suffix), _UNITS.get(suffix, "1")
 
 
 def units_of(names: Iterable[str]) -> dict[str, str]:
-    """Return the unit of each metric, given by the suffix of the name."""
+    """Return the unit of each metric according to the suffix of the metric name."""
     return {name: split_unit(name)[1] for name in names}
 
 
 def meanings_of(lines: str) -> dict[str, str]:
-    """Parse lines of the form ``metric: description``."""
+    """Parse metric descriptions from lines of the form ``metric: description``."""
     return dict(line.split(": ", 1) for line in lines.strip().splitlines())
 
 
 STRAIGHT_RAD_S = 0.05
 """Yaw rate below which a run counts as straight, rad/s.
 
-Contact creep and start-up transients cause smaller yaw rates.
+Contact creep and start-up transients can cause smaller yaw rates.
 """
 ZERO = 5e-5
 """Magnitude below which a length (m), speed (m/s) or angle (rad) counts as zero."""
 _RESOLUTION = {"m": ZERO, "m/s": ZERO, "rad": ZERO, "rad/s": STRAIGHT_RAD_S}
 _MAX_CHANGE = 10.0
-"""Maximum change printed in per cent, as a multiple of the reference.
+"""Maximum change that is printed in per cent, as a multiple of the reference.
 
 A larger change usually means that the reference is close to zero.
 """
 
 
 def is_near_zero(reference: float, value: float, unit: str) -> bool:
-    """Return whether a reference is too close to zero for a relative change."""
+    """Return whether a reference is too close to zero to compute a relative change."""
     least = max(_RESOLUTION.get(unit, 0.0), abs(value - reference) / _MAX_CHANGE)
     return abs(reference) <= least
 
 
 def rms(values: np.ndarray) -> float:
-    """Return the root mean square of an array."""
+    """Return the root mean square of all elements."""
     return float(np.sqrt(np.square(values).mean()))
 
 
 def label(trajectory: Trajectory) -> str:
-    """Return the plant name of a trajectory, used in messages, or "trajectory"."""
+    """Return the plant name for messages, or "trajectory" if the plant is unknown."""
     return str(trajectory.metadata.get("plant", "trajectory"))
 
 
@@ -75,7 +75,8 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
 
     Args:
         trajectory: trajectory to check.
-        names: required columns. The name ``"x"`` stands for the columns ``x_1…``.
+        names: required columns. A name such as ``"x"`` may also stand for the numbered
+            columns ``x_1…``.
 
     Raises:
         InputError: a column is missing or not finite, there are no samples, or the
@@ -107,7 +108,7 @@ def check_columns(trajectory: Trajectory, *names: str) -> None:
 
 
 def positive_number(trajectory: Trajectory, name: str) -> float | None:
-    """Return a positive number from the metadata, or None if it is missing.
+    """Return a positive number from the metadata, or None if the entry is missing.
 
     Raises:
         InputError: the value is neither a positive number nor null.
@@ -157,8 +158,8 @@ def body_length(trajectory: Trajectory) -> float:
 
 
 def interpolant(trajectory: Trajectory, values: np.ndarray) -> CubicSpline:
-    """Return the cubic spline through all samples."""
-    # The import takes half a second, which commands that only list metrics avoid.
+    """Return the cubic spline through the samples of a signal."""
+    # The import takes half a second and is not needed by commands that list metrics.
     from scipy.interpolate import CubicSpline
 
     return CubicSpline(trajectory.time, values)
@@ -172,20 +173,21 @@ def _no_reason(metric: str, trajectory: Trajectory) -> str:
 class MetricGroup:
     """Metrics of one topic.
 
-    Each metric is a single number per run. The name of a metric ends with the unit.
+    Each metric is one number per run. The unit of a metric is given by a suffix of the
+    metric name.
 
     Attributes:
         meanings: one-line description of each metric.
-        measure: function that computes the metrics of a run. Undefined metrics are
-            None.
-        why_undefined: function that returns why a metric is undefined, or an empty
-            string if the missing value is itself a result of the run.
+        measure: function that computes the metrics of a run, with None for undefined
+            metrics.
+        why_undefined: function that returns the reason why a metric is undefined, or an
+            empty string if the missing value is itself a result of the run.
         relative: metrics whose difference between the plants is also printed in per
             cent.
-        main: metric that identifies runs of this topic, whose short table is then
-            `short_table`. If `main` is an empty string, `short_table` is appended to
-            the short table of every run.
-        short_table: metrics in the short table.
+        main: metric that only runs of this topic have, or an empty string. In the short
+            table of such a run, `short_table` replaces the usual metrics. Without a
+            `main` metric, `short_table` is appended to the short table of every run.
+        short_table: metrics that the topic contributes to the short table.
         yes_no: boolean metrics.
     """
 

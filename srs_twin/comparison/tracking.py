@@ -1,14 +1,14 @@
-r"""Metrics of a single module on a bench: reference tracking and sensor.
+r"""Tracking metrics and sensor metrics of a single module on a bench.
 
-The tracking metrics are defined in Chapter 4 of the dissertation, and the sensor
-metrics in Figs. 13 and 14. Sines are fitted to recorded signals by least squares, at
-the frequency of the reference:
+Chapter 4 of the dissertation defines the tracking metrics, and Figs. 13 and 14 define
+the sensor metrics. Sines with the frequency of the reference are fitted to recorded
+signals by least squares:
 
 $$ x(t) \approx \bar x + A \sin(2\pi f t + \varphi). $$
 
-The bends in a run are unevenly distributed, and single readings contain noise. Readings
-and bends are therefore averaged in bins of 1° of bend. All bins that contain samples
-have equal weight, as in a calibration at evenly spaced angles.
+The bends in a run are unevenly distributed, and single sensor readings contain noise.
+Readings and bends are therefore averaged in bins, each 1° wide. All bins that contain
+samples have equal weight, as in a calibration at evenly spaced angles.
 """
 
 from __future__ import annotations
@@ -24,8 +24,7 @@ from srs_twin.comparison.sampling import check_columns, meanings_of, rms, units_
 from srs_twin.trajectory import Trajectory
 
 _MAX_SINE_RESIDUAL = 1e-4
-"""Maximum RMS residual of a sine fit, as a fraction of the amplitude, for a signal to
-count as a sine."""
+"""Ratio of RMS residual to amplitude below which a signal counts as a sine."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +34,8 @@ class SineFit:
     Attributes:
         amplitude: amplitude A ≥ 0, in the unit of the samples.
         phase: phase φ, rad.
-        offset: mean of the sine.
-        residual: RMS residual.
+        offset: mean of the sine, in the unit of the samples.
+        residual: RMS residual, in the unit of the samples.
     """
 
     amplitude: float
@@ -63,9 +62,9 @@ def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
     """Return the frequency (Hz) of a noise-free sine, or None for any other signal.
 
     Samples of a sine satisfy x(t + m) + x(t − m) = 2 cos(2π f m) x(t) + const. Adjacent
-    samples give a first estimate of f. Samples about a quarter period apart give the
-    final estimate, because the slope of the cosine is then steepest. All samples except
-    the last must be equally spaced.
+    samples give a first estimate of f. Samples that are about a quarter of a period
+    apart give the final estimate, because the cosine is steepest there. All samples
+    except the last must be equally spaced.
     """
     values = values[:-1]
     time = time[:-1]
@@ -87,7 +86,7 @@ def sine_frequency(time: np.ndarray, values: np.ndarray) -> float | None:
 
 
 def _phase_step(values: np.ndarray, spacing: int) -> float | None:
-    """Return the phase difference (0 to π) between samples `spacing` apart."""
+    """Return the phase difference (0 to π rad) between samples `spacing` apart."""
     middle = values[spacing:-spacing]
     sums = values[2 * spacing :] + values[: -2 * spacing]
     middle = middle - middle.mean()
@@ -103,12 +102,12 @@ def step_response(
 ) -> dict[str, float | None]:
     """Compute the metrics of a step response.
 
-    The bend is interpolated linearly. A metric is None if the bend does not reach the
-    required level before the end of the run.
+    The bend is interpolated linearly between samples. A metric is None if the bend does
+    not reach the required level before the end of the run.
 
     Args:
-        time: time since the step, s.
-        bend: bend, rad.
+        time: sample times since the step, s.
+        bend: bend at each sample, rad.
         before: reference before the step, rad.
         after: reference after the step, rad.
     """
@@ -180,7 +179,6 @@ inlet_openings: openings per inlet valve
 outlet_openings: openings per outlet valve
 """)
 TRACKING_UNITS = units_of(TRACKING_MEANINGS)
-"""Units of the tracking metrics, each of which is a number or None."""
 
 _MIN_STEP = 1e-3
 """Minimum change of the reference that counts as a step, rad."""
@@ -193,12 +191,10 @@ def tracking_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     changes once, or a constant reference that differs from the initial bend.
     Steady-state metrics cover the second half of the time after the last change of the
     reference. Sine metrics cover whole periods after a warm-up of two periods, or of
-    one period if the run has two or three periods. A sine is fitted to each period, and
-    standard deviations are taken across periods. The phase lag lies between −π and π.
-    Openings of separate outlet valves are counted only if every tick is recorded.
-
-    Returns:
-        Metrics in `TRACKING_UNITS`.
+    one period if the run has only two or three periods. Standard deviations are
+    computed from separate sine fits to each period. The phase lag is between −π and π.
+    Outlet openings are counted only for separate outlet valves and only if every tick
+    is recorded.
 
     Raises:
         InputError: columns are missing or unusable.
@@ -244,9 +240,9 @@ def _step_metrics(trajectory: Trajectory, begin: int) -> dict[str, float | None]
 def _sine_metrics(
     time: np.ndarray, reference: np.ndarray, bend: np.ndarray, frequency: float
 ) -> dict[str, float | None]:
-    """Return the metrics of a sine reference, or {} for less than two whole periods."""
+    """Return the metrics of a sine reference, or {} if it has less than two periods."""
     start = time[0]
-    # The tolerance keeps the last period if the run ends with a whole period.
+    # The tolerance ensures that the last period counts if the run ends with it.
     whole = int(np.floor((time[-1] - start) * frequency + 1e-6))
     if whole < 2:
         return {}
@@ -284,8 +280,8 @@ def _lag(reference: SineFit, bend: SineFit) -> float:
 def _openings(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the openings per inlet valve and per outlet valve.
 
-    Inlet openings are counted by the plant. Outlet openings are counted from the
-    samples.
+    The plant counts the inlet openings. The outlet openings are counted from the
+    recorded valve states.
     """
     metrics: dict[str, float | None] = {}
     if counted := trajectory.metadata.get("valve_switches"):
@@ -297,7 +293,7 @@ def _openings(trajectory: Trajectory) -> dict[str, float | None]:
         return metrics
     states = np.stack([trajectory[name] for name in names])
     every_tick = float(np.diff(trajectory.time).max()) < 1.5 * tick
-    # Only separate inlet and outlet valves have a hold state.
+    # Only chambers with separate inlet and outlet valves can be closed.
     if every_tick and (states == 0).any():
         opened = (states[:, 1:] == -1) & (states[:, :-1] != -1)
         metrics["outlet_openings"] = float(opened.sum(axis=1).mean())
@@ -312,18 +308,17 @@ reading_backstep_at_rad: bend at the middle of the largest decrease of the readi
 reading_range_t: range of the magnetic field at the sensor
 """)
 READING_UNITS = units_of(READING_MEANINGS)
-"""Units of the sensor metrics, each of which is a number or None."""
 
 BIN_RAD = math.radians(1.0)
-"""Width of a bend bin, rad, which is a common calibration step."""
+"""Width of a bend bin, which is a common step size in calibrations, rad."""
 
 _MIN_BINS = 3
-"""Minimum number of bins for a linear fit. A line passes through any two points."""
+"""Minimum number of bins for a linear fit, because a line fits two points exactly."""
 
 
 @dataclass(frozen=True)
 class ReadingCurve:
-    """Mean reading and mean bend in each bin that contains samples.
+    """Mean sensor reading and mean bend in each bin that contains samples.
 
     Attributes:
         bend: mean bends in ascending order, rad.
@@ -335,7 +330,7 @@ class ReadingCurve:
 
     @classmethod
     def from_trajectory(cls, trajectory: Trajectory) -> ReadingCurve | None:
-        """Return the curve of the first segment, or None if the sensor is ideal.
+        """Return the first segment's curve, or None if the sensor is ideal or missing.
 
         Raises:
             InputError: columns are missing or unusable.
@@ -358,16 +353,17 @@ class ReadingCurve:
 
     @property
     def r_squared(self) -> float | None:
-        """R² of a linear fit of the reading against the bend."""
+        """R² of a linear fit of the readings to the bends, or None if undefined."""
         if len(self.bend) < _MIN_BINS or np.ptp(self.reading) == 0:
             return None
         return float(np.corrcoef(self.bend, self.reading)[0, 1] ** 2)
 
     @property
     def backstep(self) -> tuple[float, float | None]:
-        """Maximum decrease of the reading with increasing bend, and the bend there, rad.
+        """Maximum decrease of the reading with increasing bend, and its location, rad.
 
-        If the reading never decreases, the decrease is 0 and the bend is None.
+        The location is the mean of the bends between which the reading decreases. If
+        the reading never decreases, the decrease is 0 and the location is None.
         """
         decrease = np.maximum.accumulate(self.reading) - self.reading
         low = int(decrease.argmax())
@@ -380,9 +376,9 @@ class ReadingCurve:
 def reading_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     """Return the metrics of the first segment's sensor (`READING_MEANINGS`).
 
-    All metrics are None if the sensor is ideal. Averaging removes noise from
-    ``reading_error_rad``. Without noise, ``reading_backstep_rad`` is 0 if each reading
-    corresponds to a single bend. The metrics depend on the range of bends in the run.
+    All metrics are None if the sensor is ideal or the bends fill fewer than three bins.
+    Without noise, ``reading_backstep_rad`` is 0 if the reading increases monotonically
+    with the bend. The metrics depend on the range of bends in the run.
 
     Raises:
         InputError: columns are missing or unusable.
@@ -406,7 +402,7 @@ def _sensor(trajectory: Trajectory) -> Mapping[str, object]:
 
 
 def _field_per_rad(sensor: Mapping[str, object]) -> float | None:
-    """Return the change of the magnetic field per measured bend, T/rad, or None."""
+    """Return the field change per measured bend (T/rad), or None if it is unknown."""
     hall = _mapping(sensor.get("hall"))
     line = _mapping(sensor.get("calibration"))
     values = (

@@ -1,9 +1,9 @@
-"""Reasons why a metric of a run is undefined.
+"""Reasons why metrics of a run are undefined.
 
 A metric may be undefined because the run lacks data, such as whole gait periods, a
 reference or a recording. Expectations about such a metric cannot be judged. In other
-cases, a missing value is itself a result: a straight path has no turning radius, and a
-planner that finds no plan yields no plan length.
+cases, the missing value is itself a result of the run. For example, a straight path has
+no turning radius.
 """
 
 from __future__ import annotations
@@ -66,9 +66,10 @@ class Undefined:
     """Reason why a metric of a run is undefined.
 
     Attributes:
-        reason: explanation.
+        reason: text that explains why the metric is undefined.
         beyond: lower bound on the value, in the unit of the metric, or −inf. For
-            example, a bend that has not settled within a run may settle later.
+            example, if a bend does not settle before the end of a run, the settling
+            time is longer than the time from the step to the end.
     """
 
     reason: str
@@ -83,8 +84,14 @@ def why_undefined(
 ) -> Undefined | None:
     """Return the reason why a metric of a run is undefined.
 
-    Return None if the metric has a value, or if the missing value is itself a result of
-    the run.
+    The reason is None if the metric has a value, or if the missing value is itself a
+    result of the run.
+
+    Args:
+        metric: name of the metric.
+        subject: plant to which the metric belongs, or "comparison".
+        metrics: metrics of the run, with the entries ``plants`` and ``comparison``.
+        runs: trajectories of the plants and of the recording, keyed by name.
     """
     owners = metrics["plants"] | {"comparison": metrics["comparison"]}
     values = owners.get(subject) or {}
@@ -115,9 +122,9 @@ def _of(reason: str) -> Undefined | None:
 
 
 def _no_gait(metric: str, runs: Iterable[Trajectory]) -> str:
-    """Return why one of the runs has no gait metrics.
+    """Return the reason why one of the runs has no gait metrics.
 
-    The reason is empty for a run that ended early.
+    The reason is empty if the run ended early, because an early end is itself a result.
     """
     for run in runs:
         if reason := GaitWindow.missing_reason(run):

@@ -1,1 +1,1 @@
-"""Compiled kernels, array checks, threads, worker processes and object claims."""
+"""Utilities for compiled kernels, arrays, threads and worker processes."""

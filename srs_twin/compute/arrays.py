@@ -1,4 +1,4 @@
-"""Plausibility checks, BLAS settings and concatenation of arrays."""
+"""Utilities for array checks, array concatenation and BLAS settings."""
 
 from __future__ import annotations
 
@@ -18,24 +18,23 @@ from srs_twin.errors import InputError
 Array = NDArray[np.float64]
 
 LARGEST_PLAUSIBLE = 1e9
-"""Maximum plausible magnitude of any quantity in SI units. Pressures of a snake
-reach 1e7 Pa, and positions reach 1e6 m.
-"""
+"""Maximum plausible magnitude of any quantity in SI units, above the largest pressures
+(1e7 Pa) and positions (1e6 m) of a snake."""
 
 _BLAS_LOCK = threading.RLock()
 
 
 def is_plausible(*quantities: Any) -> bool:
-    """Return whether all elements are finite and smaller than `LARGEST_PLAUSIBLE`."""
-    # The sum of squares decides almost all cases in half a microsecond per array,
-    # without warnings.
+    """Return whether the magnitudes of all elements are below `LARGEST_PLAUSIBLE`."""
+    # In almost all cases, the sum of squares is sufficient and takes half a microsecond
+    # per array, without warnings.
     if sum(np.vdot(values, values) for values in quantities) < LARGEST_PLAUSIBLE**2:
         return True
     return all(first_implausible(values) is None for values in quantities)
 
 
 def first_implausible(values: Any) -> float | None:
-    """Return the first element that is not finite or too large, or None."""
+    """Return the first implausible element, or None if all elements are plausible."""
     flat = np.ravel(values)
     wrong = flat[~(np.abs(flat) < LARGEST_PLAUSIBLE)]
     if len(wrong):
@@ -46,7 +45,7 @@ def first_implausible(values: Any) -> float | None:
 def check_positive(name: str, value: Any, unit: str = "") -> None:
     """Check that a number, or every element of an array, is finite and above 0.
 
-    `name` and `unit` appear in the error message.
+    The error message contains the name and the unit.
     """
     if not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
         shown = f"{value!r} {unit}".strip()
@@ -59,10 +58,9 @@ def check_positive(name: str, value: Any, unit: str = "") -> None:
 def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread in a `with` block, so that results are reproducible.
 
-    OpenBLAS splits sums between its threads, so the last digits of products of matrices
-    larger than about 100 × 100 depend on the number of threads. The limit applies to
-    the whole process, so only one Python thread at a time may run such a block.
-    Otherwise the end of one block would remove the limit for the others.
+    OpenBLAS splits sums between its threads, which changes the last digits of matrix
+    products for matrices larger than about 100 × 100. The limit applies to the whole
+    process, so a lock admits only one Python thread at a time to such a block.
     """
     with _BLAS_LOCK, ThreadpoolController().limit(limits=1, user_api="blas"):
         yield
@@ -91,7 +89,7 @@ Record = TypeVar("Record")
 
 
 def concatenate_records(records: Sequence[Record]) -> Record:
-    """Concatenate named tuples of arrays along the first axis (samples).
+    """Concatenate named tuples or dataclasses of arrays along the first axis (samples).
 
     A single record is returned without a copy.
     """

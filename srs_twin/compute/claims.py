@@ -1,12 +1,12 @@
 """Exclusive use of an object by one thread at a time.
 
-Plants, controllers, batches and environments change while they run. A second thread
-would continue from an incomplete time step, or crash the physics engine. `rollout`
-therefore claims its plant and its controller until it ends. A method listed in
-`claiming_methods` claims its object while the method runs. A thread may claim the same
-object again.
+The state of plants, controllers, batches and environments changes during a simulation.
+A second thread could continue from an incomplete time step, or crash the physics
+engine. The function `rollout` therefore claims its plant and its controller until it
+returns. Each method listed in `claiming_methods` claims its object during a call. A
+thread may claim an object several times.
 
-Claims are stored outside the objects, so that copies and pickles of an object are not
+Claims are stored outside the objects, so that copies of a claimed object are not
 claimed.
 """
 
@@ -24,11 +24,11 @@ from srs_twin.errors import InputError
 from srs_twin.io.saved_state import DeepCopied
 
 _HOLDERS: dict[int, int] = {}
-"""Identifier of the thread that claimed each object, by object `id`."""
+"""Identifier of the thread that has claimed each object, keyed by object `id`."""
 
 if hasattr(os, "register_at_fork"):
-    # After a fork, the other threads of the parent process do not exist in the child
-    # process.
+    # After a fork, the threads that hold claims in the parent process do not exist in
+    # the child process.
     os.register_at_fork(after_in_child=_HOLDERS.clear)
 
 
@@ -49,7 +49,7 @@ class Claimable(DeepCopied):
 
 
 def _claiming(method: Callable[..., object]) -> Callable[..., object]:
-    """Return a method that claims its object while it runs, faster than `claim`."""
+    """Return a method that claims its object with less overhead than `claim`."""
 
     @wraps(method)
     def claiming(self: object, *arguments: object, **options: object) -> object:
@@ -58,8 +58,8 @@ def _claiming(method: Callable[..., object]) -> Callable[..., object]:
         if _HOLDERS.get(key) == thread:
             return method(self, *arguments, **options)
         # An interrupt may arrive after any function call. The object is therefore
-        # claimed inside the `try` block that releases it, and the release calls no
-        # function.
+        # claimed inside the `try` block, and the `finally` block releases the object
+        # without calling a function.
         try:
             _acquire(self, thread)
             return method(self, *arguments, **options)
@@ -71,12 +71,12 @@ def _claiming(method: Callable[..., object]) -> Callable[..., object]:
 
 
 _CLAIMING = _claiming(id).__code__
-"""Code object of all methods that `_claiming` returns."""
+"""Code object that all methods returned by `_claiming` share."""
 
 
 @contextmanager
 def claim(item: object) -> Iterator[None]:
-    """Claim an object within a `with` block."""
+    """Claim an object for the current thread within a `with` block."""
     key = id(item)
     thread = get_ident()
     ours = _HOLDERS.get(key) == thread

@@ -1,10 +1,9 @@
 """Numba compilation with a disk cache that detects changes in inlined functions.
 
-By default, Numba optimises every function separately and again in each caller, and
-generates machine code for each function. Here, functions called by a kernel are *parts*
-of the kernel (`_PartLibrary`). Machine code is generated only once, for the kernel with
-its parts. Only functions that are called from Python have a Python wrapper and a cache
-on disk.
+By default, Numba generates machine code for every function, and optimises each function
+again in all its callers. In this module, the functions called by a kernel are *parts*
+of the kernel (`_PartLibrary`), and machine code is generated only for the whole kernel.
+Only functions that are called from Python have a Python wrapper and a cache on disk.
 """
 
 # ruff: noqa: SLF001 - caches and code libraries of numba have no public names
@@ -43,26 +42,26 @@ _OPTIONS: Any = {
     "fastmath": _FASTMATH,
     "no_cfunc_wrapper": True,  # no kernel is called from C
 }
-# Reference counts take most of the time of a small kernel. A kernel that creates no
-# arrays does not need reference counts.
+# Counting references takes most of the run time of a small kernel. A kernel that
+# creates no arrays does not need reference counts.
 _NO_REFCOUNTS: Any = {"_nrt": False}
 _CONSTANT_TYPES = (bool, int, float, complex, str, type(None))
 _warned: list[str] = []
-"""Reason stated in the warning that this process has issued, if any."""
+"""Reason for the cache warning that this process has issued, if any."""
 _notices: list[Callable[[], None]] = []
-"""Function to call before the first compilation, if any."""
+"""Function that is called before the first compilation, if any."""
 
 
 def notify_first_compilation(notice: Callable[[], None]) -> None:
-    """Call a function once before this process compiles its first kernel."""
+    """Set a function that is called before this process compiles its first kernel."""
     _notices[:] = [notice]
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Code of a kernel part, kept in LLVM intermediate representation."""
+    """Library that keeps a kernel part in LLVM intermediate representation."""
 
     def finalize(self) -> None:
-        """Declare the global variables that Numba sets, but generate no code."""
+        """Declare the global variables that Numba sets, without generating code."""
         self._raise_if_finalized()
         names = [variable.name for variable in self._final_module.global_variables]
         lines = [
@@ -93,7 +92,7 @@ class _PartLibrary(JITCodeLibrary):
                     not function.is_declaration
                     and function.linkage == llvm.Linkage.external
                 ):
-                    # several kernels may contain this function
+                    # Several kernels may contain this function.
                     function.linkage = "linkonce_odr"
             self._shared_module = module
         return self._shared_module
@@ -110,7 +109,7 @@ class _PartLibrary(JITCodeLibrary):
 
 
 class _PartCompiler(Compiler):
-    """Numba compiler that generates a `_PartLibrary`."""
+    """Numba compiler that stores its result in a `_PartLibrary`."""
 
     def __init__(
         self, typing_context: Any, target_context: Any, _: Any, *rest: Any
@@ -133,7 +132,7 @@ class Kernel:
     Attributes:
         entry: Numba dispatcher for calls from Python.
         part: Numba dispatcher for calls from other kernels.
-        py_func: Python function before compilation.
+        py_func: original Python function.
     """
 
     def __init__(self, function: Function, options: Mapping[str, Any]) -> None:
@@ -148,38 +147,37 @@ class Kernel:
 
     @property
     def _numba_type_(self) -> Any:
-        """Type of the kernel when another kernel uses it."""
+        """Numba type of the kernel inside other kernels."""
         return self.part._numba_type_
 
 
 def compiled(function: Function) -> Kernel:
     """Compile a function that creates no arrays, and cache its machine code on disk.
 
-    The function is compiled on its first call, and runs without the global interpreter
-    lock.
+    The function is compiled on its first call, and releases the global interpreter lock
+    while it runs.
 
-    Numba's own cache is valid as long as the source file of the function is unchanged.
-    It does not detect changes in inlined functions from other files, such as a
-    corrected friction law. This cache is instead keyed by a digest of the bytecode and
-    constants of the function and of all kernels that it calls. If no cache folder is
-    writable, every process compiles its kernels and issues one `CacheWarning`.
+    Numba's own cache does not detect changes in inlined functions from other files. The
+    cache used here is therefore keyed by a digest of the bytecode and constants of the
+    function and its callees. If no cache folder is writable, every process compiles its
+    kernels and issues one `CacheWarning`.
     """
     return Kernel(function, _NO_REFCOUNTS)
 
 
 def allocating(function: Function) -> Kernel:
-    """Compile a function that creates arrays, and cache it like `compiled`."""
+    """Compile a function that creates arrays, with a disk cache as in `compiled`."""
     return Kernel(function, {})
 
 
 def kernel_only(function: Function) -> Function:
-    """Compile a function that only kernels call."""
+    """Compile a function that is called only by kernels."""
     part: Function = njit(**_PART_OPTIONS, **_NO_REFCOUNTS)(function)
     return part
 
 
 def inlined(function: Function) -> Function:
-    """Copy a function that only kernels call into its callers before optimisation.
+    """Compile a function that is copied into the calling kernels before optimisation.
 
     The order of sums then does not depend on how a kernel is divided into functions.
     """
@@ -191,7 +189,7 @@ def inlined(function: Function) -> Function:
 overload_part: Function = functools.partial(
     overload, jit_options=_PART_OPTIONS | _NO_REFCOUNTS
 )
-"""Decorator `numba.extending.overload` for functions that only kernels call."""
+"""Decorator like `numba.extending.overload`, for functions called only by kernels."""
 
 
 def is_given(kind: types.Type) -> bool:
@@ -200,7 +198,7 @@ def is_given(kind: types.Type) -> bool:
 
 
 def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Function:
-    """Return a decorator like `kernel_only` for calls that depend on a condition.
+    """Return a decorator like `kernel_only` that skips calls if a condition is false.
 
     The condition is evaluated for the Numba type of the first argument. If it is false,
     the call generates no code and returns `otherwise`.
@@ -254,18 +252,15 @@ def _with_cache(dispatcher: Any, function: Function) -> Function:
 
 
 class _Cache(FunctionCache):
-    """Disk cache of one function, which is disabled if its folder cannot be used.
+    """Disk cache of one function.
 
-    The cache is also disabled if other users can write to the folder, because cache
-    files are pickles, and a pickle can execute code.
+    The cache is disabled if other users can write to its folder, because cache files
+    are pickles, which can execute code.
     """
 
     def load_overload(self, sig: object, target_context: object) -> Any:
-        """Return the cached machine code for a signature, or None if there is none.
-
-        The digest is computed on the first call, because all names that the function
-        uses are defined by then.
-        """
+        # The digest is computed here, because all names that the function uses are
+        # defined when the function is called for the first time.
         self._cache_file._source_stamp = _source_stamp(self._py_func)
         if (reason := _why_unsafe(Path(self._cache_path))) is not None:
             _warn(reason, "that only you can write to")
@@ -277,21 +272,21 @@ class _Cache(FunctionCache):
 
     @contextmanager
     def _guard_against_spurious_io_errors(self) -> Iterator[None]:
-        """Ignore cache errors, so that the compilation continues without the cache."""
+        """Ignore errors of the cache, so that the compilation continues without it."""
         try:
             yield
         except OSError as error:
             _warn(f"{self._cache_path}: {error.strerror}")
         except (ReferenceError, AttributeError, ModuleNotFoundError):
-            # A cache index that refers to a kernel from another process, or to a
-            # function that no longer exists, is replaced by an empty index.
+            # The cache index refers to a kernel from another process, or to a function
+            # that no longer exists. It is replaced by an empty index.
             self._cache_file.flush()
         except (EOFError, pickle.UnpicklingError, ImportError):
             _warn(f"a file in {self._cache_path} is damaged; remove this folder")
 
 
 def _why_unsafe(folder: Path) -> str | None:
-    """Return why other users can write to a folder, or None if they cannot write."""
+    """Return why other users can write to a folder, or None if they cannot."""
     if not hasattr(os, "getuid"):
         return None
     for path in (folder, folder.parent):
@@ -301,8 +296,8 @@ def _why_unsafe(folder: Path) -> str | None:
             continue
         if status.st_uid not in (os.getuid(), 0):
             return f"{path} belongs to another user"
-        # In a folder with the sticky bit, such as /tmp, only the owner can replace a
-        # file.
+        # In a folder with the sticky bit, such as /tmp, users can only replace their
+        # own files.
         sticky = path != folder and status.st_mode & stat.S_ISVTX
         if status.st_mode & stat.S_IWOTH and not sticky:
             return f"{path} is writable by all users"
@@ -316,7 +311,7 @@ def _why_unsafe(folder: Path) -> str | None:
 
 
 def _is_own_group(number: int) -> bool:
-    """Return whether a group contains only one user, as on many Linux systems."""
+    """Return whether a group contains only the current user."""
     import grp
     import pwd
 
@@ -329,7 +324,7 @@ def _is_own_group(number: int) -> bool:
 
 
 def _warn(reason: str, requirement: str = "that you can write to") -> None:
-    """Warn once per process, because other kernels would fail for the same reason."""
+    """Issue one warning per process, because all kernels fail for the same reason."""
     if _warned:
         return
     _warned.append(reason)
@@ -356,7 +351,7 @@ def _source_stamp(function: FunctionType) -> str:
 def _code_parts(
     code: CodeType, names: Mapping[str, object], seen: set[CodeType]
 ) -> Iterator[str]:
-    """Yield the bytecode and constants of a function and of the functions it calls."""
+    """Yield the bytecode and constants of a function and all functions it calls."""
     if code in seen:
         return
     seen.add(code)

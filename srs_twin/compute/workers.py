@@ -1,14 +1,14 @@
-"""Execution of numbered tasks on threads or in worker processes.
+"""Execution of numbered tasks in threads or in worker processes.
 
-`Workers` is a pool of threads for tasks that release the global interpreter lock.
-`run_tasks` executes tasks in worker processes and continues if a worker process dies.
+The class `Workers` is a pool of threads for tasks that release the global interpreter
+lock. The function `run_tasks` executes tasks in worker processes and continues if a
+worker process dies.
 
-On Linux, worker processes are forked from the fork server of `multiprocessing`. The
-fork server is a separate process that has imported the required modules once. A forked
-worker starts within hundredths of a second, whereas a new process takes one or two
-seconds. On other systems, where forks are unsafe, every worker is a new process. The
-page docs/decisions/worker-processes.md compares this design with existing process pool
-libraries.
+On Linux, worker processes are forked from the fork server of `multiprocessing`, which
+has already imported the required modules. A forked worker starts within hundredths of a
+second, whereas a new process takes one or two seconds to start. On other systems, where
+forks are unsafe, every worker is a new process. The page
+docs/decisions/worker-processes.md compares this design with process pool libraries.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ IsCancelled = Callable[[], bool]
 
 
 class Workers:
-    """Pool of threads for tasks that release the interpreter's lock."""
+    """Pool of threads for tasks that release the global interpreter lock."""
 
     def __init__(self, threads: int | None = None) -> None:
-        """Create the pool. The threads start with the first task.
+        """Create the pool, whose threads start with the first task.
 
         Args:
             threads: number of threads, by default one per processor. With one thread,
-                tasks are executed on the calling thread.
+                the calling thread executes the tasks.
         """
         self.threads = processor_count() if threads is None else threads
         if self.threads < 1:
@@ -71,15 +71,14 @@ class Workers:
     ) -> list[Returned]:
         """Execute the tasks 0 … count − 1 and return their results in order.
 
-        If several tasks fail, the error of the task with the smallest number is raised,
-        as in a loop. All tasks with smaller numbers have finished by then. An interrupt
-        (Ctrl-C) is raised after the running tasks have ended.
+        If several tasks fail, the error of the task with the smallest number is raised.
+        An interrupt (Ctrl-C) is raised after the running tasks have ended.
 
         Args:
             count: number of tasks.
-            task: function called with the task number and an `IsCancelled` function. A
-                cancelled task may return any value or raise any exception.
-            progress: function called on the calling thread with the number of finished
+            task: function of the task number and an `IsCancelled` function. A cancelled
+                task may return any value or raise any exception.
+            progress: function that the calling thread calls with the number of finished
                 tasks.
         """
         progress = progress or (lambda done: None)
@@ -121,9 +120,9 @@ def processor_count() -> int:
 
 START_METHOD = "forkserver" if sys.platform == "linux" else "spawn"
 GRACE_S = 2.0
-"""Time for a worker to clean up before it is killed, s."""
+"""Time that a worker has for cleaning up before it is killed, s."""
 
-# The parent process already warns that kernels cannot be cached.
+# Only the parent process warns that kernels cannot be cached.
 _WARNINGS = (
     os.environ.get("PYTHONWARNINGS"),
     "ignore::UserWarning:srs_twin.compute.compiled",
@@ -131,28 +130,27 @@ _WARNINGS = (
 _ENVIRONMENT = {
     # Workers must not import modules from the current folder.
     "PYTHONSAFEPATH": "1",
-    # Libraries in a worker use a single thread, because there is one worker per
-    # processor, and a process should have a single thread when it is forked.
+    # BLAS uses one thread in each worker, because there is one worker per processor,
+    # and because a process with several threads should not be forked.
     "OPENBLAS_NUM_THREADS": "1",
     "PYTHONWARNINGS": ",".join(filter(None, _WARNINGS)),
 }
-"""Environment variables of the fork server."""
 
 _preloaded: list[str] = []
 
 
 def start_server(preload: str | None = None) -> None:
-    """Start the fork server if it is needed, without waiting until it runs.
+    """Start the fork server on Linux, without waiting until it is ready.
 
-    The fork server imports the module `preload` in advance.
+    The fork server imports the module `preload` before it forks workers.
     """
     if START_METHOD != "forkserver":
         return
     if preload is not None:
         _preloaded[:] = [preload]
     forkserver.set_forkserver_preload(_preloaded)  # instead of the main program
-    # Starting the resource tracker inside the block below would unblock Ctrl-C, so it
-    # is started first.
+    # The resource tracker is started first, because starting it inside the block below
+    # would unblock Ctrl-C.
     resource_tracker.ensure_running()
     before = dict(os.environ)
     os.environ.update(_ENVIRONMENT)
@@ -167,10 +165,10 @@ def start_server(preload: str | None = None) -> None:
 
 @contextmanager
 def _interrupts_blocked() -> Iterator[None]:
-    """Block SIGINT (Ctrl-C) while processes are started.
+    """Block SIGINT (Ctrl-C) in a `with` block that starts processes.
 
-    A process that is started in the block ignores the signal. The current process
-    receives the signal after the block.
+    The started processes ignore the signal, and the current process receives it after
+    the block.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -181,11 +179,11 @@ def _interrupts_blocked() -> Iterator[None]:
 
 @contextmanager
 def _empty_main_module() -> Iterator[None]:
-    """Replace the main module by an empty module, like the main module of a worker.
+    """Replace the main module by an empty module within a `with` block.
 
-    Otherwise `multiprocessing` would import the main program in each worker. A script
-    without the guard ``if __name__ == "__main__"`` would then run again. With the empty
-    module, pickling fails immediately for objects that only the main program defines.
+    Otherwise, `multiprocessing` would import the main program in each worker, and a
+    script without the guard ``if __name__ == "__main__"`` would run again. Objects that
+    are defined in the main program cannot be pickled within the block.
     """
     program = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
@@ -200,9 +198,8 @@ class TaskResult(Generic[Result]):
     """Result or error of one task.
 
     Attributes:
-        error: `SrsError` that the task raised, `TaskFailedError` if the task raised
-            another exception, `WorkerDiedError` if too many workers died during the
-            task, or None.
+        error: `SrsError` raised by the task, `TaskFailedError` for any other exception,
+            `WorkerDiedError` if too many workers died during the task, or None.
     """
 
     number: int
@@ -219,17 +216,16 @@ def run_tasks(
 ) -> Generator[TaskResult[Result], None, None]:
     """Call a function in worker processes and yield the results in order of completion.
 
-    If a worker dies (because it was killed, ran out of memory or crashed in compiled
-    code), a new worker repeats the task. Workers ignore Ctrl-C. The workers end when
-    the generator is closed or the parent process ends.
+    If a worker dies, for example because it runs out of memory, a new worker repeats
+    the task. Workers ignore Ctrl-C, and they end when the generator is closed or the
+    parent process ends.
 
     Args:
         task: function called in a worker. The function, its arguments and its results
             must be picklable.
-        arguments: one argument per task.
-        workers: number of processes, by default one per processor and at most one per
-            task.
-        attempts: number of worker deaths during a task after which the task fails.
+        arguments: argument of each task.
+        workers: maximum number of worker processes, by default one per processor.
+        attempts: number of worker deaths after which a task fails.
     """
     count = processor_count() if workers is None else workers
     for name, value in (("workers", count), ("attempts", attempts)):
@@ -257,8 +253,8 @@ class _TaskRun:
         self._attempts = attempts
         self._waiting = deque(range(len(packed)))
         self._finished = deque[TaskResult[Any]]()
-        self._deaths = [0] * len(packed)  # number of workers that died, per task
-        # number of consecutive workers that died before their first task
+        self._deaths = [0] * len(packed)  # number of worker deaths in each task
+        # Number of successive failed starts, in which workers died before their tasks.
         self._failed_starts = 0
         self._last_failed_start = 0.0
         self._workers: list[_Worker] = []
@@ -272,7 +268,7 @@ class _TaskRun:
                 ):
                     self._workers.append(_Worker(self._program))
                 self._assign_tasks()
-                # results are yielded only while all workers are busy
+                # A result is yielded only after all idle workers have received tasks.
                 if self._finished:
                     remaining -= 1
                     yield self._finished.popleft()
@@ -288,12 +284,11 @@ class _TaskRun:
     def _assign_tasks(self) -> None:
         for worker in self._workers:
             if self._waiting and worker.ready and worker.number is None:
-                with suppress(OSError):  # the worker died before the task
+                with suppress(OSError):  # the worker died before it received the task
                     worker.pipe.send_bytes(self._packed[self._waiting[0]])
                     worker.number = self._waiting.popleft()
 
     def _wait(self) -> None:
-        """Wait until a worker reports or dies, and handle the event."""
         handles = [
             handle
             for worker in self._workers
@@ -323,7 +318,7 @@ class _TaskRun:
         if worker.ready:
             self._failed_starts = 0
         elif worker.start_time > self._last_failed_start:
-            # Workers that started together count as one failed start.
+            # Failures of workers that started together count as one failed start.
             self._failed_starts += 1
             self._last_failed_start = time.monotonic()
             if self._failed_starts == self._attempts:
@@ -351,14 +346,14 @@ class _Worker:
         self.ready = False
         self.number: int | None = None
         self.pipe, remote_pipe = Pipe()
-        # The fork server may have started before this process loaded its extensions.
+        # The fork server may have started before this process loaded its plug-ins.
         plugins = os.environ.get(PLUGINS, "")
         self.process = _start_process(_worker_main, (remote_pipe, program, plugins))
         remote_pipe.close()
 
     def receive(self) -> tuple[object, Exception | None]:
         """Return (result, None), or (None, error) if the task failed."""
-        # If the fork server has died, the pipe does not raise EOFError by itself.
+        # If the fork server has died, reading from the pipe does not raise EOFError.
         if not self.pipe.poll():
             raise EOFError
         answer: tuple[object, Exception | None] = pickle.loads(self.pipe.recv_bytes())
@@ -378,17 +373,15 @@ class _Worker:
 def _start_process(
     target: Callable[..., None], arguments: tuple[object, ...]
 ) -> BaseProcess:
-    """Start a process that ignores Ctrl-C.
-
-    The start is repeated for a while if the fork server has just died.
-    """
+    """Start a process that ignores Ctrl-C."""
+    # If the fork server has just died, the start is repeated until it has restarted.
     deadline = time.monotonic() + GRACE_S
     while True:
         start_server()
         process = get_context(START_METHOD).Process(  # type: ignore[attr-defined]
             target=target, args=arguments, daemon=True
         )
-        # Child processes inherit the setting to ignore Ctrl-C from the fork server.
+        # The fork server already blocks Ctrl-C, and its child processes inherit this.
         blocked = (
             nullcontext() if START_METHOD == "forkserver" else _interrupts_blocked()
         )
@@ -428,7 +421,7 @@ def _call_and_pickle(call: Callable[[], object]) -> bytes:
         return pickle.dumps((call(), None))
     except Exception as error:  # any error is reported, and the worker continues
         reported = error if isinstance(error, SrsError) else TaskFailedError(error)
-        # Tracebacks cannot be pickled, so the traceback becomes a note of the error.
+        # Tracebacks cannot be pickled, so the traceback is added as a note.
         reported.add_note("".join(traceback.format_exception(error)))
         try:
             return pickle.dumps((None, reported))

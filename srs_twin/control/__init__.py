@@ -1,1 +1,1 @@
-"""Controllers, which compute valve commands from sensor readings and poses."""
+"""Controllers that compute valve commands from bend readings and camera poses."""

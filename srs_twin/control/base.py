@@ -1,4 +1,4 @@
-"""Base class for controllers, and a filter that replaces lost sensor readings."""
+"""Base class `Controller`, and a filter that replaces lost bend readings."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ if TYPE_CHECKING:
 
 
 class Controller(Claimable, Stateful, ABC):
-    """Base class for controllers, which compute valve commands once per control tick.
+    """Base class of controllers, which compute valve commands once per control tick.
 
-    A controller reads the sensed bends in `SnakeState.measured_bend` and the camera
-    poses, but never the true `bend`. It works with any plant.
+    A controller may use the measured bends (`SnakeState.measured_bend`) and the camera
+    poses, but not the true bends (`SnakeState.bend`).
 
     Attributes:
-        kind: name of the controller in scenario files.
-        frequency: gait frequency, Hz, or None if the controller is not periodic.
-        layouts: names of the supported valve layouts, a subset of `LAYOUTS`.
-        spatial: whether the controller commands a spatial robot.
-        finished: whether the controller has ended its task. The rollout ends after the
-            tick in which `finished` becomes True.
+        kind: name of this type of controller in scenario files.
+        frequency: gait frequency, or None if the controller is not periodic, Hz.
+        layouts: names of the supported valve layouts, which are keys of `LAYOUTS`.
+        spatial: whether the controller supports robots whose segments bend in two
+            directions.
+        finished: whether the task of the controller is complete. The rollout ends after
+            the control tick in which this attribute becomes True.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("finished",)
@@ -44,7 +45,7 @@ class Controller(Claimable, Stateful, ABC):
 
     @abstractmethod
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
-        """Initialise the controller for a run.
+        """Prepare the controller for a new run.
 
         Args:
             spec: robot to control.
@@ -52,31 +53,31 @@ class Controller(Claimable, Stateful, ABC):
             seed: random seed of the controller.
 
         Raises:
-            InputError: the controller does not support the valve layout of the robot,
-                or the control tick.
+            InputError: the controller does not support the robot or the control tick.
         """
 
     @abstractmethod
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick.
+        """Return the valve states for the next control tick.
 
-        The result is an int8 array of shape (segments, 2), or of shape (slots,
-        segments, 2) if states change within the tick.
+        The result is an int8 array of shape (segments, chambers per segment). An
+        optional leading axis divides the tick into time slots of equal length.
         """
 
     def save(self) -> SavedState:
-        """Return the controller state, which `restore` also accepts in another process.
+        """Return the complete state of the controller.
 
         Raises:
-            InputError: the class does not list its `state_attributes`.
+            InputError: the class of the controller does not define `state_attributes`,
+                or `reset` has not been called.
         """
         self.check_saveable(Controller, f"controller '{self.kind}'")
         return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state.
+        """Restore a saved state.
 
-        Call `reset` first, with the robot and the tick that the saved controller used.
+        Call `reset` beforehand, with the robot and the control tick of the saved run.
 
         Raises:
             InputError: the state belongs to another controller, or `reset` has not been
@@ -87,25 +88,25 @@ class Controller(Claimable, Stateful, ABC):
         self.load_state_dict(state.content)
 
     def identity(self) -> dict[str, object]:
-        """Return JSON values that a saved state and this controller must share."""
+        """Return the settings that a saved state must share, as JSON values."""
         return {"controller": self.kind, "class": type(self).__name__}
 
     def script(self, duration: float) -> Schedule | None:
         """Return the valve states of the whole run, or None for closed-loop control.
 
         The rollout calls this method after `reset`. A controller that returns a
-        schedule must have constant signals and must not record events.
+        schedule must have constant signals and no events.
 
         Args:
-            duration: duration of the run, a whole number of ticks, s.
+            duration: duration of the run, a whole number of control ticks, s.
         """
         return None
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals to record, keyed by name.
+        """Return the signals to record, keyed by signal name.
 
-        Each value is a number or an array. Array elements are recorded under the name
-        followed by the element number, counted from 1.
+        Each signal is a number or an array, whose elements are recorded under the
+        signal name followed by the element number, counted from 1.
         """
         return {}
 
@@ -121,19 +122,19 @@ class Controller(Claimable, Stateful, ABC):
 
 
 MAX_READING_RAD = 2 * math.pi
-"""Maximum plausible magnitude of a bend reading, rad. No segment bends by a full turn.
-"""
+"""Maximum plausible magnitude of a bend reading, equal to one full turn, rad."""
 
 
 class SensorReadings(Stateful):
-    """Latest valid bend readings of all segments.
+    """Latest valid bend reading of each segment.
 
-    A reading counts as lost if it is not finite or exceeds a full turn. A lost reading
-    is replaced by the previous valid reading, which is initially 0.
+    A reading is considered lost if it is not finite or its magnitude exceeds a full
+    turn. A lost reading is replaced by the last valid reading of the segment, or by 0
+    if there is no valid reading yet.
 
     Attributes:
-        value: latest valid readings, shape (segments,), rad.
-        lost: whether the latest reading of each segment was lost, shape (segments,).
+        value: latest valid reading of each segment, shape (segments,), rad.
+        lost: whether the latest reading of each segment is lost, shape (segments,).
     """
 
     state_attributes = ("value", "lost")
@@ -144,7 +145,7 @@ class SensorReadings(Stateful):
         self.lost: np.ndarray = np.zeros(segments, dtype=bool)
 
     def update(self, time: float, measured_bend: np.ndarray) -> list[Event]:
-        """Store the readings of one tick (rad), and return events for lost readings."""
+        """Store new bend readings (rad), and return events about lost readings."""
         measured_bend = np.asarray(measured_bend, dtype=float)
         lost = ~(np.abs(measured_bend) <= MAX_READING_RAD)
         self.value = np.where(lost, self.value, measured_bend)

@@ -1,4 +1,4 @@
-"""Gaits that are steered by external commands or by a schedule of steering offsets."""
+"""Gaits steered by external commands or by a schedule of steering offsets."""
 
 from __future__ import annotations
 
@@ -22,29 +22,29 @@ if TYPE_CHECKING:
 
 
 Range = tuple[float, float]
-"""Minimum and maximum allowed value."""
+"""Minimum and maximum allowed value of a gait parameter."""
 
 MAX_OFFSET = 0.4
-"""Maximum steering offset φ, dimensionless (Section 3.4.2 for generation 2)."""
+"""Maximum magnitude of the steering offset φ, dimensionless (Section 3.4.2 for
+generation 2)."""
 FREQUENCY_RANGE_HZ = (1.0, 2.0)
 """Minimum and maximum gait frequency, Hz (Section 3.4.2 for generation 2)."""
 RELATIVE_PRESSURE_RANGE = (0.85, 1.15)
 """Minimum and maximum supply pressure relative to the nominal pressure.
 
-In generation 2 the limits correspond to 41 and 55 kPa (Section 3.4.2).
+For robots of generation 2, the limits are 41 and 55 kPa (Section 3.4.2).
 """
 _TIME_ROUNDING_S = 1e-9
-"""Tolerance for comparing times, s. Sums of ticks have rounding errors."""
 
 
 @dataclass(frozen=True)
 class GaitCommand:
-    """Gait parameters for the following ticks.
+    """Gait parameters for the next control ticks.
 
     Attributes:
         offset: steering offset φ, positive to the left, dimensionless.
         frequency: gait frequency, Hz.
-        pressure: supply pressure, Pa.
+        pressure: gauge supply pressure, Pa.
     """
 
     offset: float
@@ -54,13 +54,7 @@ class GaitCommand:
 
 @dataclass(frozen=True)
 class GaitLimits:
-    """Allowed ranges of the gait parameters.
-
-    Attributes:
-        offset: steering offset φ, dimensionless.
-        frequency: gait frequency, Hz.
-        pressure: supply pressure, Pa.
-    """
+    """Allowed range of each parameter of a `GaitCommand`."""
 
     offset: Range
     frequency: Range
@@ -77,7 +71,7 @@ class GaitLimits:
         )
 
     def clipped(self, command: GaitCommand) -> GaitCommand:
-        """Return the command with every parameter clipped to its limits."""
+        """Return the command with each parameter clipped to its allowed range."""
         pairs = zip(astuple(command), astuple(self), strict=True)
         return GaitCommand(
             *(min(max(value, low), high) for value, (low, high) in pairs)
@@ -85,7 +79,7 @@ class GaitLimits:
 
 
 class CommandedGait(Stateful):
-    """Open-loop gait whose parameters and supply pressure are set by commands."""
+    """Open-loop gait whose parameters are set by a `GaitCommand` in each tick."""
 
     state_attributes = ("gait", "command")
 
@@ -94,7 +88,8 @@ class CommandedGait(Stateful):
     ) -> None:
         """Start the gait at time 0.
 
-        Construct the pneumatics with the highest pressure that will be commanded.
+        The pneumatics must have been constructed with the highest supply pressure of
+        all commands.
 
         Raises:
             InputError: a gait parameter or the supply pressure is out of range.
@@ -108,10 +103,9 @@ class CommandedGait(Stateful):
     def valves(
         self, time: float, command: GaitCommand, pitch: PitchWave | None = None
     ) -> np.ndarray:
-        """Apply a command and return the valve states of the tick starting at `time`.
+        """Apply a command and return the valve states for the tick at `time` (s).
 
-        `time` is in seconds. A change of frequency does not make the wave jump, and a
-        new supply pressure acts immediately. A spatial robot also needs `pitch`.
+        The pitch wave is ignored for robots that are not spatial.
 
         Raises:
             InputError: a gait parameter or the supply pressure is out of range.
@@ -138,8 +132,8 @@ class ScheduledOffset(Controller):
         Args:
             controller: controller to steer, which keeps its current offset until the
                 first change.
-            changes: pairs of time (s) and new offset. A change takes effect at the
-                first tick that begins at or after its time.
+            changes: pairs of time (s) and new steering offset. A new offset takes
+                effect in the first control tick that begins at or after its time.
 
         Raises:
             InputError: the times are not positive and strictly increasing.
@@ -159,7 +153,7 @@ class ScheduledOffset(Controller):
 
     @property
     def offset(self) -> float:
-        """Current steering offset φ."""
+        """Current steering offset φ, positive to the left."""
         return self._inner.offset
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
@@ -192,7 +186,7 @@ class ScheduledOffset(Controller):
         return self._inner.signals()
 
     def events(self) -> list[Event]:
-        """Return events for offset changes and the events of the wrapped controller."""
+        """Return the offset changes and the events of the steered controller."""
         return super().events() + self._inner.events()
 
     def describe(self) -> dict[str, object]:

@@ -1,28 +1,28 @@
-r"""Duties, target amplitudes and periods in iterative learning control (Section 5.1).
+r"""Duty cycles and target amplitudes in iterative learning control (Section 5.1).
 
-**Targets.** The chambers on the side towards which the snake turns have the target
-amplitude A, 0.7 rad in the dissertation. The target amplitude on the opposite side
-decreases linearly with |φ|, to 4 A / 7 (0.4 rad) at |φ| = 0.3:
+**Target amplitudes.** The chambers on the inner side of a turn have the target
+amplitude A, which is 0.7 rad in the dissertation. The target amplitude on the outer
+side decreases linearly with |φ|, to 4 A / 7 (0.4 rad) at |φ| = 0.3:
 
 $$ A_{\text{larger}} = A, \qquad
 A_{\text{smaller}} = A \Bigl(1 - \tfrac{3}{7} \tfrac{|\varphi|}{0.3}\Bigr). $$
 
-**Periods.** The amplitude of each chamber is measured over the chamber's own period.
-Period n of a chamber begins when the chamber is filled for the n-th time and ends when
-the chamber is filled again. Air flow and inertia delay the bend peak beyond the end of
-the fill, but by less than the duration of the vent that follows. The peak therefore
-lies within one period, and the duty is updated before the next fill. Section 5.1
-instead uses one period for all chambers. For some chambers, this period ends during a
-peak, and the duty changes during a fill.
+**Periods.** The bend amplitude of each chamber is measured over the chamber's own
+period. Period n of a chamber begins when the chamber starts to fill for the n-th time,
+and ends when the chamber starts to fill again. Due to air flow and inertia, the bend
+reaches its peak after the end of the fill, but before the chamber fills again. The peak
+therefore lies within one period, and the duty cycle is updated before the next fill.
+With one period for all chambers, as in Section 5.1, the period of some chambers would
+end during a bend peak, and their duty cycles would change during a fill.
 
-**Duties.** The learning law updates one duty per chamber (Eq. 32),
+**Learning law.** The duty cycle u of each chamber is updated once per period (Eq. 32):
 
 $$ u_n = \operatorname{clip}\bigl(u_{n-1} + k\,e_{n-1},\, 0,\, 1\bigr), \qquad
 e_{n-1} = \text{target} - \text{amplitude}. $$
 
-For an amplitude c u with constant c, each update multiplies the error by 1 − k c.
-Clipping the duty avoids integrator wind-up, because a saturated duty leaves its bound
-as soon as the error changes sign.
+If the amplitude is equal to c u with a constant c, each update multiplies the amplitude
+error e by 1 − k c. Clipping the duty cycle avoids integrator wind-up, because a
+saturated duty cycle leaves its bound as soon as the error changes sign.
 """
 
 from __future__ import annotations
@@ -36,29 +36,27 @@ from srs_twin.io.saved_state import Stateful
 from srs_twin.trajectory import Event
 
 MAX_OFFSET = 0.3
-"""Maximum |φ| for which Section 5.1 gives targets, dimensionless."""
+"""Maximum |φ| for which Section 5.1 gives target amplitudes, dimensionless."""
 MIN_AMPLITUDE_RATIO = 4 / 7
-"""Ratio of the smaller to the larger target amplitude at the maximum offset (0.4
-rad/0.7 rad).
-"""
+"""Ratio of the smaller to the larger target amplitude at the maximum steering offset
+(0.4 rad / 0.7 rad), dimensionless."""
 MIN_READINGS_PER_PERIOD = 8
-"""Minimum number of readings per gait period for an amplitude measurement."""
+"""Minimum number of bend readings per gait period."""
 SIDES = ("+", "−")
-"""Sides of the two chambers of a segment, in the order of the last array axis."""
+"""Names of the two chambers of a segment, in the order of the last array axis."""
 CONVERGENCE_TOLERANCE = 0.05
-"""Relative amplitude error below which learning has converged, dimensionless."""
+"""Maximum relative amplitude error of a converged chamber, dimensionless."""
 
 _PERIOD_ROUNDING = 1e-9
-"""Tolerance for comparing times, as a fraction of a period."""
+"""Tolerance for comparing times, as a fraction of a gait period."""
 _DUTY_ROUNDING = 1e-12
-"""Tolerance for comparing duties with the bounds 0 and 1, dimensionless."""
 
 
 def validated_offset(offset: float) -> float:
-    """Return the offset if its magnitude is at most `MAX_OFFSET`.
+    """Check a steering offset and return it as a float.
 
     Raises:
-        InputError: the offset is outside ±0.3.
+        InputError: the magnitude of the offset exceeds `MAX_OFFSET`.
     """
     if not abs(offset) <= MAX_OFFSET:
         raise InputError(
@@ -70,7 +68,7 @@ def validated_offset(offset: float) -> float:
 
 
 def targets(amplitude: float, offset: float) -> np.ndarray:
-    """Return the target amplitudes to the left and to the right, shape (2,), rad.
+    """Return the target amplitudes for bends to the left and right, shape (2,), rad.
 
     Args:
         amplitude: target amplitude A of a straight gait, rad.
@@ -82,21 +80,21 @@ def targets(amplitude: float, offset: float) -> np.ndarray:
 
 
 class ChamberPeriods(Stateful):
-    """Gait periods of all chambers, and the maximum bend measured in each period.
+    """Gait periods of all chambers, and the bend amplitudes measured in these periods.
 
-    All arrays have shape (segments, 2).
+    All arrays have one value per chamber and the shape (segments, 2).
 
     Attributes:
-        period: duration T of a period, s.
-        fill_starts: start time of the first fill, s, from −T/2 to T/2. It is negative
-            if the chamber is already filling at time 0.
+        period: duration T of a gait period, s.
+        fill_starts: start time of the first fill, between −T/2 and T/2 without
+            steering, s. If it is negative, the chamber is already filling at time 0.
         number: number of the current period, counted from 1, or 0 before the first
             period.
-        peak: maximum bend towards the side of the chamber in the last completed period,
-            rad. The + chamber is on the left.
-        span: difference between the maximum and the minimum reading in the last
+        peak: maximum bend to the left (+ chamber) or to the right (− chamber) in the
+            last completed period, rad.
+        span: difference between the maximum and minimum bend readings in the last
             completed period, rad.
-        lost: fraction of lost readings in the last completed period.
+        lost: fraction of lost readings in the last completed period, dimensionless.
         started: start time of the last completed period, s.
     """
 
@@ -109,14 +107,14 @@ class ChamberPeriods(Stateful):
         """Initialise the periods at time 0.
 
         Args:
-            phase_lag: phase lag of the wave sin(2πft − phase_lag) of each segment,
+            phase_lag: phase lag in the wave sin(2πft − phase_lag) of each segment,
                 shape (segments,), rad. The + chamber fills while the wave is positive,
                 and the − chamber fills while the wave is negative.
             frequency: gait frequency f, Hz.
-            tick: time between successive readings, s.
+            tick: time between successive bend readings, s.
 
         Raises:
-            InputError: a period has too few readings.
+            InputError: a gait period contains too few readings.
         """
         self.period = 1 / frequency
         self._tick = tick
@@ -145,18 +143,18 @@ class ChamberPeriods(Stateful):
         self._set_next()
 
     def steer(self, shift: float) -> None:
-        """Shift the start times of the fills according to a steering offset φ (Eq. 13).
+        """Shift the start times of the fills for a steering offset φ (Eq. 13).
 
         Args:
-            shift: phase asin φ, rad, by which + chambers begin to fill earlier and −
-                chambers begin to fill later.
+            shift: phase shift asin φ, rad. If it is positive, + chambers start to fill
+                earlier and − chambers start to fill later.
         """
         lead = shift / (2 * math.pi) * self.period
         self.fill_starts = self._unsteered + lead * np.array([-1, 1])
         self._set_next()
 
     def update(self, reading: np.ndarray, lost: np.ndarray) -> None:
-        """Add the readings of one tick, shape (segments,), rad."""
+        """Add the bend readings (rad) of one tick, and the mask of lost readings."""
         bends = self._bends
         bends[:, 0] = reading
         np.negative(reading, out=bends[:, 1])
@@ -170,9 +168,10 @@ class ChamberPeriods(Stateful):
         return time + self._tick > self._next
 
     def advance(self, time: float) -> np.ndarray:
-        """Begin the periods that are due and return a mask of the completed periods.
+        """Begin new periods in the tick that starts at `time` (s).
 
-        The mask has shape (segments, 2).
+        Returns:
+            Mask of the chambers that have completed a period, shape (segments, 2).
         """
         latest = time + self._tick - _PERIOD_ROUNDING * self.period
         begun = self.fill_starts + self.number * self.period < latest
@@ -196,12 +195,12 @@ class ChamberPeriods(Stateful):
 
 
 class Duties(Stateful):
-    """Learnt duty of each chamber.
+    """Duty cycles that are adapted by the learning law (Eq. 32).
 
     Attributes:
-        value: duties u, shape (segments, 2), from 0 to 1.
-        error: amplitude errors e in the last update, or NaN before the first update,
-            shape (segments, 2), rad.
+        value: duty cycle u of each chamber, from 0 to 1, shape (segments, 2).
+        error: amplitude error e of each chamber in its last update, or NaN before the
+            first update, shape (segments, 2), rad.
     """
 
     state_attributes = (
@@ -213,7 +212,7 @@ class Duties(Stateful):
     )
 
     def __init__(self, segments: int, gain: float) -> None:
-        """Initialise all duties to 1. `gain` is the learning gain k in 1/rad."""
+        """Initialise all duty cycles to 1, for a learning gain k (1/rad)."""
         self.value: np.ndarray = np.ones((segments, 2))
         self.error: np.ndarray = np.full((segments, 2), math.nan)
         self._gain = gain
@@ -224,9 +223,10 @@ class Duties(Stateful):
     def learn(
         self, time: float, chambers: np.ndarray, peak: np.ndarray, target: np.ndarray
     ) -> list[Event]:
-        """Update the duties of the selected chambers and return saturation events.
+        """Update the duty cycles of selected chambers and return saturation events.
 
-        All arrays have shape (segments, 2).
+        The mask `chambers`, the measured amplitudes `peak` (rad) and the target
+        amplitudes (rad) have shape (segments, 2).
         """
         self.error = np.where(chambers, target - peak, self.error)
         relative = np.abs(target - peak) / target
@@ -245,12 +245,12 @@ class Duties(Stateful):
         return events
 
     def restart_convergence(self) -> None:
-        """Mark all amplitudes as not converged after the targets have changed."""
+        """Reset the convergence test after a change of the target amplitudes."""
         self._relative_error = np.full_like(self._relative_error, math.inf)
         self._converged = False
 
     def converged(self, time: float, working: np.ndarray) -> list[Event]:
-        """Return an event when all working segments first reach their targets."""
+        """Return one event when all working segments reach their target amplitudes."""
         errors = self._relative_error[working]
         reached = errors.size and (errors <= CONVERGENCE_TOLERANCE).all()
         if self._converged or not reached:
@@ -263,7 +263,7 @@ class Duties(Stateful):
         return [Event(time, "converged", text)]
 
     def summary(self, time: float, period: int, working: np.ndarray) -> list[Event]:
-        """Return an event with the maximum amplitude error of the working segments."""
+        """Return an event with the largest amplitude error of the working segments."""
         if not working.any() or np.isnan(self.error[working]).all():
             return []
         error = np.where(working[:, None], self.error, math.nan)

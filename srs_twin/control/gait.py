@@ -2,41 +2,45 @@ r"""Lateral undulation driven by a square wave of valve states (Eq. 13).
 
 $$ S_j = \operatorname{sign}\bigl(\sin(2\pi f t - \beta (j-1) + \psi) + \varphi\bigr) $$
 
-Here f is the gait frequency, β the phase lag per segment, ψ the phase and φ the
-steering offset. S_j = +1 fills the + chamber of segment j and vents the − chamber. S_j
-= −1 vents the + chamber and fills the − chamber. The sign of 0 is +1. The wave travels
-from head to tail and propels the snake forward. As printed, the wave of Eq. 13 travels
-in the opposite direction (E12). A positive φ turns the snake to the left. The mirror
-image of a gait has offset −φ and phase ψ + π.
+In this equation, f is the gait frequency, β the phase lag per segment, ψ the phase and
+φ the steering offset. If S_j = +1, the + chamber of segment j fills and the − chamber
+vents. If S_j = −1, the + chamber vents and the − chamber fills. The sign of 0 is +1.
+The wave travels from head to tail and propels the snake forward. As printed in the
+dissertation, Eq. 13 describes a wave in the opposite direction (E12). A positive φ
+turns the snake to the left. A gait with offset −φ and phase ψ + π is the mirror image
+of the original gait.
 
-The wave has two extensions that are not part of the dissertation. Each segment may have
-an additional phase lag α_j. Both chambers may vent for a fraction r of the period,
-centred at the sign changes of the wave:
+Two extensions of the wave are not part of the dissertation. Each segment may have an
+additional phase lag α_j. Both chambers of a segment may vent for a fraction r of the
+period, around the sign changes of the wave:
 
 $$ S_j = 0 \quad \text{where} \quad
    |\sin(2\pi f t - \beta (j-1) + \psi - \alpha_j) + \varphi| < \sin(\pi r/2). $$
 
-**Spatial robots** have a second wave, the pitch wave, which bends the segments upwards
-and downwards. The pitch wave has ρ times the frequency of the lateral wave and the
-phase lag λ:
+**Spatial robots.** A second wave, called the pitch wave, bends the segments upwards and
+downwards. The frequency of the pitch wave is ρ times the gait frequency, and its phase
+lag is λ:
 
 $$ P_j = \operatorname{sign}
    \sin\bigl(\rho\,(2\pi f t - \beta (j-1) + \psi - \alpha_j) - \lambda\bigr) . $$
 
-Valves can only open and close. To reduce its amplitude, a wave therefore rests at 0 for
-a fraction r of each period. The rest multiplies the amplitude of the fundamental by
-cos(π r/2). The pitch fraction s, from 0 to 1, is the amplitude of the pitch wave
-divided by the sum of both amplitudes. For s < 1/2, the pitch wave has amplitude s/(1 −
-s). For s > 1/2, the lateral wave has amplitude (1 − s)/s. Chamber c with direction d_c
-fills where d_c · (S_j, P_j) > 0.
+Because a valve cannot open partially, the amplitude of a wave is reduced by a rest, in
+which the wave is 0. If the wave rests for a fraction r of each period, its fundamental
+component is multiplied by cos(π r/2).
+
+The pitch fraction s, from 0 to 1, is the amplitude of the pitch wave divided by the sum
+of both wave amplitudes. For s < 1/2, the lateral wave has amplitude 1, and the pitch
+wave has amplitude s/(1 − s). For s > 1/2, the pitch wave has amplitude 1, and the
+lateral wave has amplitude (1 − s)/s. Chamber c, which bends the segment in the
+direction d_c, fills while d_c · (S_j, P_j) > 0 and vents otherwise.
 
 | gait | pitch wave |
 |---|---|
-| sidewinding | λ = π/2: to the right of the heading; λ = −π/2: to the left |
-| rectilinear crawling | s = 1: the wave is vertical |
-| sinus-lifting | ρ = 2: the body lifts where its curvature is largest |
-| rolling | β = 0, s = 1/2, λ = ± π/2: the whole body turns about its axis |
-| lifted head | any pitch wave; the lifted segments bend upwards and follow neither wave |
+| sidewinding | λ = π/2 for motion to the right of the heading, −π/2 to the left |
+| rectilinear crawling | s = 1, so that the wave is vertical |
+| sinus-lifting | ρ = 2, so that the body lifts where its curvature is largest |
+| rolling | β = 0, s = 1/2 and λ = ± π/2, so that the body rolls about its own axis |
+| lifted head | any pitch wave with lifted segments, which always bend upwards |
 """
 
 from __future__ import annotations
@@ -57,20 +61,20 @@ from srs_twin.pneumatics.valves import Schedule, count_slots
 from srs_twin.robot.spec import RobotSpec
 
 _BLOCK = 20_000
-"""Maximum number of slots evaluated in one batch, which limits the memory use."""
+"""Approximate number of time slots that are evaluated at once to limit memory use."""
 
 
 @dataclass(frozen=True)
 class PitchWave:
-    """Wave that bends a spatial robot upwards and downwards.
+    """Wave that bends the segments of a spatial robot upwards and downwards.
 
     Attributes:
-        fraction: pitch fraction s, from 0 (lateral wave only) to 1 (pitch wave only).
-        lag_rad: phase lag λ behind the lateral wave, rad.
-        frequency_ratio: ratio ρ of the pitch wave's frequency to the gait frequency,
-            above 0.
-        lifted_segments: number of segments, counted from the head, that always bend
-            upwards.
+        fraction: pitch fraction s, from 0 for a lateral wave to 1 for a vertical wave,
+            dimensionless.
+        lag_rad: phase lag λ of the pitch wave behind the lateral wave, rad.
+        frequency_ratio: frequency of the pitch wave divided by the gait frequency (ρ),
+            above 0, dimensionless.
+        lifted_segments: number of segments at the head that always bend upwards.
     """
 
     fraction: float = 0.5
@@ -98,7 +102,7 @@ class PitchWave:
         """Check that a robot can perform the pitch wave.
 
         Raises:
-            InputError: the robot bends in one plane, or has fewer segments than
+            InputError: the robot is not spatial, or has fewer segments than
                 `lifted_segments`.
         """
         if not spec.is_spatial:
@@ -114,7 +118,7 @@ class PitchWave:
 
     @property
     def rest_levels(self) -> tuple[float, float]:
-        """Levels sin(π r/2) below which the lateral wave and the pitch wave rest."""
+        """Rest levels sin(π r/2) of the lateral wave and the pitch wave."""
         ratio = self.fraction / (1 - self.fraction) if self.fraction < 1 else math.inf
         left = 1 / max(ratio, 1.0)
         up = min(ratio, 1.0)
@@ -126,15 +130,13 @@ def _rest_level(amplitude: float) -> float:
 
 
 class Gait(Controller):
-    """Open-loop gait of Eq. 13.
+    """Open-loop gait with a square wave of valve states (Eq. 13).
 
     Attributes:
-        frequency: gait frequency f, Hz. Call `change_frequency` to change it during a
-            run.
-        offset: steering offset φ, between −1 and 1. The offset may be changed during a
-            run.
-        phase: phase ψ, rad.
-        phase_lag: phase lag β (j − 1) − ψ of each segment, set by `reset`, shape
+        frequency: gait frequency f, which `change_frequency` changes during a run, Hz.
+        offset: steering offset φ, between −1 and 1, which may be changed during a run.
+        phase: phase ψ at time 0, rad.
+        phase_lag: phase lag β (j − 1) − ψ + α_j of each segment after `reset`, shape
             (segments,), rad.
     """
 
@@ -163,18 +165,15 @@ class Gait(Controller):
             frequency: gait frequency f, Hz.
             offset: steering offset φ, between −1 and 1, positive to the left.
             phase: phase ψ at time 0, rad.
-            phase_step: phase lag β per segment, rad. If None, the phase lag of the
-                robot is used.
-            phases: additional phase lags α, rad, with one value per segment. If None,
-                all additional phase lags are 0.
-            rest_fraction: fraction r of the period in which both chambers vent, at
-                least 0 and below 1. If None, the fraction is 0.
-            pitch: pitch wave of a spatial robot, or None.
+            phase_step: phase lag β per segment, by default `RobotSpec.phase_step`, rad.
+            phases: additional phase lag α_j of each segment, by default 0, rad.
+            rest_fraction: fraction r of the period in which both chambers of a segment
+                vent, at least 0 and below 1, by default 0.
+            pitch: pitch wave of a spatial robot, or None for a gait without pitch.
 
         Raises:
-            InputError: a rest fraction is given together with a pitch wave, the
-                frequency is not above 0, or the offset or the rest fraction is out of
-                range.
+            InputError: an argument is out of range, or a rest fraction above 0 is given
+                together with a pitch wave.
         """
         rest_fraction = rest_fraction or 0.0
         if not 0 <= rest_fraction < 1:
@@ -198,7 +197,7 @@ class Gait(Controller):
 
     @property
     def offset(self) -> float:
-        """Steering offset φ."""
+        """Steering offset φ, positive to the left."""
         return self._offset
 
     @offset.setter
@@ -214,7 +213,7 @@ class Gait(Controller):
 
         Args:
             frequency: new gait frequency f, Hz.
-            time: time of the change, s.
+            time: time at which the frequency changes, s.
 
         Raises:
             InputError: the frequency is not above 0.
@@ -224,7 +223,7 @@ class Gait(Controller):
         self.frequency = frequency
 
     def angle(self, time: float) -> float:
-        """Return the phase angle of the first segment's wave at a time (s), rad."""
+        """Return the phase angle (rad) of the first segment's wave at a time (s)."""
         return 2 * math.pi * self.frequency * time - float(self.phase_lag[0])
 
     def reset(self, spec: RobotSpec, tick: float, *, seed: int = 0) -> None:
@@ -232,7 +231,7 @@ class Gait(Controller):
 
         Raises:
             InputError: the number of additional phase lags differs from the number of
-                segments.
+                segments, or the robot cannot perform the pitch wave.
         """
         if len(self._phases) not in (0, spec.segments):
             raise InputError(
@@ -251,17 +250,17 @@ class Gait(Controller):
         self._tick = tick
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick."""
+        """See `Controller.step`."""
         return self.valves_at(float(state.time))
 
     def valves_at(self, time: float) -> np.ndarray:
-        """Return the valve states of the tick that begins at `time` (s)."""
+        """Return the valve states for the control tick that begins at `time` (s)."""
         if self._axes is not None:
             return self._spatial_valves(time + self._tick * self._slot_centres)
         first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
         # A tick that is shorter than the shortest constant section of the wave contains
-        # at most one change. Equal states at both ends of a short tick therefore rule
-        # out a change within the tick.
+        # at most one change. If the states at both ends of such a tick are equal, they
+        # do not change within the tick.
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
         wave = self._wave(time + self._tick * self._slot_centres)
@@ -270,7 +269,7 @@ class Gait(Controller):
         return _antagonistic(wave)
 
     def script(self, duration: float) -> Schedule:
-        """Return the valve states of the whole run."""
+        """See `Controller.script`."""
         slot = self._tick / len(self._slot_centres)
         count = round(duration / slot)
         if self._axes is not None:
@@ -284,8 +283,8 @@ class Gait(Controller):
             return Schedule.from_slots(
                 _antagonistic(self._wave(slot * (np.arange(count) + 0.5))), duration
             )
-        # Evaluate the wave only in the slot of each change and in the two adjacent
-        # slots, because rounding may move a change by one slot.
+        # Evaluate the wave only in the three slots around each change, because rounding
+        # may shift the change by one slot.
         period = 1 / self.frequency
         up, down = self._crossings()
         angles = [-up, math.pi + up]
@@ -322,7 +321,7 @@ class Gait(Controller):
         return np.where(push > 1e-9, 1, -1).astype(np.int8)
 
     def signals(self) -> dict[str, float]:
-        """Return the offset."""
+        """Return the steering offset φ."""
         return {"offset": self._offset}
 
     def _shortest_level(self) -> float:
@@ -332,7 +331,7 @@ class Gait(Controller):
         return shortest / (2 * math.pi * self.frequency)
 
     def _crossings(self) -> tuple[float, float]:
-        """Return the negated phase angles at which S becomes 1 and −1, rad."""
+        """Return the negated phase angles (rad) at which S reaches 1 and leaves −1."""
         up = math.asin(max(self._offset - self.rest_level, -1.0))
         down = math.asin(min(self._offset + self.rest_level, 1.0))
         return up, down
@@ -346,15 +345,12 @@ class Gait(Controller):
 
 
 def _three_levels(value: np.ndarray, rest: float) -> np.ndarray:
-    """Return 1 above the rest level, −1 below the negated rest level, and 0 in between.
-
-    With a rest level of 0, the result for `value` = 0 is 1, so 0 is never returned.
-    """
-    # The tolerance makes the sign of an exact zero independent of rounding.
+    """Return the sign of each value, or 0 if its magnitude is below the rest level."""
+    # The tolerance makes the sign of a value of 0 independent of rounding errors.
     low = -rest - 1e-12
     high = rest - 1e-12
     if rest >= 1:
-        high = rest + 1e-12  # The wave only touches the rest level.
+        high = rest + 1e-12  # A wave that only touches this level rests.
     below_high = np.where(value >= low, 0, -1) if rest else -1
     return np.where(value >= high, 1, below_high)
 

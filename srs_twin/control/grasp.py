@@ -1,17 +1,20 @@
 """Whole-body grasp, in which the tail curls around an object and the front drags it.
 
-In open loop, the phases begin at given times. In the sensed mode, the start of the drag
-depends on the sensed bends. The phases are:
+A grasp has three phases:
 
-1. *Curl.* The holding segments at the tail fill on one side. The duty rises gradually
-   from 0 to 1, because a fast curl would push the object away. The remaining segments
-   vent.
-2. *Drag.* The holding segments stay filled, and the remaining segments perform the gait
-   of Eq. 13. In the sensed mode, the drag begins when the bend readings have settled,
-   if the holding segments bend less than they would without an object. Otherwise the
-   tail has missed the object, and the run ends.
-3. *Release.* The holding segments vent after a given time, or after the centre of mass
-   has moved a given distance.
+1. *Curl.* The holding segments at the tail bend towards the object, and all other
+   segments vent. The duty cycle of the holding segments rises gradually from 0 to 1,
+   because a fast curl would push the object away.
+2. *Drag.* The holding segments stay filled, and the other segments perform the gait of
+   Eq. 13.
+3. *Release.* The holding segments vent, and the other segments continue the gait. The
+   release begins after a given time, or after the centre of mass has moved a given
+   distance.
+
+In the mode "open_loop", the drag begins at a given time. In the mode "sensed", the drag
+begins when the bend readings of the holding segments have settled, or at a given time
+at the latest. If the holding segments then bend as far as without an object, the tail
+has missed the object, and the run ends.
 """
 
 from __future__ import annotations
@@ -34,13 +37,13 @@ if TYPE_CHECKING:
 MODES = ("open_loop", "sensed")
 SIDES = ("left", "right")
 _SLOTS = 20
-"""Number of slots per tick, which sets the resolution of the duty."""
+"""Number of time slots per control tick, which limits the duty cycle resolution."""
 _SETTLED_RAD_PER_S = 0.3
-"""Bend rate below which the tail counts as settled, rad/s."""
+"""Bend rate below which the bend readings are considered settled, rad/s."""
 _SETTLING_S = 0.3
-"""Time over which the bend rate is averaged, s."""
+"""Time interval over which the bend rate is averaged, s."""
 _GRIP_RAD = 0.1
-"""Minimum reduction of the mean bend from which an object is inferred, rad."""
+"""Minimum value of `Grasp.grip` if the tail encloses an object, rad."""
 
 
 class Phase(IntEnum):
@@ -56,10 +59,11 @@ def _reached(value: float, limit: float | None) -> bool:
 
 
 def check_hold(hold: int, spec: RobotSpec) -> None:
-    """Check that at least two segments remain for crawling.
+    """Check the number of holding segments.
 
     Raises:
-        InputError: fewer than two segments would remain for crawling.
+        InputError: there is no holding segment, or fewer than two segments remain for
+            crawling.
     """
     if not 1 <= hold <= spec.segments - 2:
         raise InputError(
@@ -69,10 +73,10 @@ def check_hold(hold: int, spec: RobotSpec) -> None:
 
 
 def check_release(mode: str, drag_m: float | None) -> None:
-    """Check that a drag distance is given only in the sensed mode.
+    """Check that the grasp mode allows a drag distance (m).
 
     Raises:
-        InputError: a drag distance is given in open-loop mode.
+        InputError: a drag distance is given in the mode "open_loop".
     """
     if drag_m is not None and mode == "open_loop":
         raise InputError(
@@ -82,13 +86,14 @@ def check_release(mode: str, drag_m: float | None) -> None:
 
 
 def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> None:
-    """Apply a duty to the holding segments at the tail.
+    """Set the valve states of the holding segments for a given duty cycle.
 
     Args:
-        valves: valve states of a tick, shape (slots, segments, 2), changed in place.
-        hold: number of holding segments.
-        duty: signed fraction of the slots in which a chamber fills. Positive values
-            fill the left chambers, and negative values fill the right chambers.
+        valves: valve states in one control tick, changed in place, shape (slots,
+            segments, 2).
+        hold: number of holding segments at the tail.
+        duty: duty cycle from −1 to 1, which fills the left chambers if it is positive
+            and the right chambers if it is negative.
         pulses: number of equal pulses per tick.
     """
     slots = len(valves) // pulses
@@ -100,13 +105,13 @@ def hold_with(valves: np.ndarray, hold: int, duty: float, pulses: int = 1) -> No
 
 
 class Grasp(Controller):
-    """Grasp and drag of an object next to the tail.
+    """Controller that grasps an object next to the tail and drags it.
 
     Attributes:
-        frequency: gait frequency of the dragging segments, Hz.
-        phase: current phase.
-        grip: free bend minus the mean sensed bend of the holding segments, rad.
-        duty: current duty of the holding segments, from −1 (right chambers) to 1 (left
+        phase: current phase of the grasp.
+        grip: free bend at the nominal pressure minus the mean measured bend of the
+            holding segments, rad.
+        duty: duty cycle of the holding segments, from −1 (right chambers) to 1 (left
             chambers).
     """
 
@@ -142,22 +147,23 @@ class Grasp(Controller):
 
         Args:
             frequency: gait frequency of the dragging segments, Hz.
-            mode: one of `MODES`.
-            side: side of the object, one of `SIDES`.
+            mode: grasp mode, one of `MODES`.
+            side: side of the body on which the object lies, one of `SIDES`.
             hold: number of holding segments at the tail.
-            curl_s: time in which the duty of the holding segments rises from 0 to 1, s.
-            drag_after_s: start time of the drag in open-loop mode, or the latest start
-                time in the sensed mode, s.
-            release_after_s: time from the start of the drag to the release, s, or None
-                for no timed release.
-            drag_m: drag distance after which the object is released, m. This argument
-                is allowed only in the sensed mode.
-            phase_step: phase lag of the gait per segment, rad. If None, the phase lag
-                of the robot is used.
+            curl_s: time in which the duty cycle of the holding segments rises from 0 to
+                1, s.
+            drag_after_s: start time of the drag in the mode "open_loop", or latest
+                start time of the drag in the mode "sensed", s.
+            release_after_s: time from the start of the drag to the release, or None for
+                no time limit, s.
+            drag_m: drag distance after which the object is released, or None for no
+                limit, m. The mode "open_loop" requires None.
+            phase_step: phase lag of the gait per segment, by default
+                `RobotSpec.phase_step`, rad.
 
         Raises:
-            InputError: the mode or side is unknown, or `drag_m` is given in open-loop
-                mode.
+            InputError: the mode or the side is unknown, or a drag distance is given in
+                the mode "open_loop".
         """
         check_choice("mode", mode, MODES)
         check_choice("side", side, SIDES)
@@ -176,7 +182,7 @@ class Grasp(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: fewer than two segments would remain for crawling.
+            InputError: the number of holding segments does not suit the robot.
         """
         check_hold(self.hold, spec)
         self._gait.reset(spec, tick)
@@ -194,7 +200,7 @@ class Grasp(Controller):
         self._events = list[Event]()
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick, shape (slots, segments, 2)."""
+        """Return the valve states for the next tick, shape (slots, segments, 2)."""
         time = float(state.time)
         self._events += self._readings.update(time, state.measured_bend)
         toward = 1.0 if self.side == "left" else -1.0
@@ -250,5 +256,5 @@ class Grasp(Controller):
         self._events.append(Event(time, "grasp", text))
 
     def signals(self) -> dict[str, float]:
-        """Return the phase and the grip."""
+        """Return the number of the grasp phase, and the grip (rad)."""
         return {"grasp_phase": float(self.phase), "grip": self.grip}

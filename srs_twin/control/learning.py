@@ -1,19 +1,20 @@
 """Iterative learning control of a gait (Section 5.1).
 
-The controller uses the wave of the open-loop gait without offset (Eq. 13). While the
-wave fills a chamber, the valve is pulse-width modulated with the duty of the chamber.
-With all duties at 1, the valves switch as in the open-loop gait.
+The controller modifies an open-loop gait without steering offset (Eq. 13). While the
+gait fills a chamber, the valve of the chamber is pulse-width modulated. If all duty
+cycles are 1, the valves switch as in the open-loop gait.
 
-When a period of a chamber ends (`ChamberPeriods`), the duty of the chamber is corrected
-according to the measured amplitude (`Duties`, Eq. 32). The amplitude of a + chamber is
-the maximum sensed bend in the period. The amplitude of a − chamber is the negated
-minimum sensed bend. To turn the snake, the two sides have different target amplitudes
-(`targets`). With `steering="targets_and_wave"`, the steering offset φ also enters the
-wave as in Eq. 13, which lengthens the fills on the side towards which the snake turns.
+At the end of each period of a chamber (`ChamberPeriods`), the measured amplitude is
+used to correct the duty cycle of the chamber (`Duties`, Eq. 32). For a + chamber,
+the amplitude is the maximum bend reading in the period. For a − chamber, the amplitude
+is the negated minimum bend reading. For steering, the chambers on the left and on the
+right have different target amplitudes (`targets`). With `steering="targets_and_wave"`,
+the steering offset φ also changes the wave as in Eq. 13. The chambers on the inner side
+of the turn then fill for a longer time.
 
-During the first periods, called free periods, all duties stay at 1. The amplitudes of
-the following period are recorded. The target amplitude A is either a given value or the
-minimum recorded amplitude, which every chamber can reach.
+During the first gait periods, called free periods, all duty cycles are 1. The target
+amplitude A is either a given value or the minimum amplitude in the next period. Every
+chamber can reach this minimum.
 """
 
 from __future__ import annotations
@@ -37,37 +38,35 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 K_PER_RAD = 0.3
-"""Learning gain k of Section 5.1, interpreted as duty per rad."""
+"""Learning gain k of Section 5.1, interpreted as a change in duty cycle, 1/rad."""
 FREE_PERIODS = 2
-"""Number of gait periods with all duties at 1 before the amplitudes are recorded."""
+"""Number of free gait periods, in which all duty cycles are 1."""
 CARRIER_HZ = 60.0
 """Carrier frequency of the pulse-width modulation, Hz (about 60 Hz in Section 5.3)."""
 MIN_PULSES = 4
-"""Minimum number of carrier periods in a fill."""
+"""Minimum number of carrier periods while a chamber fills."""
 
 SMALLEST = "smallest"
-"""Value of `target` that selects the minimum recorded amplitude."""
+"""Value of the argument `target` that selects the minimum recorded amplitude."""
 ON_FAULT = ("go_on", "stop")
 TARGETS = "targets"
-"""Value of `steering` for which φ acts on the target amplitudes only."""
+"""Value of the argument `steering` for which φ does not change the wave."""
 STEERINGS = (TARGETS, "targets_and_wave")
 
 _MAX_LOST = 0.5
-"""Fraction of lost readings in a period above which the amplitude is ignored."""
+"""Maximum fraction of lost readings in a period with a valid amplitude."""
 
 
 class ILC(Controller):
-    """Controller that learns the duties of a gait iteratively.
+    """Controller that iteratively learns the duty cycles of a gait.
 
     Attributes:
-        frequency: gait frequency f, Hz.
-        offset: steering offset φ, between −0.3 and 0.3, positive to the left. The
-            offset may be changed during a run.
-        amplitude: target amplitude A, rad, or None before the target amplitude is
-            known.
-        duties: learnt duties. The chambers of faulty segments vent whatever their
-            duties.
-        faults: fault detection for the modules.
+        offset: steering offset φ, between −0.3 and 0.3, which may be changed during a
+            run.
+        amplitude: target amplitude A, or None until it is known, rad.
+        duties: learnt duty cycles, which do not apply to faulty segments or to segments
+            under test.
+        faults: detector of dead sensors and stuck valves.
     """
 
     kind = "ilc"
@@ -99,20 +98,20 @@ class ILC(Controller):
             offset: steering offset φ, positive to the left.
             target: target amplitude A, rad, or "smallest" for the minimum recorded
                 amplitude.
-            k: learning gain, 1/rad.
+            k: learning gain k, 1/rad.
             free_periods: number of gait periods before the amplitudes are recorded.
             carrier_hz: carrier frequency of the pulse-width modulation, Hz.
-            on_fault: action after the detection of a fault. "go_on" continues without
-                the faulty module, and "stop" ends the run.
-            steering: how φ steers. With "targets", φ changes only the target
-                amplitudes. With "targets_and_wave", φ also changes the wave of Eq. 13.
-            phase: phase ψ of the wave, rad.
-            phase_step: phase lag β per segment, rad. If None, the phase lag of the
-                robot is used.
+            on_fault: action after a fault is detected, either "go_on" to continue
+                without the faulty segment or "stop" to end the run.
+            steering: "targets" if φ changes only the target amplitudes, or
+                "targets_and_wave" if φ also changes the wave of Eq. 13.
+            phase: phase ψ of the wave at time 0, rad.
+            phase_step: phase lag β per segment, by default `RobotSpec.phase_step`, rad.
 
         Raises:
-            InputError: an argument is out of range, or a fill has too few pulses.
-            UnknownNameError: an option has an unknown value.
+            InputError: an argument is out of range, or the carrier frequency is too low
+                for the gait frequency.
+            UnknownNameError: `target`, `on_fault` or `steering` has an unknown value.
         """
         if on_fault not in ON_FAULT:
             raise UnknownNameError("on_fault", on_fault, ON_FAULT)
@@ -163,7 +162,7 @@ class ILC(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: a gait period has too few ticks.
+            InputError: the control tick is too long for the gait frequency.
         """
         self._gait.reset(spec, tick)
         self._gait.offset = 0.0
@@ -182,7 +181,7 @@ class ILC(Controller):
         self._initialise(spec.segments)
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick, shape (slots, segments, 2)."""
+        """Return the valve states for the next tick, shape (slots, segments, 2)."""
         time = float(state.time)
         self._steer_wave()
         self._events += self._readings.update(time, state.measured_bend)
@@ -198,7 +197,7 @@ class ILC(Controller):
         return valves
 
     def signals(self) -> dict[str, Any]:
-        """Return the duties, target amplitudes, measured amplitudes and the offset.
+        """Return the duty cycles, the amplitudes (rad) and the steering offset.
 
         Unknown amplitudes are NaN.
         """
@@ -213,7 +212,7 @@ class ILC(Controller):
         }
 
     def events(self) -> list[Event]:
-        """Return new events about updates, targets, saturated duties and faults."""
+        """Return the events since the last call, including detected faults."""
         return super().events() + self.faults.events()
 
     def describe(self) -> dict[str, object]:
@@ -262,7 +261,7 @@ class ILC(Controller):
         faults.check_sensors(time, ended, self._command, periods)
         peak = np.where(periods.lost <= _MAX_LOST, periods.peak, math.nan)
         # Ignore periods that began before the end of a valve test, because both
-        # chambers vent during a test.
+        # chambers of the segment vent during the test.
         measured = (
             ended & ~np.isnan(peak) & (periods.started >= faults.resumed[:, None])
         )
@@ -277,7 +276,7 @@ class ILC(Controller):
         updated = measured & ~free & faults.working[:, None]
         self._events += self.duties.learn(time, updated, peak, self._targets)
         self._events += self.duties.converged(time, faults.working)
-        # Report once per gait period, when the period of the last chamber to fill ends.
+        # Report once per gait period, when the chamber that fills last ends its period.
         if ended[self._last_chamber]:
             number = int(periods.number[self._last_chamber]) - 1
             self._events += self.duties.summary(time, number, faults.working)

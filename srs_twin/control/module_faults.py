@@ -1,22 +1,25 @@
 """Detection of dead sensors and stuck valves from the bend readings of a gait.
 
-**Sensors.** A sensor is considered dead if all readings of a period are lost. A sensor
-is also considered dead if its readings stay constant over a period in which a chamber
-of the segment fills.
+**Sensors.** A bend sensor is considered dead if all its readings in a period are lost.
+A sensor is also considered dead if its readings stay constant during a period in which
+a chamber of its segment fills.
 
-**Valves.** A valve may be stuck if the amplitude of its chamber contradicts the duty in
-two successive periods. At full duty, an amplitude below a tenth of the target is a
-contradiction. At duty 0, an amplitude above the target is a contradiction. A + chamber
-that never vents and a − chamber that never fills produce the same readings. In either
-case, the segment moves between straight and bent to the left. A suspected segment is
+**Valves.** A valve may be stuck if the amplitude of its chamber contradicts the duty
+cycle in two successive periods. At a duty cycle of 1, an amplitude below a tenth of the
+target amplitude is too small. At a duty cycle of 0, an amplitude more than 5 % above
+the target amplitude is too large.
+
+Different faults can cause the same readings. For example, a + chamber that never vents
+cannot be distinguished from a − chamber that never fills. A suspected segment is
 therefore tested by venting both chambers. If the segment remains bent, the valve of the
-chamber that bends the segment to this side is stuck open. If the segment straightens
-and an amplitude was too small, the valve of the chamber with this amplitude is stuck
-shut. If the segment straightens and an amplitude was too large, the cause is a load or
-a biased sensor, and the segment resumes the gait. The bend at rest is averaged over a
-whole period, which cancels the motion imposed by the segments that continue the gait.
-The average begins half a period after the start of venting, when the chambers are
-empty.
+chamber that causes this bend is stuck open. If the segment straightens and an amplitude
+was too small, the valve of the corresponding chamber is stuck shut. If the segment
+straightens and an amplitude was too large, the cause is a load or a biased sensor, and
+the segment resumes the gait.
+
+During a test, the bend is averaged over one gait period to cancel the motion that the
+other segments impose. The averaging begins half a gait period after the start of
+venting, when the chambers are empty.
 """
 
 from __future__ import annotations
@@ -30,24 +33,23 @@ from srs_twin.io.saved_state import Stateful
 from srs_twin.trajectory import Event
 
 STILL_RAD = 0.02
-"""Maximum range of the readings of a dead sensor in one period, rad."""
+"""Maximum difference between the readings of a dead sensor in one period, rad."""
 MIN_DRIVING_DUTY = 0.1
-"""Minimum duty from which a working segment is expected to move, dimensionless."""
+"""Minimum duty cycle for which a working segment is expected to move."""
 WEAK_RATIO = 0.1
-"""Ratio of amplitude to target below which a chamber at full duty is suspicious."""
+"""Smallest normal ratio of amplitude to target amplitude at a duty cycle of 1."""
 STRONG_RATIO = 1.05
-"""Ratio of amplitude to target above which a chamber at duty 0 is suspicious."""
+"""Largest normal ratio of amplitude to target amplitude at a duty cycle of 0."""
 SUSPICIOUS_PERIODS = 2
-"""Number of successive periods with a suspicious amplitude before a test starts."""
+"""Number of successive periods with abnormal amplitudes that start a valve test."""
 VENTING_PERIODS = 0.5
-"""Venting time before the bend at rest is measured, in gait periods."""
+"""Time for which a segment vents before its bend is averaged, in gait periods."""
 BENT_RATIO = 0.5
-"""Ratio of the bend at rest to the target above which a vented segment counts as bent.
-"""
+"""Ratio of bend to target amplitude above which a vented segment is considered bent."""
 
 
 class ModuleFaults(Stateful):
-    """Fault detection for the modules of a snake.
+    """Detector of dead sensors and stuck valves in the segments of a snake.
 
     Attributes:
         detected: descriptions of the detected faults, in chronological order.
@@ -62,7 +64,7 @@ class ModuleFaults(Stateful):
     )
 
     def __init__(self, segments: int, period: float) -> None:
-        """Initialise the fault detection for a gait with the given period (s)."""
+        """Initialise the fault detection for a gait with a given period (s)."""
         self.detected: list[str] = []
         self.faulty = np.zeros(segments, dtype=bool)
         self.tested = np.zeros(segments, dtype=bool)
@@ -91,7 +93,7 @@ class ModuleFaults(Stateful):
     def check_sensors(
         self, time: float, ended: np.ndarray, duty: np.ndarray, periods: ChamberPeriods
     ) -> None:
-        """Detect dead sensors."""
+        """Detect dead sensors in segments whose chambers have completed a period."""
         # The first period of a chamber is incomplete if the chamber is already filling
         # at time 0.
         whole = ended & (periods.number > 2) & self.working[:, None]
@@ -113,9 +115,9 @@ class ModuleFaults(Stateful):
         peak: np.ndarray,
         target: np.ndarray,
     ) -> None:
-        """Start tests of the segments whose amplitudes contradict the duties.
+        """Start to test segments whose amplitudes contradict their duty cycles.
 
-        All arrays have shape (segments, 2).
+        All arrays have shape (segments, 2), and amplitudes are in rad.
         """
         ended = ended & self.working[:, None] & ~np.isnan(peak)
         weak = (duty >= 1) & (peak < WEAK_RATIO * target)
@@ -126,7 +128,7 @@ class ModuleFaults(Stateful):
         self._start_tests(time, suspected, target)
 
     def check_amplitudes(self, time: float, peaks: np.ndarray) -> None:
-        """Start tests of segments whose amplitude is far below the median."""
+        """Start to test segments whose recorded amplitudes are far below the median."""
         median = float(np.nanmedian(peaks[-1][self.working]))
         weak = (peaks <= max(WEAK_RATIO * median, 0.0)).all(axis=0)
         weak &= self.working[:, None]
@@ -145,7 +147,7 @@ class ModuleFaults(Stateful):
             self._events.append(Event(time, "fault_suspected", text))
 
     def update_tests(self, time: float, reading: np.ndarray) -> None:
-        """Add bend readings (rad) to the active tests, and end finished tests."""
+        """Add bend readings (rad) to the active tests, and evaluate completed tests."""
         elapsed = (time - self._test_started) / self._period
         resting = self.tested & (elapsed >= VENTING_PERIODS)
         self._rest_sum[resting] += reading[resting]

@@ -1,4 +1,4 @@
-"""Pulse-width modulation of valves, with slots that are shorter than a control tick."""
+"""Pulse-width modulation of valves in time slots shorter than a control tick."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from srs_twin.robot.scale import SHIPPED, Scale
 
 
 class PulseWidthModulator(Stateful):
-    """Pulse-width modulation of 3/2 valves.
+    """Pulse-width modulator for 3/2 valves.
 
-    In each carrier period, each chamber fills for a fraction of the period that equals
-    the chamber's duty, and vents for the remaining time. By default, the pulse of the +
-    chamber begins with the period, and the pulse of the − chamber ends with the period.
-    If the two duties add up to 1, the two valves are always in opposite states, as in
-    Fig. 45c. If `aligned` is True, both pulses begin at the start of the period.
+    In each carrier period, a chamber fills during one pulse and vents for the rest of
+    the period. The duty cycle is the ratio of the pulse duration to the carrier period.
+    By default, a period begins with the pulse of the + chamber and ends with the pulse
+    of the − chamber. If the two duty cycles add up to 1, the two valves are then always
+    in opposite states, as in Fig. 45c. If `aligned` is True, all pulses are at the
+    start of the period.
 
     The carrier period need not be a multiple of the tick or of the slot duration. A
-    valve is open in a slot if the centre of the slot lies within the pulse. The
-    duration of a pulse is therefore wrong by at most one slot, and the mean duration
-    over many periods is exact. A valve opens at most once per period. A valve with duty
-    0 or 1 does not switch.
+    chamber fills in a slot if the centre of the slot lies within the pulse. Rounding to
+    slots changes the duration of a pulse by at most one slot, but does not change the
+    mean duration over many periods. A valve opens at most once per period, and does not
+    switch if the duty cycle is 0 or 1.
 
-    The modulator does not suppress pulses shorter than the switching time of 3 ms.
-    `LagPneumatics` smooths short pulses, because its time constant τ₂ includes the
+    Pulses shorter than the valve switching time of 3 ms are not suppressed.
+    `LagPneumatics` smooths such pulses, because its time constant τ₂ includes the
     switching time.
 
     Attributes:
         period: carrier period, s.
-        duty: duties of the current period, shape (segments, 2).
+        duty: duty cycles in the current carrier period, shape (segments, chambers).
     """
 
     state_attributes = ("_ticks", "_period_number", "duty")
@@ -59,11 +60,10 @@ class PulseWidthModulator(Stateful):
             aligned: whether the pulses of all chambers begin at the start of the
                 period.
             allow_long_ticks: whether a tick may be longer than a carrier period. Long
-                ticks are useful for controllers that do not update the duties in every
-                carrier period.
-            scale: scale of the robot, which determines the duration of the slots.
-            chambers: number of chambers per segment. `aligned` must be True unless
-                there are two chambers.
+                ticks suit controllers that rarely update the duty cycles.
+            scale: scale of the robot, which determines the slot duration.
+            chambers: number of chambers per segment, which must be 2 unless `aligned`
+                is True.
 
         Raises:
             InputError: the carrier frequency or the tick is not positive, or the tick
@@ -85,24 +85,22 @@ class PulseWidthModulator(Stateful):
         self.duty = np.zeros((segments, chambers))
 
     def due(self) -> bool:
-        """Return whether a carrier period begins in the next tick.
-
-        `step` uses new duties only at the start of a carrier period.
-        """
+        """Return whether a carrier period begins in the next control tick."""
         return self._last_period() != self._period_number
 
     def step(self, duty: np.ndarray) -> np.ndarray:
-        """Return the valve states of the next tick.
+        """Return the valve states for the next control tick.
 
         Args:
-            duty: duties of the + and − chambers, shape (segments, 2). The duties are
-                ignored unless a carrier period begins in this tick.
+            duty: duty cycles for the carrier periods that begin in this tick, from 0 to
+                1, shape (segments, chambers).
 
         Returns:
-            Valve states, +1 to fill and −1 to vent, shape (slots, segments, 2), int8.
+            Valve states of type int8, +1 to fill and −1 to vent, shape (slots,
+            segments, chambers).
 
         Raises:
-            InputError: a duty is outside 0 to 1, or the shape is wrong.
+            InputError: a duty cycle is outside 0 to 1, or the shape is wrong.
         """
         new_duty = np.asarray(duty, dtype=float)
         if new_duty.shape != self.duty.shape:
@@ -116,7 +114,7 @@ class PulseWidthModulator(Stateful):
                 f"duty {new_duty[outside][0]:g} is not allowed; it must be between 0"
                 " and 1"
             )
-        # Elapsed time at the centres of the slots, in carrier periods.
+        # Elapsed time at the slot centres, in carrier periods.
         elapsed = (
             self._ticks * self._slots + np.arange(self._slots) + 0.5
         ) * self._periods_per_slot

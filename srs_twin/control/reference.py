@@ -1,4 +1,4 @@
-"""Reference signals for the bends that a controller tracks."""
+"""Reference bends for controllers, as functions of time."""
 
 from __future__ import annotations
 
@@ -15,45 +15,44 @@ from srs_twin.errors import InputError, UnknownNameError
 
 Policy = Literal["refuse", "saturate"]
 POLICIES: tuple[Policy, ...] = ("refuse", "saturate")
-"""Policies for a reference that exceeds the bend range of the module."""
+"""Policies for references that exceed the bend range of a segment."""
 
 _ROUNDING = 1e-9
-"""Tolerance for comparing times (s) and phases (fraction of a period)."""
+"""Tolerance for comparing times (s) and phases (fractions of a period)."""
 
 
 @dataclass(frozen=True)
 class Reference(ABC):
-    """Reference bend as a function of time, rad.
+    """Base class of reference bends that are functions of time.
 
-    The methods accept a time or an array of times, and return an array of the same
-    shape.
+    The methods accept a time or an array of times, and return an array of equal shape.
     """
 
     @property
     @abstractmethod
     def peak(self) -> float:
-        """Maximum magnitude of the reference, rad."""
+        """Maximum magnitude of the reference bend, rad."""
 
     @abstractmethod
     def value(self, time: ArrayLike) -> Array:
-        """Return the bend at a time (s), rad."""
+        """Return the reference bend (rad) at a time (s)."""
 
     def rate(self, time: ArrayLike) -> Array:
-        """Return the time derivative of the bend at a time (s), rad/s.
+        """Return the rate of change of the reference bend (rad/s) at a time (s).
 
-        The derivative is 0 at jumps.
+        The rate is 0 where the reference bend jumps.
         """
         return np.zeros_like(np.asarray(time, dtype=float))[()]
 
     def is_clipped(self, time: ArrayLike) -> np.ndarray:
-        """Return whether the reference is clipped at a time (s)."""
+        """Return whether the reference bend is clipped at a time (s)."""
         return np.zeros(np.shape(time), dtype=bool)[()]
 
     def limited(self, limit: float, policy: Policy = "refuse") -> Reference:
-        """Return a reference that stays within the range of the module.
+        """Return a reference that stays within the bend range of a segment.
 
         Args:
-            limit: maximum bend of the module at the supply pressure, rad.
+            limit: maximum bend of the segment at the supply pressure, rad.
             policy: "refuse" to raise an error if the reference exceeds the limit, or
                 "saturate" to clip the reference.
 
@@ -90,7 +89,7 @@ class Reference(ABC):
 
 @dataclass(frozen=True)
 class Constant(Reference):
-    """Constant bend, rad."""
+    """Reference with a constant bend (rad)."""
 
     bend: float
 
@@ -106,13 +105,13 @@ class Constant(Reference):
 
 @dataclass(frozen=True)
 class Staircase(Reference):
-    """Sequence of bends that are held for equal durations.
+    """Reference that consists of a sequence of constant bends.
 
     The last bend is held indefinitely.
 
     Attributes:
-        bends: one or more bends, rad.
-        hold: duration of each bend, s.
+        bends: sequence of one or more bends, rad.
+        hold: time for which each bend is held, s.
     """
 
     bends: tuple[float, ...]
@@ -141,11 +140,11 @@ class Staircase(Reference):
 
 @dataclass(frozen=True)
 class StepReference(Reference):
-    """Step from one bend to another.
+    """Reference that steps from one bend to another.
 
     Attributes:
-        bend: bend from `time` on, rad.
-        before: bend before `time`, rad.
+        bend: bend after the step, rad.
+        before: bend before the step, rad.
         time: time of the step, s.
     """
 
@@ -179,7 +178,6 @@ class _Periodic(Reference):
 
     @property
     def peak(self) -> float:
-        """See `Reference.peak`."""
         return abs(self.offset) + self.amplitude
 
     def _angle(self, time: ArrayLike) -> Array:
@@ -188,13 +186,13 @@ class _Periodic(Reference):
 
 @dataclass(frozen=True)
 class Sine(_Periodic):
-    """Sine wave, offset + amplitude · sin(2π · frequency · t + phase).
+    """Sine wave given by offset + amplitude · sin(2π · frequency · t + phase).
 
     Attributes:
-        amplitude: amplitude, rad, above 0.
-        frequency: frequency, Hz, above 0.
-        phase: phase at time 0, rad.
-        offset: mean value, rad.
+        amplitude: amplitude of the wave, above 0, rad.
+        frequency: frequency of the wave, above 0, Hz.
+        phase: phase of the wave at time 0, rad.
+        offset: mean bend, rad.
     """
 
     def value(self, time: ArrayLike) -> Array:
@@ -208,15 +206,10 @@ class Sine(_Periodic):
 
 @dataclass(frozen=True)
 class Square(_Periodic):
-    """Square wave, offset ± amplitude, in phase with the corresponding `Sine`.
+    """Square wave that alternates between offset + amplitude and offset − amplitude.
 
-    The value is offset + amplitude in the first half of each period.
-
-    Attributes:
-        amplitude: amplitude, rad, above 0.
-        frequency: frequency, Hz, above 0.
-        phase: phase at time 0, rad.
-        offset: mean value, rad.
+    The attributes are those of `Sine`. With a phase of 0, the first value is offset +
+    amplitude.
     """
 
     def value(self, time: ArrayLike) -> Array:
@@ -229,11 +222,11 @@ class Square(_Periodic):
 
 @dataclass(frozen=True)
 class ClippedReference(Reference):
-    """Reference that is clipped to the range of the module. See `Reference.limited`.
+    """Reference that is clipped to the bend range of a segment.
 
     Attributes:
-        unclipped: original reference.
-        limit: maximum bend to either side, rad.
+        unclipped: reference before clipping.
+        limit: maximum bend to the left and to the right, rad.
     """
 
     unclipped: Reference

@@ -1,4 +1,4 @@
-"""Open-loop controllers with recorded or constant valve states (Fig. 41)."""
+"""Open-loop controllers that apply recorded or constant valve states (Fig. 41)."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class Replay(Controller):
-    """Open-loop replay of a valve schedule from time 0.
+    """Controller that replays a recorded schedule of valve states from time 0.
 
-    After the end of the schedule, the last valve states are held.
+    After the end of the schedule, the valves remain in their last states.
 
     Attributes:
         schedule: recorded valve states.
-        frequency: gait frequency of the recording, Hz, or None if the recording is not
-            periodic.
-        layouts: names of the valve layouts that support all recorded states.
+        frequency: gait frequency of the recording, or None if the recording is not
+            periodic, Hz.
     """
 
     kind = "replay"
@@ -48,7 +47,7 @@ class Replay(Controller):
         self._slot_centres = tick * (np.arange(slots) + 0.5) / slots
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick."""
+        """See `Controller.step`."""
         schedule = self.schedule
         time = float(state.time) + self._slot_centres
         runs = np.searchsorted(schedule.starts, time, side="right") - 1
@@ -56,7 +55,7 @@ class Replay(Controller):
         return states[0] if runs[0] == runs[-1] else states
 
     def script(self, duration: float) -> Schedule:
-        """Return the valve states of the whole run."""
+        """See `Controller.script`."""
         schedule = self.schedule
         if duration > schedule.span:
             return Schedule(duration, schedule.starts, schedule.states)
@@ -64,7 +63,7 @@ class Replay(Controller):
 
 
 STATES = {"fill": 1, "hold": 0, "vent": -1}
-"""Valve states keyed by name."""
+"""Valve states, keyed by name."""
 
 
 def layouts_for(states: ArrayLike) -> tuple[str, ...]:
@@ -74,20 +73,16 @@ def layouts_for(states: ArrayLike) -> tuple[str, ...]:
 
 
 class HoldValves(Controller):
-    """Open-loop controller that holds two valve states, one per side, in all segments.
-
-    Attributes:
-        layouts: names of the valve layouts that support the given states.
-    """
+    """Controller that keeps the valves of each side in a constant state."""
 
     kind = "hold_valves"
     state_attributes = ()
 
     def __init__(self, plus: str = "fill", minus: str = "vent") -> None:
-        """Create the controller from the names of two states in `STATES`.
+        """Create the controller from two keys of `STATES`, one for each side.
 
         Raises:
-            UnknownNameError: a name is not in `STATES`.
+            UnknownNameError: an argument is not a key of `STATES`.
         """
         for name in (plus, minus):
             if name not in STATES:
@@ -102,9 +97,9 @@ class HoldValves(Controller):
         )
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states, shape (segments, 2)."""
+        """See `Controller.step`."""
         return self._valves
 
     def script(self, duration: float) -> Schedule:
-        """Return the valve states of the whole run."""
+        """See `Controller.script`."""
         return Schedule(duration, np.zeros(1), self._valves[None])

@@ -1,55 +1,57 @@
-r"""Sliding mode control of modules by valve states or by duties (Chapter 4).
+r"""Sliding mode control of segments by valve states or duty cycles (Chapter 4).
 
-`DirectSMC` and `IterativeSMC` make the sensed bend q of each segment track a reference
-r by means of the sliding variable
+The controllers `DirectSMC` and `IterativeSMC` make the measured bend q of each segment
+follow a reference bend r. Both controllers use the sliding variable σ:
 
 $$ \sigma = \dot e + D e, \qquad e = r - q \qquad (\text{Eqs. 24, 31}). $$
 
 On the sliding manifold σ = 0, the error decays as e^{−Dt}. The controllers differ in
 how they estimate ė from noisy readings and in how they convert σ to valve states.
 
-`VelocityFilter` estimates the rate of a noisy reading x, because finite differences
-would amplify the noise. The second-order Butterworth low-pass filter with the cutoff
-frequency ω_c provides a filtered value x̂ and a rate v̂:
+**Velocity filter.** Finite differences would amplify the noise of the readings. The
+class `VelocityFilter` therefore applies a second-order Butterworth low-pass filter with
+cutoff frequency ω_c to a reading x. The outputs of the filter are the filtered reading
+x̂ and the rate v̂:
 
-$$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qquad \hat v = \dot{\hat x}, $$
+$$ \ddot{\hat x} = \omega_c^2 (x - \hat x) - \sqrt2\,\omega_c \dot{\hat x}, \qquad \hat v = \dot{\hat x}. $$
 
-The equation is solved exactly for a reading that varies linearly between ticks. At
-frequencies far below the cutoff, the filtered value and the rate are delayed by √2/ω_c.
-For a cutoff of 25 Hz the delay is 9 ms, a phase lag of 0.34 rad at 6 Hz. White noise
-with standard deviation s, sampled with period T, causes a standard deviation of about s
-√(ω_c³ T / √8) in the rate. Finite differences would cause s √2 / T. For noise of 0.2°
-sampled every millisecond and a cutoff of 25 Hz, the filter causes 7°/s and finite
-differences cause 283°/s.
+The solution is exact for a reading that varies linearly between ticks. At frequencies
+far below the cutoff, x̂ and v̂ are delayed by √2/ω_c. For a cutoff of 25 Hz, the delay
+is 9 ms, which is a phase lag of 0.34 rad at 6 Hz.
 
-`DirectSMC` sets the states of separate inlet and outlet valves (Eq. 31):
+White noise with standard deviation s and sampling period T causes a standard deviation
+of about s √(ω_c³ T / √8) in v̂. A rate from finite differences would have a standard
+deviation of s √2 / T. For s = 0.2°, T = 1 ms and a cutoff of 25 Hz, the standard
+deviation is 7°/s with the filter and 283°/s with finite differences.
+
+**Direct control.** `DirectSMC` sets the states of separate inlet and outlet valves
+(Eq. 31):
 
 $$ \sigma > \varepsilon: \text{fill +, vent −}; \qquad \sigma < -\varepsilon: \text{vent +, fill −};
 \qquad |\sigma| \le \varepsilon: \text{hold both}. $$
 
-At rest σ = D e, so errors up to ε/D persist. A single `VelocityFilter` estimates both
-the bend and the bend rate. Therefore e and ė have equal delays, and the noise in D e is
-filtered as well. The published value D = 0.5 1/s would result in a time constant of 2
-s. The published value ε = 2°/s is below the noise of any sufficiently fast rate
-estimate (E6).
+At rest, σ is equal to D e, so errors up to ε/D persist. The same `VelocityFilter`
+provides the bend and the bend rate, so e and ė have equal delays. With the published
+value D = 0.5 1/s, errors would decay with a time constant of 2 s. The published value
+ε = 2°/s is below the noise of any sufficiently fast rate estimate (E6).
 
-`IterativeSMC` sets the duties of pulse-width modulated 3/2 valves (Eq. 30). The
-controller updates a variable μ once per carrier period T,
+**Iterative control.** `IterativeSMC` sets the duty cycles of pulse-width modulated 3/2
+valves (Eq. 30). The controller updates a variable μ once per carrier period T:
 
-$$ \mu \leftarrow \operatorname{clip}\bigl(\mu + K (\dot e + D e),\, -1,\, 1\bigr), $$
+$$ \mu \leftarrow \operatorname{clip}\bigl(\mu + K (\dot e + D e),\, -1,\, 1\bigr). $$
 
-and sets the duties of the chambers to (1 + μ)/2 and (1 − μ)/2. The controller is
+The duty cycles of the + and − chambers are (1 + μ)/2 and (1 − μ)/2. This law is
 equivalent to the proportional-integral law μ = (K/T) e + (K D/T) ∫e dt with clipping.
-Clipping causes no wind-up, because μ leaves its bound as soon as σ changes sign.
+Clipping causes no integrator wind-up, because μ leaves its bound as soon as σ changes
+sign.
 
-The errors e and ė are averaged over the last carrier period. The mean of ė is the
-change of e over the period divided by T. Averaging over a whole period removes the
-ripple caused by the valves. A single reading per period would always sample the ripple
-at the same phase, which would cause an offset of several degrees. A step of the
-reference is included in the mean of ė.
+The values of e and ė are averages over the last carrier period, which removes the
+ripple caused by the valves. The average of ė is the change of e divided by T, and it
+includes steps of the reference. A single reading per period would always sample the
+ripple at the same phase, which would cause an offset of several degrees.
 
-Eq. 29 and Eq. 30 disagree on whether K multiplies D e (E6). In the implemented law, K
-multiplies D e.
+Eqs. 29 and 30 disagree on whether K multiplies D e (E6). As in Eq. 30, the implemented
+law multiplies D e by K.
 """
 
 from __future__ import annotations
@@ -74,31 +76,32 @@ if TYPE_CHECKING:
 
 
 class VelocityFilter(Stateful):
-    """Second-order low-pass filter for noisy readings and their rates.
+    """Second-order low-pass filter that also estimates the rates of the readings.
 
     Attributes:
-        value: filtered readings x̂, shape (segments,), unit of the readings.
-        rate: estimated rates v̂, shape (segments,), unit of the readings per second.
-        lag: delay √2/ω_c of the filtered readings and of the rates, s.
+        value: filtered readings x̂ in the unit of the readings, shape (segments,).
+        rate: estimated rates v̂ in the unit of the readings per second, shape
+            (segments,).
+        lag: delay √2/ω_c of the filtered readings and the rates, s.
     """
 
     state_attributes = ("_last", "value", "rate")
 
     def __init__(self, cutoff_hz: float | np.ndarray, tick: float) -> None:
-        """Create a filter. The rate is initially 0.
+        """Create a filter with an initial rate of 0.
 
         Args:
-            cutoff_hz: cutoff frequency ω_c/2π, Hz, as one value for all segments or an
-                array with one value per segment.
+            cutoff_hz: cutoff frequency ω_c/2π, either one value for all segments or one
+                value per segment, Hz.
             tick: control tick T, s.
 
         Raises:
-            InputError: a cutoff frequency is not a finite positive number.
+            InputError: a cutoff frequency is not finite and positive.
         """
         cutoff = np.asarray(cutoff_hz, dtype=float)
         check_positive("cutoff_hz", cutoff_hz)
         # The poles are w (−1 ± i), so the homogeneous solution is a decaying
-        # oscillation of frequency w.
+        # oscillation with angular frequency w.
         self._w = math.sqrt(2) * math.pi * cutoff
         self._tick = tick
         self.lag = 1 / self._w
@@ -116,9 +119,9 @@ class VelocityFilter(Stateful):
             self.value = np.array(reading, dtype=float)
             self.rate = np.zeros(np.shape(reading))
         else:
-            # If the reading varies linearly, the particular solution is the reading
+            # For a reading that varies linearly, the particular solution is the reading
             # delayed by the lag. The deviation from the particular solution is a
-            # homogeneous solution, which decays.
+            # homogeneous solution.
             reading_rate = (reading - self._last) / self._tick
             deviation = self.value - (self._last - reading_rate * self.lag)
             rate_deviation = self.rate - reading_rate
@@ -136,7 +139,7 @@ class VelocityFilter(Stateful):
 
 
 Gain = float | np.ndarray
-"""One value for all segments, or an array of shape (segments,)."""
+"""Gain as one value for all segments, or as an array of shape (segments,)."""
 
 
 @dataclass(eq=False)
@@ -146,11 +149,11 @@ class SlidingMode(Controller):
     Each segment tracks the reference independently of the other segments.
 
     Attributes:
-        gains: names of the attributes whose values may differ between segments.
-        reference: reference bend to track.
+        gains: names of the attributes that may have different values for each segment.
+        reference: reference bend for all segments.
 
     Raises:
-        InputError: a gain is not a finite positive number.
+        InputError: a gain is not finite and positive.
     """
 
     gains: ClassVar[tuple[str, ...]]
@@ -173,8 +176,7 @@ class SlidingMode(Controller):
         """See `Controller.reset`.
 
         Raises:
-            InputError: a gain is neither a single number nor an array of shape
-                (segments,).
+            InputError: a gain is neither a number nor an array of shape (segments,).
         """
         for name in self.gains:
             shape = np.shape(getattr(self, name))
@@ -192,10 +194,10 @@ class SlidingMode(Controller):
         self._events: list[Event] = []
 
     def signals(self) -> dict[str, Any]:
-        """Return the reference, e and σ.
+        """Return the reference (rad), the error e (rad) and σ (rad/s).
 
-        Signals are recorded at the end of a tick. The recorded reference belongs to
-        this time, whereas e and σ belong to the start of the tick.
+        The reference refers to the end of the tick, at which signals are recorded. The
+        values of e and σ refer to the start of the tick.
         """
         return {
             "reference": self._next_reference,
@@ -219,8 +221,8 @@ class SlidingMode(Controller):
         return time
 
 
-# These values were tuned with benchmarks/gains.py for generation 4 at 7 psi and are
-# used for all experiments of Chapter 4.
+# The gains of both controllers were tuned with benchmarks/gains.py for generation 4 at
+# a supply pressure of 7 psi. All experiments of Chapter 4 use these gains.
 DIRECT_D_PER_S = 58.0
 """Slope D of the sliding manifold of `DirectSMC`, 1/s."""
 EPSILON_RAD_PER_S = math.radians(84.0)
@@ -256,7 +258,7 @@ class DirectSMC(SlidingMode):
         self._rate: np.ndarray = np.zeros(spec.segments)
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick, shape (segments, 2)."""
+        """Return the valve states for the next tick, shape (segments, 2)."""
         time = self._read_sensors(state)
         self._filter.step(self._readings.value)
         self._rate = self._filter.rate
@@ -268,12 +270,10 @@ class DirectSMC(SlidingMode):
         return np.stack([valves, -valves], axis=-1)
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of `SlidingMode` and the filtered bend rate, rad/s."""
+        """Return the signals of `SlidingMode`, and the filtered bend rate (rad/s)."""
         return super().signals() | {"rate": self._rate}
 
 
-# These values were tuned with benchmarks/gains.py for generation 4 at 7 psi and are
-# used for all experiments of Chapter 4.
 K_S_PER_RAD = 0.042
 """Gain K of `IterativeSMC`, s/rad."""
 ITERATIVE_D_PER_S = 16.0
@@ -285,7 +285,7 @@ CARRIER_HZ = 60.0
 
 @dataclass(eq=False)
 class IterativeSMC(SlidingMode):
-    """Sliding mode controller that updates the duties once per carrier period.
+    """Sliding mode controller that updates the duty cycles once per carrier period.
 
     Attributes:
         K: gain, s/rad.
@@ -307,8 +307,8 @@ class IterativeSMC(SlidingMode):
         """See `Controller.reset`.
 
         Raises:
-            InputError: the tick is not a multiple of 0.1 ms, or it is longer than a
-                carrier period.
+            InputError: a gain has the wrong shape, or the tick is longer than a carrier
+                period.
         """
         super().reset(spec, tick, seed=seed)
         self._pulses = PulseWidthModulator(
@@ -320,7 +320,7 @@ class IterativeSMC(SlidingMode):
         self._count = 0
 
     def step(self, state: SnakeState) -> np.ndarray:
-        """Return the valve states of the next tick, shape (slots, segments, 2)."""
+        """Return the valve states for the next tick, shape (slots, segments, 2)."""
         self._error = (
             self.reference.value(self._read_sensors(state)) - self._readings.value
         )
@@ -333,7 +333,7 @@ class IterativeSMC(SlidingMode):
         )
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of `SlidingMode`, μ and the current duties."""
+        """Return the signals of `SlidingMode`, the variable μ and the duty cycles."""
         plus, minus = self._pulses.duty.T
         return super().signals() | {
             "mu": self._mu,

@@ -1,10 +1,9 @@
 """Reinforcement-learning environments for Gymnasium and dm_env.
 
-Importing this package registers the tasks of `TASKS` with Gymnasium, for example as
+Importing this package registers every task in `TASKS` with Gymnasium, for example as
 ``SRSTwin/GoTo-v0``. With the id ``srs_twin.envs:SRSTwin/GoTo-v0``, Gymnasium imports
-this package itself. The prefix is needed because Gymnasium 1.0 and later do not search
-entry points. `srs_twin.envs.dm.load("GoTo")` returns the same task as a dm_env
-environment and does not need Gymnasium. docs/environments.md describes the tasks.
+the package itself. `srs_twin.envs.dm.load` creates dm_env environments, for which
+Gymnasium is not needed. The tasks are described in docs/environments.md.
 """
 
 from __future__ import annotations
@@ -25,9 +24,9 @@ def _register() -> None:
             entry_point="srs_twin.envs.gymnasium:SnakeEnv",
             vector_entry_point="srs_twin.envs.gymnasium:SnakeVectorEnv",
             kwargs={"task": task},
-            # Gymnasium's wrappers are disabled, because SnakeEnv checks the call order
-            # and the action types itself. A copied wrapper would also share the
-            # environment.
+            # Gymnasium's checking wrappers are disabled, because SnakeEnv checks the
+            # call order and the actions itself. Moreover, a copied wrapper would share
+            # its environment with the original wrapper.
             order_enforce=False,
             disable_env_checker=True,
         )

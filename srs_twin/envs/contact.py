@@ -1,15 +1,14 @@
 """Tasks Pegs and Grasp, in which a snake crawls among pegs or drags an object.
 
-In the task Pegs, the snake crawls to a goal among pegs. The skin has isotropic
-friction, so the snake hardly moves without pegs. Among pegs, almost every gait moves
-the snake, but reaching a given position requires steering. The goal may therefore be in
-any direction.
+In the task Pegs, the snake crawls to a goal among pegs. The friction of its skin is
+isotropic, so the snake hardly moves without pegs. Among pegs, almost every gait moves
+the snake. The goal may be in any direction, so the snake must be steered to reach it.
 
-In the task Grasp, the tail of the snake must curl around a cylinder and drag it. The
-cylinder counts as gripped if it presses on opposite sides of the tail. The cylinder
-counts as held if it has been gripped and at rest relative to the tail for the last
-`HELD_S` seconds. Motion is rewarded only while the cylinder is gripped, so pushing it
-away earns nothing.
+In the task Grasp, the snake must curl its tail around a cylinder and drag the cylinder.
+The cylinder is gripped if two of its contact forces on the tail are nearly opposite.
+The cylinder is held if it has been gripped for the last `HELD_S` seconds without
+slipping. Motion of the cylinder is rewarded only while it is gripped, so pushing the
+cylinder away earns nothing.
 """
 
 from __future__ import annotations
@@ -47,42 +46,38 @@ _SKIN = {
     "transverse": 0.3,
 }
 ISOTROPIC_SKIN = {"base": "skin_example", "contact": _SKIN}
-"""Robot used in the scenario `pegs_skin`."""
+"""Robot with isotropic skin friction, as in the scenario `pegs_skin`."""
 
 _GOAL_DISTANCES_M = (0.8, 1.0)
-"""Minimum and maximum distance of the goal, m."""
+"""Minimum and maximum distance between the start and the goal, m."""
 
+# Grid spacing, radius, maximum random displacement and friction coefficient of the pegs
+# are taken from the scenario `pegs_skin`.
 _PITCH_M = 0.13
-"""Distance between adjacent rows and between adjacent pegs of a row, m (`pegs_skin`).
-"""
 
 _RADIUS_M = 0.02
-"""Radius of a peg, m (`pegs_skin`)."""
 
 _JITTER_M = 0.005
-"""Maximum random displacement of a peg, m (`pegs_skin`)."""
 
 _FRICTION = 0.2
-"""Friction coefficient of the pegs, dimensionless (`pegs_skin`)."""
 
 _ROWS = 18
-"""Number of rows of pegs. The number is even, so the snake starts between two rows."""
+"""Number of peg rows, which is even so that the snake starts between two rows."""
 
 _COLUMNS = 18
-"""Number of pegs in a row."""
 
 _SEEN_PEGS = 4
-"""Number of nearest pegs whose positions are observed."""
+"""Number of nearest pegs that the agent observes."""
 
 _FAR_M = 3.0
-"""Maximum observed distance, m."""
+"""Maximum absolute value of observed coordinates, m."""
 
 _ROOM = Bounds((-1.5, 1.5), (-1.5, 1.5))
-"""Bounds of the room in both tasks, m."""
+"""Room of the task Pegs."""
 
 
 class PegsEpisode(CrawlEpisode):
-    """Episode in which the snake crawls to a goal among pegs."""
+    """Episode of the task Pegs."""
 
     collisions_end = False
 
@@ -96,16 +91,16 @@ class PegsEpisode(CrawlEpisode):
 
 
 class PegsTask(CrawlTask):
-    """Task of crawling to a goal among pegs. See the module docstring."""
+    """Task in which a snake crawls to a goal among pegs."""
 
     episode_class = PegsEpisode
 
     def __init__(
         self, *, robot: Robot = ISOTROPIC_SKIN, limit_s: float = 12.0, **settings: Any
     ) -> None:
-        """Create the task with 3 hinges per segment.
+        """Create the task with a default of 3 hinges per segment.
 
-        For the arguments and errors, see `CrawlTask`.
+        See `CrawlTask` for the arguments and errors.
         """
         arena = Arena(
             _ROOM,
@@ -139,65 +134,65 @@ CHAIN = {
     "geometry": {"connectors": 13},
     "gait": {"phase_step_rad": math.pi / 4},
 }
-"""Robot used in the scenario `grasp_cylinder`. Eight of the twelve modules crawl."""
+"""Robot with twelve modules, as in the scenario `grasp_cylinder`."""
 
 HOLD = 4
-"""Number of holding modules at the tail."""
+"""Number of holding modules, which are the rearmost modules of the snake."""
 
 DRAG_M = 0.3
-"""Distance by which the object must move, m."""
+"""Distance by which the object must be dragged to complete the task, m."""
 
 HELD_S = 2.0
 """Time for which the object must be held to complete the task, s."""
 
 _OPPOSITE_RAD = 2 * math.pi / 3
-"""Minimum angle between two contact forces that count as opposite, rad."""
+"""Angle between two contact forces above which the forces count as opposite, rad."""
 
 _TOUCH_N = 0.02
-"""Minimum mean contact force in a step that counts as a contact, N."""
+"""Mean force in a step above which a connector counts as touching the object, N."""
 
 _SLIP_M = 0.02
-"""Maximum change of the distance between a held object and a connector, m."""
+"""Maximum change in the distance between a held object and each rear connector, m."""
 
 GRASP_FREQUENCY_HZ = 2.0
 """Gait frequency of the crawling modules, Hz."""
 
 TIMESTEP_S = 0.002
-"""Time step of the twin, s, as in docs/objects.md."""
+"""Time step of the twin in the task Grasp, s (docs/objects.md)."""
 
 _LOST_M = 0.25
-"""Distance from the holding modules' centre above which the object counts as lost, m.
+"""Distance between the object and the centre of the tail above which the object counts
+as lost, m.
 
-The initial distance is at most 0.1 m. If the tail curls to the wrong side, the distance
-remains below this limit.
+The distance is at most 0.1 m at the start, and remains below the limit even if the tail
+curls to the wrong side.
 """
 
 _PULSES = 5
-"""Number of pulses per step of the holding modules.
+"""Number of fill pulses per step in the holding modules.
 
-With fewer pulses, the tail would push the object away.
+With fewer pulses, the curling tail would push the object away.
 """
 _SLOTS = 100
-"""Number of slots per step. The valve states are constant within a slot."""
+"""Number of time slots per step, in each of which the valve states are constant."""
 
+# The radius and mass of the object, and its friction force on the floor, have the same
+# ranges as in docs/objects.md.
 _OBJECT_RADII_M = (0.020, 0.030)
-"""Minimum and maximum radius of an object, m, as in docs/objects.md."""
 
 _MASSES_KG = (0.02, 0.10)
-"""Minimum and maximum mass of an object, kg, as in docs/objects.md."""
 
 _LOADS_N = (0.05, 0.25)
-"""Minimum and maximum friction of an object on the floor, N, as in docs/objects.md."""
 
 _BEHIND_M = (0.12, 0.16)
-"""Minimum and maximum distance of an object behind the first holding module, m."""
+"""Minimum and maximum distance of the object behind the front of the tail, m."""
 
 _GAPS_M = (0.002, 0.015)
-"""Minimum and maximum gap between object and body, m."""
+"""Minimum and maximum gap between the object and the body, m."""
 
 
 class GraspTask(CameraTask):
-    """Task of dragging a cylinder with the tail. See the module docstring."""
+    """Task in which a snake grasps a cylinder with its tail and drags the cylinder."""
 
     name = "Grasp"
     has_obstacles = True
@@ -230,10 +225,10 @@ class GraspTask(CameraTask):
         """Create the task.
 
         Args:
-            robot: name, path or keys of a robot with at least six modules.
+            robot: robot with at least six modules, specified as in `Task`.
             limit_s: time limit, s.
-            camera: noise and frame rate of the camera.
-            **settings: see `Task`.
+            camera: frame rate and noise of the camera.
+            **settings: further arguments of `Task`.
 
         Raises:
             UnknownNameError: a setting of the twin has an unknown name.
@@ -296,7 +291,7 @@ class GraspTask(CameraTask):
 
 
 class GraspEpisode(ObservedEpisode):
-    """Episode in which the snake drags an object."""
+    """Episode of the task Grasp."""
 
     state_attributes: ClassVar[tuple[str, ...]] = (
         "_command",
@@ -308,7 +303,7 @@ class GraspEpisode(ObservedEpisode):
     def __init__(
         self, task: GraspTask, twin: TwinSnake, item: MovableObject, seed: int
     ) -> None:
-        """Start with a straight snake at the origin."""
+        """Start the episode with a straight snake at the origin."""
         state = twin.reset(seed=seed)
         self._item = item
         self._gait = Gait(GRASP_FREQUENCY_HZ)
@@ -337,7 +332,7 @@ class GraspEpisode(ObservedEpisode):
         return valves
 
     def _object_place(self) -> tuple[float, float]:
-        # The last three coordinates of the twin are x, y and heading of the object.
+        # The last three joint coordinates are the x, y and heading of the object.
         x, y, _ = self.twin.physics.data.qpos[-3:]
         return float(x), float(y)
 
@@ -376,8 +371,7 @@ class GraspEpisode(ObservedEpisode):
         self._moved = self._distance_moved()
         holding = np.asarray(self.state.position)[-HOLD - 1 :]
         gripped = self._is_gripped()
-        # The distances to the holding connectors describe the position of the object in
-        # the tail.
+        # These distances describe the position of the object relative to the tail.
         distances = np.hypot(*(holding[1:] - self._object_place()).T)
         self._grips = [*self._grips, distances] if gripped else []
         if self._moved >= DRAG_M and self._is_held():

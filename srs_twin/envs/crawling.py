@@ -1,20 +1,20 @@
 """Tasks GoTo, Obstacles and Crawl3D, in which a snake crawls to a goal.
 
 In the task Obstacles, two rows of circular obstacles divide the room, and each row has
-a gate at a random position. Contact with an obstacle ends the episode, because a snake
-without obstacle observations could otherwise find the gate by touch.
+a gate at a random position. Contact with an obstacle ends the episode. Otherwise, a
+policy that does not observe the obstacles could find the gates by touch.
 
 The reward of a step is the weighted sum of the terms in `CrawlTask.reward_terms`. By
-default, the reward is the decrease of the distance to the goal in m. Reaching the goal
-adds 1, and leaving the room or touching an obstacle subtracts 1. The decrease of the
-distance is a potential-based shaping term without discount, whose potential is the
-negative distance. The sum of the shaping terms is the total decrease of the distance,
-so shaping does not change the ranking of policies that reach the goal.
+default, the reward is the decrease in the distance to the goal (m). Reaching the goal
+adds 1, and leaving the room or touching an obstacle subtracts 1. The decrease in the
+distance is a potential-based shaping term without discount. The sum of this term over
+an episode is the total decrease in the distance, so shaping does not change the ranking
+of policies that reach the goal.
 
 In the task Crawl3D, a spatial robot crawls on an open floor. The agent also commands
-the pitch wave of the gait (`control.gait`). The robot can therefore undulate, sidewind
-to either side or crawl rectilinearly. If the pitch fraction is 0, the gait has only the
-lateral wave.
+the pitch wave of the gait (`control.gait`), so the robot can undulate, sidewind to
+either side or crawl rectilinearly. With a pitch fraction of 0, the gait has no pitch
+wave.
 """
 
 from __future__ import annotations
@@ -56,48 +56,48 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.robot.world import OBSTACLE_FRICTION, Bounds, Circle, Goal, World
 
 GOAL_RADIUS_M = 0.1
-"""Distance from the centre of mass below which the goal counts as reached, m."""
+"""Distance between the goal and the centre of mass below which the goal counts as
+reached, m.
+"""
 
 _PA_PER_KPA = 1e3
 
 _RADII_M = (0.12, 0.14)
-"""Minimum and maximum radius of an obstacle, m."""
 
 _SITES = 6
-"""Number of sites in a row of obstacles, including the free site at the gate."""
+"""Number of obstacle sites in a row, one of which is left free as the gate."""
 
 _SPACING_M = 0.30
-"""Distance between neighbouring sites, m.
+"""Distance between neighbouring obstacle sites in a row, m.
 
-The gate is 0.32 to 0.36 m wide, and the remaining gaps are at most 0.06 m wide. The
-swept width of generation 2 is 0.1 m on a straight path and 0.17 m in tight turns.
+With this spacing, the gate is 0.32 to 0.36 m wide, and the other gaps are at most
+0.06 m wide. A robot of generation 2 sweeps a width of 0.1 m on a straight path and
+0.17 m in tight turns.
 """
 
 _SHIFT_M = 0.05
-"""Maximum random displacement of a row of obstacles along the row, m."""
+"""Maximum random displacement of a row of obstacles along y, m."""
 
 _MARGIN_M = 0.5
-"""Margin around the room within which positions can be observed, m.
-
-Observed positions may lie outside the room, because a step may end outside the room and
-the camera is noisy.
+"""Distance by which observed positions may lie outside the room after the last step or
+because of camera noise, m.
 """
 
 
 @dataclass(frozen=True)
 class Arena:
-    """Floor used in an episode, with the ranges of the initial heading and the goal.
-
-    The snake starts at the origin.
+    """Room of a task, with the ranges of the initial heading and the goal position.
 
     Attributes:
         room: bounds that the centre of mass must not leave.
         headings: minimum and maximum initial heading, rad.
-        distances: minimum and maximum distance of the goal, m.
-        bearings: minimum and maximum bearing of the goal relative to the heading, rad.
+        distances: minimum and maximum distance between the goal and the origin, where
+            the snake starts, m.
+        bearings: minimum and maximum bearing of the goal relative to the initial
+            heading, rad.
         obstacles: number of circular obstacles.
-        rows: x coordinates of the rows of obstacles, m.
-        friction: friction coefficient between obstacles and body.
+        rows: x coordinate of each row of obstacles, m.
+        friction: friction coefficient between the obstacles and the body.
     """
 
     room: Bounds
@@ -115,7 +115,7 @@ OPEN = Arena(
     distances=(0.6, 1.5),
     bearings=(-math.pi / 2, math.pi / 2),
 )
-"""Open floor of task GoTo."""
+"""Arena of the task GoTo, which contains no obstacles."""
 
 _ROWS_M = (0.9, 1.9)
 
@@ -127,8 +127,7 @@ CIRCLES = Arena(
     obstacles=len(_ROWS_M) * (_SITES - 1),
     rows=_ROWS_M,
 )
-"""Floor of task Obstacles. Two rows of obstacles, each with one gate, divide the floor.
-"""
+"""Arena of the task Obstacles, which contains two rows of obstacles."""
 
 FLOOR = Arena(
     room=Bounds((-2.0, 2.0), (-2.0, 2.0)),
@@ -136,7 +135,7 @@ FLOOR = Arena(
     distances=(0.4, 1.0),
     bearings=(-math.pi, math.pi),
 )
-"""Open floor of task Crawl3D.
+"""Arena of the task Crawl3D, which contains no obstacles.
 
 The goal may be in any direction, because a sidewinding robot does not travel along its
 heading.
@@ -145,14 +144,15 @@ heading.
 SPATIAL_FREQUENCIES_HZ = (0.25, 1.0)
 """Minimum and maximum gait frequency of spatial robots, Hz.
 
-At 1 Hz the inertia of the lifted segments is no longer negligible (docs/spatial.md).
+At 1 Hz, the inertia of lifted segments is no longer negligible (docs/spatial.md).
 """
 
 SPATIAL_RELATIVE_PRESSURES = (0.25, 0.6)
-"""Minimum and maximum fraction of the nominal supply pressure for spatial robots.
+"""Minimum and maximum supply pressure of spatial robots, relative to the nominal supply
+pressure.
 
-For `spatial_example`, the pressures are 12 and 29 kPa and cause bends of 0.4 and 0.9
-rad per segment.
+For `spatial_example`, these pressures are 12 and 29 kPa, which bend each segment by 0.4
+and 0.9 rad.
 """
 
 
@@ -172,7 +172,7 @@ class CrawlEpisode(ObservedEpisode):
     def __init__(
         self, task: CrawlTask, twin: TwinSnake, world: World, heading: float, seed: int
     ) -> None:
-        """Start with the snake at the origin of a world that has a goal."""
+        """Start with the snake at the origin of the world, which must have a goal."""
         assert world.goal is not None, "the task sets a goal"
         self.world = world
         self.goal = world.goal
@@ -189,8 +189,8 @@ class CrawlEpisode(ObservedEpisode):
     def identity(self) -> dict[str, Any]:
         """See `Episode.identity`.
 
-        A digest of the world is included, because a reused twin was built with the goal
-        of an earlier episode.
+        The identity also contains a digest of the current world, because a reused twin
+        still has the goal of an earlier episode.
         """
         return super().identity() | {"world": short_digest(self.world)}
 
@@ -296,7 +296,7 @@ class SpatialCrawlEpisode(CrawlEpisode):
     state_attributes = ("_pitch",)
 
     _pitch = (0.0, 0.0)
-    """Pitch fraction (dimensionless) and phase lag (rad) of the last pitch wave."""
+    """Pitch fraction and phase lag (rad) of the last commanded pitch wave."""
 
     def _command(self, action: list[float]) -> tuple[GaitCommand, PitchWave | None]:
         fraction, lag = self._pitch = action[3], action[4]
@@ -307,12 +307,12 @@ class SpatialCrawlEpisode(CrawlEpisode):
 
 
 class CrawlTask(CameraTask):
-    """Task of crawling to a goal. See the module docstring.
+    """Task in which a snake crawls to a goal.
 
     Attributes:
-        arena: floor, and ranges of the initial heading and the goal.
-        limits: bounds of the gait commands.
-        episode_class: class of the episodes.
+        arena: room, and ranges of the initial heading and the goal position.
+        limits: limits of the gait commands.
+        episode_class: class of the task's episodes.
     """
 
     episode_class: ClassVar[type[CrawlEpisode]] = CrawlEpisode
@@ -346,13 +346,12 @@ class CrawlTask(CameraTask):
 
         Args:
             name: registered name of the task.
-            arena: floor, and ranges of the initial heading and the goal.
-            robot: name, path or mapping of the robot, as in `Task`.
+            arena: room, and ranges of the initial heading and the goal position.
+            robot: robot, specified as in `Task`.
             limit_s: time limit, s.
-            camera: frame rate and noise of the camera. The frame rate must be at least
-                one frame per step.
-            **settings: further arguments of `Task`: `fit`, `ranges`, `rewards`,
-                `observations` and settings of the twin.
+            camera: frame rate and noise of the camera. At least one frame per step is
+                required.
+            **settings: further arguments of `Task`.
 
         Raises:
             UnknownNameError: a setting of the twin has an unknown name.
@@ -452,7 +451,7 @@ class CrawlTask(CameraTask):
 
 
 class SpatialCrawlTask(CrawlTask):
-    """Task of crawling to a goal with a spatial robot. See the module docstring."""
+    """Task in which a spatial robot crawls to a goal."""
 
     spatial = True
     episode_class = SpatialCrawlEpisode

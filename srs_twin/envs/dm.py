@@ -53,12 +53,12 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
 
     @property
     def twin(self) -> SnakePhysics:
-        """Physics of the twin, which contains MuJoCo's model and data."""
+        """Physics of the twin, with the MuJoCo model and data."""
         assert self.episode is not None, "reset first"
         return self.episode.twin.physics
 
     def render(self, height: int = 240, width: int = 320) -> np.ndarray:
-        """Return an image of the episode, shape (height, width, 3), uint8.
+        """Return an image of the episode as a uint8 array, shape (height, width, 3).
 
         Raises:
             InputError: OpenGL cannot render without a display on this machine.
@@ -69,19 +69,19 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
         return self._renderer.render(self.episode)
 
     def reset(self) -> None:
-        """Start an episode."""
+        """Start a new episode."""
         self.episode = self._task.begin(self._rng, self.episode)
         self.result = self.episode.first
 
     def after_reset(self) -> None:
-        """Do nothing."""
+        """Do nothing after a reset."""
 
     def set_control(self, control: np.ndarray) -> None:
-        """Store the action for the next step."""
+        """Store the action that the next step applies."""
         self._action = control
 
     def step(self, n_sub_steps: int = 1) -> None:
-        """Apply the action for `n_sub_steps` steps of the task."""
+        """Apply the stored action for `n_sub_steps` steps of the task."""
         assert self.episode is not None, "reset first"
         for _ in range(n_sub_steps):
             self.result = self.episode.step(self._action)
@@ -93,27 +93,27 @@ class EpisodePhysics(Claimable, control.Physics):  # type: ignore[misc]  # dm_co
         return float(self.episode.state.time)
 
     def timestep(self) -> float:
-        """Return the duration of a step, s."""
+        """Return the duration of a task step, s."""
         return self._task.step_s
 
 
 class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
-    """Adapter from a task to dm_control's task interface."""
+    """Adapter that presents a task as a dm_control task."""
 
     def __init__(self, task: Task) -> None:
         self.task = task
 
     def initialize_episode(self, physics: EpisodePhysics) -> None:
-        """Do nothing, because the physics has already drawn the episode."""
+        """Do nothing, because the physics has already started the episode."""
 
     def before_step(self, action: np.ndarray, physics: EpisodePhysics) -> None:
-        """Pass an action to the physics."""
+        """Pass the action to the physics."""
         physics.set_control(action)
 
     def action_spec(self, physics: EpisodePhysics) -> specs.BoundedArray:
         """Return the shape and the bounds of the actions.
 
-        The name of the specification lists the signals, separated by tabs.
+        The name of the returned spec contains the signal names, separated by tabs.
         """
         actions = self.task.commands
         names = "\t".join(signal.name for signal in actions)
@@ -128,13 +128,13 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
     def observation_spec(
         self, physics: EpisodePhysics
     ) -> OrderedDict[str, specs.BoundedArray]:
-        """Return the bounds of the observations, keyed by signal name."""
+        """Return the bounds of each observation, keyed by signal name."""
         return OrderedDict(
             (signal.name, _spec(signal)) for signal in self.task.observations
         )
 
     def get_observation(self, physics: EpisodePhysics) -> OrderedDict[str, np.ndarray]:
-        """Return the observations, which have shape (1,), keyed by signal name."""
+        """Return each observation as an array of shape (1,), keyed by signal name."""
         names = [signal.name for signal in self.task.observations]
         return OrderedDict(zip(names, physics.result.observation[:, None], strict=True))
 
@@ -159,10 +159,10 @@ class SnakeEnvironment(Claimable, control.Environment):  # type: ignore[misc]  #
 
 
 def load(task: str, *, seed: int | None = None, **settings: object) -> SnakeEnvironment:
-    """Return a task as a dm_env environment.
+    """Create the dm_env environment of a task.
 
     Args:
-        task: name of a task, one of `TASKS`.
+        task: name of the task, one of `TASKS`.
         seed: random seed of the episodes. If None, every call uses a different seed.
         **settings: settings of the task, as in `make_task`.
 

@@ -1,9 +1,9 @@
-"""Gymnasium environments of the tasks, and vector environments with parallel threads.
+"""Single and vectorised Gymnasium environments of the tasks.
 
-Each environment of a `SnakeVectorEnv` is a `SnakeEnv`, whose results do not depend on
-the number of environments. Threads step whole environments in parallel. Nearly all
-computing time is spent in one engine call per step, which releases Python's global
-interpreter lock.
+A `SnakeVectorEnv` contains `SnakeEnv` environments, which threads step in parallel.
+Threads are efficient, because each step spends nearly all computing time in one engine
+call that releases Python's global interpreter lock. The results of an environment do
+not depend on the number of environments.
 """
 
 from __future__ import annotations
@@ -42,19 +42,20 @@ from srs_twin.plants.twin.batch import ENGINES, warp_batch
 
 RENDER_MODES = ("rgb_array",)
 FPS = 10
-"""Frame rate in the class metadata, 1/s. Instances render one frame per step."""
+"""Frame rate in the class metadata, which instances replace by one frame per step, 1/s.
+"""
 
 
 class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     """Gymnasium environment of a task.
 
-    An environment is created by `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`. The
+    Create an environment with `gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0")`. The
     action and observation spaces are float32 boxes with one number per signal of the
-    task. The environment sets `truncated` at the time limit of the task, so no
+    task. The environment truncates episodes at the time limit of the task, so no
     `TimeLimit` wrapper is needed.
 
     Attributes:
-        task: simulated task, which defines observations, actions and rewards.
+        task: task that defines the observations, actions and rewards.
         episode: current episode, or None before the first `reset`.
     """
 
@@ -75,7 +76,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         """Create the environment.
 
         Args:
-            task: name of a task, one of `TASKS`.
+            task: name of the task, one of `TASKS`.
             render_mode: "rgb_array" to render images without a display, or None to
                 render no images.
             width: image width, pixels.
@@ -104,11 +105,11 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         Args:
             seed: random seed of `np_random`. If None, the current random number
                 generator is used.
-            options: initial state and goal of the episode. The option `state` is the
-                result of `episode.save()` in an episode with the same seed.
+            options: initial state and goal of the episode. The option `state` is a
+                state that `episode.save()` returned in an episode with the same seed.
                 Alternatively, the options `snake` and `yaw_rate` (rad/s) set the
-                initial physical state. The option `goal` contains the coordinates x and
-                y of the goal, m.
+                initial physical state. The option `goal` is the position (x, y) of the
+                goal, m.
 
         Raises:
             UnknownNameError: an option does not exist.
@@ -120,7 +121,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     def draw_episode(
         self, seed: int | None, options: dict[str, Any] | None
     ) -> tuple[np.random.Generator, Episode]:
-        """Draw a new episode, and return the random number generator and the episode.
+        """Draw an episode, and return the random number generator and the episode.
 
         The environment does not change until `start_episode` is called.
 
@@ -134,8 +135,8 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
             rng = copy.deepcopy(self.np_random)
         else:
             rng = seeding.np_random(seed)[0]
-        # If options are given, the twin of the running episode is not reused, because
-        # the options may be invalid.
+        # Options may be invalid, so the twin of the current episode is not reused when
+        # options are given.
         episode = self.task.begin(rng, None if checked else self.episode)
         if "snake" in checked:
             episode.set_state(checked["snake"], checked.get("yaw_rate", 0.0))
@@ -148,9 +149,9 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
     def start_episode(
         self, seed: int | None, drawn: tuple[np.random.Generator, Episode]
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start a drawn episode and return the first observation and info.
+        """Start a drawn episode, and return its first observation and info.
 
-        `seed` must equal the seed passed to `draw_episode`.
+        `seed` must be the seed that was passed to `draw_episode`.
         """
         super().reset(seed=seed)
         rng, self.episode = drawn
@@ -166,9 +167,9 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         return self.current_episode().step(action)
 
     def render(self) -> np.ndarray | None:
-        """Return an image, or None if no render mode is set.
+        """Return an image as a uint8 array of shape (height, width, 3).
 
-        The image has shape (height, width, 3) and the type uint8.
+        The result is None if no render mode is set.
 
         Raises:
             InputError: no episode has started, or OpenGL cannot render without a
@@ -198,7 +199,7 @@ _OPTION_TYPES = {
     "state": (SavedState, "a SavedState, which episode.save() returns"),
     "snake": (SnakeState, "a SnakeState, such as plant.state"),
 }
-"""Type of each reset option, and how error messages describe the type."""
+"""Required types of reset options, with descriptions for error messages."""
 
 
 def _checked_options(options: object) -> dict[str, Any]:
@@ -232,15 +233,15 @@ def space_of(signals: Signals) -> spaces.Box:
 
 
 class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
-    """Vector environment that steps environments of one task in parallel.
+    """Vector environment that steps several environments of one task in parallel.
 
-    A vector environment is created by
-    `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`. An environment
-    whose episode has ended ignores its next action and starts a new episode instead.
-    The reset behaviour is Gymnasium's default, `AutoresetMode.NEXT_STEP`.
+    Create a vector environment with
+    `gymnasium.make_vec("srs_twin.envs:SRSTwin/GoTo-v0", num_envs=64)`. After the end of
+    an episode, the environment ignores its next action and starts a new episode, as in
+    Gymnasium's default `AutoresetMode.NEXT_STEP`.
 
     Attributes:
-        envs: single environments.
+        envs: individual environments.
     """
 
     envs: list[SnakeEnv]  # type: ignore[assignment]
@@ -258,13 +259,13 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         """Create the environments.
 
         Args:
-            task: name of a task, one of `TASKS`.
+            task: name of the task, one of `TASKS`.
             num_envs: number of environments.
-            threads: number of threads. If None, one thread per processor is used.
-            engine: "cpu", or "warp" to step all twins on a device. Warp requires that
-                all episodes have the same robot and no obstacles. Otherwise the
-                environments run on the CPU, and a warning is issued.
-            device: device on which Warp runs. If None, Warp selects one.
+            threads: number of threads, by default one per processor.
+            engine: "cpu", or "warp" to step all twins together in MuJoCo Warp. Warp
+                requires that all episodes have the same robot and no obstacles.
+                Otherwise, an `EngineWarning` is issued and the CPU is used.
+            device: device on which Warp runs. If None, Warp selects a device.
             **settings: further arguments of `SnakeEnv`.
 
         Raises:
@@ -292,12 +293,12 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
 
         Args:
             seed: one seed per environment, or a single seed s. With a single seed, the
-                environments have the seeds s, s + 1 and so on.
-            options: options for all environments, as in `SnakeEnv.reset`.
+                environments use the seeds s, s + 1 and so on.
+            options: options of `SnakeEnv.reset`, which apply to all environments.
 
         Raises:
-            InputError: the number of seeds is wrong, or an option is invalid. If an
-                error is raised, all environments are unchanged.
+            InputError: a seed or an option is invalid, or the number of seeds is wrong.
+                If an error is raised, all environments are unchanged.
         """
         if np.iterable(seed):
             seeds = list(seed)
@@ -329,9 +330,10 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
     def step(
         self, actions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step all environments with one action per environment.
+        """Step all environments.
 
-        The array of actions has shape (environments, signals).
+        Args:
+            actions: one action per environment, shape (environments, signals).
 
         Raises:
             InputError: the shape is wrong, or a value is not finite. If an error is
@@ -401,8 +403,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         valves = [vented] * self.num_envs
         for k in running:
             valves[k] = self.envs[k].current_episode().command(actions[k])
-        # Valve states have three dimensions if they change within a step. Constant
-        # valve states are repeated to match that shape.
+        # Constant valve states are broadcast to the shape of valve states that change
+        # within a step.
         substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
         shape = (substeps, *vented.shape)
         batch.update_supply_pressure()

@@ -1,14 +1,14 @@
 r"""Task Module, in which one module tracks a reference bend.
 
 The module is clamped at its head, and the agent sets the duties of its two chambers.
-Every second the reference bend q_ref changes to a random angle that the module can
-reach at the supply pressure. The reward of a step is the negative absolute error at the
-end of the step, multiplied by the duration Δt of the step:
+Every second, the reference bend q_ref jumps to a random angle that the module can reach
+at the nominal supply pressure. The reward of a step depends on the bend error at the
+end of the step and on the duration Δt of the step:
 
 $$ r = -\frac{|q_{ref} - q|}{1\,\text{rad}}\,\frac{\Delta t}{1\,\text{s}}. $$
 
-Here q is the true bend, not the sensor reading. The reward measures tracking during the
-whole episode, so no shaping term is needed.
+Here, q is the true bend, not the sensor reading. The reward measures tracking during
+the whole episode, so no shaping term is needed.
 """
 
 from __future__ import annotations
@@ -27,20 +27,21 @@ from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
 
 STEP_S = 0.05
-"""Duration of a step, s (three carrier periods)."""
+"""Duration of a step, which equals three carrier periods of the PWM, s."""
 
 HOLD_S = 1.0
-"""Time for which each reference value is held, s."""
+"""Time for which each reference bend is held, s."""
 
 REACH_FRACTION = 0.8
-"""Maximum reference as a fraction of the free bend at the nominal supply pressure."""
+"""Ratio of the maximum reference bend to the free bend at the nominal supply pressure.
+"""
 
 TIMESTEP_S = 0.00025
-"""Time step of the twin, s, which resolves the ripple due to pulse-width modulation."""
+"""Time step of the twin, which resolves the ripple of pulse-width modulation, s."""
 
 
 class ModuleTask(Task):
-    """Task of tracking a reference bend. See the module docstring.
+    """Task in which a module tracks a reference bend.
 
     Attributes:
         reach: maximum reference bend, rad.
@@ -64,7 +65,7 @@ class ModuleTask(Task):
         Args:
             robot: name or path of a robot with one segment.
             limit_s: time limit, s.
-            **settings: further arguments of `Task`. The default sensor is "hall".
+            **settings: further arguments of `Task`. By default, `sensor` is "hall".
 
         Raises:
             UnknownNameError: a setting of the twin has an unknown name.
@@ -123,14 +124,14 @@ class ModuleTask(Task):
 
 
 class ModuleEpisode(Episode):
-    """Episode in which the module tracks a reference bend."""
+    """Episode of the task Module."""
 
     state_attributes = ("_carrier", "_readings", "_duties", "_levels")
 
     def __init__(
         self, task: ModuleTask, twin: TwinSnake, levels: np.ndarray, seed: int
     ) -> None:
-        """Start with a straight module and empty chambers."""
+        """Start the episode with a straight module and vented chambers."""
         state = twin.reset(seed=seed)
         self._levels = levels
         self._carrier = PulseWidthModulator(

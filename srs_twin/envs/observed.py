@@ -1,4 +1,4 @@
-"""Base classes of tasks with a gait, a camera and bend sensors."""
+"""Base classes for tasks with a gait, a camera and bend sensors."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ COSTS = (
     RewardTerm("time_s", 0.0, "duration of the step"),
     RewardTerm("air_j", 0.0, "energy of the air taken from the supply"),
 )
-"""Reward terms of all tasks with a camera."""
+"""Reward terms that all tasks with a camera share."""
 
 
 class CameraTask(Task):
-    """Task whose episodes have a camera.
+    """Task in which a camera observes the snake.
 
     Attributes:
         camera: frame rate and noise of the camera.
@@ -65,7 +65,7 @@ class ObservedEpisode(Episode):
     def _observe(self) -> tuple[Pose, dict[str, Sequence[float]]]:
         seen = self._frames.capture(self.state)
         assert seen is not None, "the camera has one frame per step"
-        # The bends to the left are followed by the bends upwards.
+        # All lateral bends precede the upward bends.
         bends = self.state.measured_bend.T.ravel()
         self._readings.update(float(self.state.time), bends)
         angle = self._gait_angle()
@@ -82,7 +82,7 @@ class ObservedEpisode(Episode):
 
     @abstractmethod
     def _last_command(self) -> list[float]:
-        """Return the values of the last command."""
+        """Return the last command, with one value per action signal."""
 
     def _costs(self) -> dict[str, float]:
         before = self._air
@@ -95,7 +95,7 @@ class ObservedEpisode(Episode):
 
 
 def ahead_and_left(seen: Pose, x: float, y: float) -> tuple[float, float]:
-    """Return the coordinates (m) of a point in the frame of an observed pose."""
+    """Transform a point into the frame of an observed pose (x ahead, y left), m."""
     c = math.cos(seen.heading)
     s = math.sin(seen.heading)
     dx = x - seen.x
@@ -104,9 +104,9 @@ def ahead_and_left(seen: Pose, x: float, y: float) -> tuple[float, float]:
 
 
 def place_signals(name: str, far: float, description: str) -> Signals:
-    """Return the signals of a position relative to the observed pose of the snake.
+    """Return the two signals of a position relative to the observed pose of the snake.
 
-    The absolute values of the coordinates are limited to `far` (m).
+    The signals range from −`far` to `far` (m).
     """
     return (
         Signal(f"{name}_ahead_m", "m", -far, far, f"{description} along the heading"),
@@ -126,9 +126,9 @@ def observation_groups(
     robot: RobotSpec,
     actions: Iterable[Signal],
 ) -> dict[str, Signals]:
-    """Return the observation groups of a task with a camera.
+    """Return the observation signals of a task with a camera, keyed by group name.
 
-    `target` contains the observation group of the goal or object, keyed by group name.
+    The result includes the groups in `target`, which describe the goal or the object.
     """
     bends = _bend_signals("bend", "a bend", robot)
     if robot.is_spatial:

@@ -1,13 +1,7 @@
-"""Policies of the tasks: networks stored in files, and baselines.
+"""Trained network policies and baseline policies for the tasks.
 
-Baselines use only the observations that an agent receives. `PathFollowing` plans a path
-at the start of an episode and follows the path with `planning.follower.Follower`, which
-uses the observed pose. `PathFollowing` uses the gait frequency and supply pressure of
-the footprint measurement. `ProportionalIntegral` sets the difference between the two
-duties of a module according to a PI law, to which Eq. 30 reduces for a constant
-reference. `PegSteering` steers among pegs, and `Sidewinding` chooses among sidewinding
-gaits of the robot `spatial_example`. `SensedGrasp` uses the controller of the scenario
-`grasp_cylinder`.
+The baselines are conventional controllers that receive the same observations as an
+agent.
 """
 
 from __future__ import annotations
@@ -57,9 +51,9 @@ class NetworkPolicy:
 
     Attributes:
         task: name of the task.
-        observations: names of the observations in the input vector.
-        layers: weights and biases of each layer, with the shapes (outputs, inputs) and
-            (outputs,).
+        observations: names of the observation signals in the input vector, in order.
+        layers: weights, shape (outputs, inputs), and biases, shape (outputs,), of each
+            layer.
     """
 
     task: str
@@ -102,7 +96,7 @@ class NetworkPolicy:
         return lambda observation: self(np.asarray(observation)[indices])
 
     def save(self, path: StrPath) -> None:
-        """Write the policy as an npz file with weights in single precision."""
+        """Write the policy to an npz file in single precision."""
         arrays: dict[str, np.ndarray] = {
             "task": np.array(self.task),
             "observations": np.array(self.observations),
@@ -117,10 +111,10 @@ class NetworkPolicy:
 
 
 def load_policy(name_or_path: StrPath) -> NetworkPolicy:
-    """Load a policy from a path, or load a shipped policy with the given name.
+    """Load a shipped policy by name, or a policy file by path.
 
     Raises:
-        UnknownNameError: there is no shipped policy with the given name.
+        UnknownNameError: no shipped policy has the given name.
         InputError: the file does not exist or does not contain a policy.
     """
     path = Path(os.fspath(name_or_path))
@@ -148,8 +142,8 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
         for k in range(sum(name.startswith("weights_") for name in arrays))
     )
     task = get("task", "text", 0, "U")
-    # A small file can contain millions of empty names, so the number of names is
-    # checked before the names are copied.
+    # Even a small file can contain millions of empty names, so the number of names is
+    # checked before the names are converted to strings.
     observations = get("observations", "list of texts", 1, "U")
     sizes = [observations.size, *(len(biases) for _, biases in layers)]
     shapes = [weights.shape for weights, _ in layers]
@@ -167,42 +161,41 @@ def load_policy(name_or_path: StrPath) -> NetworkPolicy:
 
 
 FOOTPRINT = "gen2_gait"
-"""Name of the footprint used for planning."""
+"""Name of the footprint with which paths are planned."""
 
 FREQUENCY_HZ = 2.0
 """Gait frequency at which the footprint was measured, Hz."""
 
 PRESSURE_KPA = 48.3
-"""Supply pressure of the footprint measurement and of scenario `pegs_skin`, kPa."""
+"""Supply pressure in the footprint measurement and in the scenario `pegs_skin`, kPa."""
 
 PEGS_FREQUENCY_HZ = 1.0
-"""Gait frequency of scenario `pegs_skin`, Hz."""
+"""Gait frequency in the scenario `pegs_skin`, Hz."""
 
-# The next four values are taken from the scenario `follow_fig57`. docs/course.md
-# describes how they were chosen.
 TURN_FRACTION = 0.7
-"""Fraction of the maximum curvature used for planning, which leaves a reserve for
-steering.
+"""Ratio of the maximum planned curvature to the maximum curvature of the footprint.
+
+The remaining curvature is reserved for steering.
 """
 
 RESPONSE_LENGTH_M = 0.035
-"""Response length of the steering, m."""
+"""Path length over which the curvature responds to a steering command, m.
+
+The value is taken from the scenario `follow_fig57` (docs/course.md).
+"""
 
 LOOKAHEAD_M = 0.15
-"""Lookahead distance of the steering law, m."""
+"""Path length over which the steering law reduces a cross-track error, m."""
 
 MAX_CROSS_TRACK_ERROR_M = 0.1
 """Cross-track error above which the follower plans a new path, m."""
 
 AIM_M = 0.05
-"""Goal radius of the follower, m, which is smaller than the goal radius of the tasks.
+"""Goal radius of the follower, which is smaller than the goal radius of the tasks, m.
 """
 
 MARGIN_M = 0.03
-"""Margin between path and obstacles, m.
-
-Without a margin, 3 of 12 snakes touch an obstacle.
-"""
+"""Safety margin added to each side of the footprint for planning, m."""
 
 _PLANNER_SETTINGS = Settings(nodes=50_000)
 
@@ -210,7 +203,7 @@ _PLANNER_SETTINGS = Settings(nodes=50_000)
 class Policy(Protocol):
     """Function that maps observations to actions.
 
-    Each episode needs a new policy object.
+    A policy may store its state, so each episode needs a new policy object.
     """
 
     def __call__(self, observation: np.ndarray) -> np.ndarray:
@@ -218,8 +211,6 @@ class Policy(Protocol):
 
 
 class _Baseline(ABC):
-    """Policy that reads the observations by name."""
-
     def __init__(self, task: Task) -> None:
         self._task = task
         self._names = [signal.name for signal in task.observations]
@@ -233,7 +224,7 @@ class _Baseline(ABC):
 
     @abstractmethod
     def _action(self, values: Mapping[str, float]) -> Sequence[float]:
-        """Return the action in the units of its signals."""
+        """Return the action in physical units."""
 
     def _state(self, values: Mapping[str, float]) -> SnakeState:
         unknown = dict.fromkeys(
@@ -248,7 +239,11 @@ class _Baseline(ABC):
 
 
 class PathFollowing(_Baseline):
-    """Policy that plans and follows a path to the goal in GoTo and Obstacles."""
+    """Policy for GoTo and Obstacles that plans a path to the goal and follows it.
+
+    A `Follower` follows the path with the gait frequency and the supply pressure at
+    which the footprint was measured.
+    """
 
     def __init__(self, task: CrawlTask) -> None:
         super().__init__(task)
@@ -293,20 +288,23 @@ class PathFollowing(_Baseline):
 
 
 class ProportionalIntegral(_Baseline):
-    """Policy that sets the duties of a module according to a PI law."""
+    """Policy for Module that controls the bend with a PI law.
+
+    The output of the PI law is the difference between the two duties. For a constant
+    reference, Eq. 30 reduces to a PI law.
+    """
 
     gain_per_rad = 1.0
-    """Proportional gain of the duty difference, 1/rad."""
+    """Proportional gain from the bend error to the duty difference, 1/rad."""
 
     rate_per_rad_s = 6.0
-    """Integral gain of the duty difference, 1/(rad s)."""
+    """Integral gain from the bend error to the duty difference, 1/(rad s)."""
 
     _integral = 0.0
-    """Integral part of the duty difference."""
 
     def _action(self, values: Mapping[str, float]) -> Sequence[float]:
         error = values["reference_rad"] - values["bend_rad"]
-        # Clipping the integral prevents wind-up while the duties are saturated.
+        # Clipping prevents integrator wind-up while the duties are saturated.
         self._integral = _clip_to_unit(
             self._integral + self.rate_per_rad_s * error * self._task.step_s
         )
@@ -315,7 +313,7 @@ class ProportionalIntegral(_Baseline):
 
 
 class PegSteering(_Baseline):
-    """Policy that steers the gait of the scenario `pegs_skin` towards the goal."""
+    """Policy for Pegs that steers the gait of the scenario `pegs_skin` to the goal."""
 
     gain_per_rad = 0.3
     """Ratio of the steering offset to the bearing of the goal, 1/rad."""
@@ -326,43 +324,43 @@ class PegSteering(_Baseline):
 
 
 class _SidewindingGait(NamedTuple):
-    # Phase lag of the pitch wave (rad), and the mean velocities to the left (m/s) and
-    # about the vertical (rad/s).
+    # Phase lag of the pitch wave (rad), mean velocity to the left (m/s) and mean yaw
+    # rate (rad/s).
     lag: float
     left: float
     yaw_rate: float
 
 
 class Sidewinding(_Baseline):
-    """Policy that sidewinds to the goal in Crawl3D.
+    """Policy for Crawl3D that sidewinds to the goal.
 
-    At the start of each gait period, the policy predicts the position of the goal
-    relative to the body for each gait, with constant velocities. It chooses the gait
-    that comes closest to the goal within the horizon.
+    At the start of each gait period, the policy predicts the motion of the body for
+    each of six sidewinding gaits with constant velocities. It then chooses the gait
+    that passes closest to the goal within the prediction horizon.
     """
 
     pitch_fraction = 0.25
     """Pitch fraction of all gaits, dimensionless."""
 
     horizon_s = 6.0
-    """Duration of the predictions, s."""
+    """Prediction horizon, s."""
 
     _LEFTWARD = (
         _SidewindingGait(-3 * math.pi / 4, 0.207, 0.264),
         _SidewindingGait(-math.pi / 2, 0.125, -0.400),
         _SidewindingGait(-math.pi / 4, 0.073, -0.503),
     )
-    """Gaits of `spatial_example` at 1 Hz and the maximum pressure.
+    """Sidewinding gaits of `spatial_example` to the left, at 1 Hz and maximum pressure.
 
-    The velocities are means of the twin between 3 and 9 s. Forward velocities are at
-    most 12 mm/s and are neglected.
+    The velocities are mean values of the twin between 3 and 9 s of simulated time.
+    Forward velocities, which are at most 12 mm/s, are neglected.
     """
 
     _GAITS = (
         *_LEFTWARD,
         *(_SidewindingGait(g.lag + math.pi, -g.left, -g.yaw_rate) for g in _LEFTWARD),
     )
-    """Gaits to the left, and their reflections in the vertical plane of the body."""
+    """Gaits to the left, and mirrored gaits to the right."""
 
     _gait = _LEFTWARD[0]
 
@@ -375,9 +373,10 @@ class Sidewinding(_Baseline):
         return [0.0, frequency, pressure / 1e3, self.pitch_fraction, self._gait.lag]
 
     def _closest(self, gait: _SidewindingGait, goal: complex) -> float:
-        """Return the minimum predicted distance from the goal, m.
+        """Return the minimum predicted distance between the body and the goal, m.
 
-        The goal is ahead + i left of the body, m.
+        The real and imaginary parts of `goal` are the distances to the goal ahead and
+        to the left of the body, m.
         """
         time = np.linspace(0.0, self.horizon_s, 61)
         turn = 1j * gait.yaw_rate * time
@@ -386,7 +385,7 @@ class Sidewinding(_Baseline):
 
 
 class SensedGrasp(_Baseline):
-    """Policy that uses the controller `control.grasp.Grasp` with ``mode="sensed"``."""
+    """Policy for Grasp that uses the controller of the scenario `grasp_cylinder`."""
 
     _grasp: Grasp | None = None
 
@@ -403,7 +402,7 @@ class SensedGrasp(_Baseline):
 
 
 def baseline(task: Task) -> Policy:
-    """Return the baseline policy of a task for one episode."""
+    """Create the baseline policy of a task for one episode."""
     if isinstance(task, GraspTask):
         return SensedGrasp(task)
     if isinstance(task, PegsTask):
@@ -432,7 +431,7 @@ class Score:
 
 
 def play_episode(task: Task, policy: Policy, rng: np.random.Generator) -> Score:
-    """Run one randomly drawn episode of a task with a policy."""
+    """Run a policy in one randomly drawn episode of a task."""
     episode = task.begin(rng)
     result = episode.first
     total = 0.0

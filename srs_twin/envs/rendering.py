@@ -1,7 +1,7 @@
 """Images of episodes in the style of `srs-twin render`.
 
-The images show the obstacles, a ring around the goal, and the twin coloured by chamber
-pressure.
+An image shows the obstacles, a ring around the goal, and the twin with colours that
+indicate the chamber pressures.
 """
 
 from __future__ import annotations
@@ -14,20 +14,19 @@ import numpy as np
 from srs_twin.envs.task import Episode
 
 _GOAL_LINE = 0.003
-"""Half the line width of the goal ring, as a fraction of the camera distance."""
+"""Ratio of half the line width of the goal ring to the camera distance."""
 
 _ELEVATION_DEG = -65.0
-"""Elevation angle of the camera, degrees."""
 
 _BODY_LENGTHS = 4.0
-"""Minimum camera distance, in body lengths."""
+"""Minimum ratio of the camera distance to the body length."""
 
 _GOAL_DISTANCES = 1.7
 """Minimum ratio of the camera distance to the distance between snake and goal."""
 
 
 class EpisodeRenderer:
-    """Episode renderer that initialises OpenGL when the first image is requested.
+    """Renderer that initialises OpenGL when the first image is requested.
 
     Attributes:
         size: width and height of the images, pixels.
@@ -42,7 +41,7 @@ class EpisodeRenderer:
         return EpisodeRenderer, self.size  # A copy creates its own OpenGL context.
 
     def render(self, episode: Episode) -> np.ndarray:
-        """Return an image of the current state, shape (height, width, 3), uint8.
+        """Return an image of an episode as a uint8 array, shape (height, width, 3).
 
         Raises:
             InputError: OpenGL cannot render without a display on this machine.

@@ -1,9 +1,9 @@
 """Base classes of the reinforcement-learning tasks for Gymnasium and dm_env.
 
-In every step of duration `step_s`, an agent chooses an action and receives an
-observation. Observations contain only noisy measurements of sensors and cameras,
-whereas the reward and `info` may contain the true state. An episode is terminated when
-the goal is reached or the task has failed, and truncated at the time limit.
+In each step, an agent takes an action and receives an observation. Observations contain
+only measurements of the sensors and the camera, whereas the reward and `info` may
+depend on the true state. An episode terminates when the goal is reached or the task has
+failed, and is truncated at the time limit.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Signal:
     """Component of an action or an observation.
 
     Attributes:
-        name: name of the signal, which ends in the unit.
+        name: name of the signal with the unit as a suffix, for example "x_m".
         unit: unit of the signal, or "1" for a dimensionless signal.
         low: lower bound.
         high: upper bound.
@@ -54,12 +54,11 @@ class Signal:
 
 @dataclass(frozen=True)
 class RewardTerm:
-    """Quantity that is weighted and added to the reward of a step.
+    """Quantity whose weighted value is added to the reward of each step.
 
     Attributes:
-        name: name of the term, which ends in the unit.
-        weight: default weight, as reward per unit of the quantity. A weight of 0
-            excludes the term from the reward.
+        name: name of the term with the unit as a suffix, for example "time_s".
+        weight: default weight, in reward per unit of the quantity.
         description: one-line description of the term.
     """
 
@@ -72,19 +71,19 @@ Signals = tuple[Signal, ...]
 
 
 def lower_bounds(signals: Signals) -> np.ndarray:
-    """Return the lower bounds, float32 of shape (signals,)."""
+    """Return the lower bounds of signals as a float32 array, shape (signals,)."""
     return np.array([signal.low for signal in signals], dtype=np.float32)
 
 
 def upper_bounds(signals: Signals) -> np.ndarray:
-    """Return the upper bounds, float32 of shape (signals,)."""
+    """Return the upper bounds of signals as a float32 array, shape (signals,)."""
     return np.array([signal.high for signal in signals], dtype=np.float32)
 
 
 def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | None:
-    """Return numbers as a float64 array of the given shape.
+    """Return numbers as a float64 array.
 
-    The function returns None if the shape differs or a value is not finite.
+    The result is None if the numbers do not have the given shape or are not finite.
     """
     try:
         values = np.asarray(numbers)
@@ -99,7 +98,7 @@ def as_finite_array(numbers: object, shape: tuple[int, ...]) -> np.ndarray | Non
 
 
 def abbreviate(value: object) -> str:
-    """Return a short text that describes a value in messages."""
+    """Return a short description of a value for error messages."""
     if isinstance(value, np.ndarray):
         if value.size > _MAX_PRINTED_VALUES:
             return f"of shape {value.shape}"
@@ -139,7 +138,6 @@ def check_seed(seed: object) -> None:
 
 
 _MAX_PRINTED_VALUES = 6
-"""Maximum number of array elements that a message prints."""
 
 _RESERVED_TWIN_ARGUMENTS = {"tick", "supply_pa", "base", "world"}
 """Arguments of `TwinSnake` that only the task may set."""
@@ -149,15 +147,14 @@ DIVERGED = "diverged"
 
 
 class StepResult(NamedTuple):
-    """Result of one step, with the elements of Gymnasium's `step`.
+    """Result of a step, as returned by Gymnasium's `step`.
 
     Attributes:
         observation: float32 array within the bounds of `Task.observations`.
-        reward: reward of this step. Before the first action the reward is 0.
+        reward: reward of the step, which is 0 before the first action.
         terminated: whether the episode has reached a terminal state.
-        truncated: whether the time limit is reached.
-        info: true state and diagnostics, which the agent must not use. The keys end in
-            the unit.
+        truncated: whether the episode has reached the time limit.
+        info: true state and diagnostics, which the agent must not use.
     """
 
     observation: np.ndarray
@@ -168,19 +165,19 @@ class StepResult(NamedTuple):
 
 
 class Task(ABC):
-    """Base class of the tasks, with signals, time limit and distribution of robots.
+    """Base class of the tasks.
 
     Attributes:
-        name: registered short name.
-        actions: action signals with physical bounds.
+        name: registered name of the task.
+        actions: action signals in physical units.
         groups: observation signals, keyed by group name.
         observations: observation signals of the selected groups.
-        reward_terms: terms of the reward with their default weights.
-        weights: weight of each reward term, keyed by the name of the term.
-        step_s: duration of one step, s.
+        reward_terms: reward terms with default weights.
+        weights: weight of each reward term, keyed by term name.
+        step_s: duration of a step, s.
         limit_s: time limit of an episode, s.
         robot: nominal robot, without random variation.
-        has_obstacles: whether each episode contains randomly drawn obstacles.
+        has_obstacles: whether each episode contains randomly placed obstacles.
         spatial: whether the task needs a spatial robot.
     """
 
@@ -204,27 +201,26 @@ class Task(ABC):
         observations: Sequence[str] | None = None,
         **twin_settings: Any,
     ) -> None:
-        """Initialise the task's robots, time limit, reward and twin settings.
+        """Initialise the task.
 
         Args:
             robot: name or path of a robot file, or a mapping as in the section `robot`
-                of a scenario. The module tolerances are drawn anew in each episode.
+                of a scenario. Random module properties are drawn anew in each episode.
             limit_s: time limit, s.
-            fit: path of a fit file whose confidence intervals define the distribution
-                of robots. See `Variation`.
-            ranges: lower and upper limit of a uniform distribution, keyed by parameter
+            fit: path of a fit file from which robot parameters are drawn in each
+                episode, as described in `Variation`.
+            ranges: limits (low, high) of a uniform distribution, keyed by parameter
                 name.
-            rewards: weights that replace the default weights, keyed by the name of the
-                reward term.
-            observations: names of the observation groups that the agent receives. If
-                None, the agent receives all groups.
+            rewards: weights that replace default weights, keyed by term name.
+            observations: names of the observation groups that the agent receives, by
+                default all groups.
             **twin_settings: further arguments of `TwinSnake`.
 
         Raises:
-            UnknownNameError: a reward term, a group of observations or a setting of the
+            UnknownNameError: a reward term, an observation group or a setting of the
                 twin does not exist.
             InputError: the robot, fit or range is invalid, or the time limit is not a
-                multiple of the step.
+                multiple of the step duration.
         """
         if "action_range" in twin_settings:
             raise InputError(
@@ -304,7 +300,7 @@ class Task(ABC):
         ]
 
     def from_physical(self, values: Sequence[float]) -> np.ndarray:
-        """Convert values in physical units to an action."""
+        """Convert values in physical units to an action scaled from −1 to 1."""
         low = lower_bounds(self.actions).astype(float)
         high = upper_bounds(self.actions).astype(float)
         scaled = 2 * (np.asarray(values, dtype=float) - low) / (high - low) - 1
@@ -312,10 +308,7 @@ class Task(ABC):
 
     @property
     def has_identical_episodes(self) -> bool:
-        """Whether all episodes have the same robot and no obstacles.
-
-        A batch on a device requires identical episodes.
-        """
+        """Whether all episodes have the same robot and no obstacles."""
         first, second = (
             self._variation.draw(np.random.default_rng(seed)) for seed in range(2)
         )
@@ -344,8 +337,8 @@ class Task(ABC):
         """Start an episode.
 
         Args:
-            rng: random number generator for all draws of the episode.
-            last: previous episode, whose twin may be reused.
+            rng: random number generator for all random values of the episode.
+            last: previous episode, whose twin may be reused, or None.
 
         Raises:
             InputError: the drawn robot or world is invalid.
@@ -353,17 +346,17 @@ class Task(ABC):
 
 
 class Episode(Stateful, ABC):
-    """One episode of a task.
+    """Episode of a task.
 
-    An episode can be branched with `save` and `restore`.
+    With `save` and `restore`, several continuations can start from the same state.
 
     Attributes:
         twin: simulated robot.
         state: current state of the twin.
-        goal: goal position of the episode, or None if the task has no goal position.
+        goal: goal of the episode, or None if the task has no goal position.
         ending: reason why the episode ended, or an empty string while the episode is
             running.
-        first: observation and info before the first action.
+        first: result before the first action, with the first observation and info.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = (
@@ -378,9 +371,9 @@ class Episode(Stateful, ABC):
     goal: Goal | None = None
 
     def __init__(self, task: Task, twin: TwinSnake, state: SnakeState) -> None:
-        """Initialise the episode and compute the first observation.
+        """Initialise the episode, and compute the first observation.
 
-        A subclass must set its own attributes before it calls this method.
+        Subclasses must set their own attributes before they call this method.
         """
         self.twin = twin
         self.state = state
@@ -395,13 +388,13 @@ class Episode(Stateful, ABC):
         self.first = StepResult(observation, 0.0, False, False, self._info())
 
     def save(self) -> SavedState:
-        """Return the state of the episode for `restore`."""
+        """Return the current state, from which `restore` can continue the episode."""
         return SavedState(self.identity(), self.state_dict())
 
     def restore(self, state: SavedState) -> None:
-        """Continue from a saved state, and update `first` accordingly.
+        """Continue from a saved state, and update `first`.
 
-        The state must have been saved in an episode with the same random draws.
+        The state must come from an episode that was started with the same seed.
 
         Raises:
             InputError: the state belongs to another task, robot or world.
@@ -411,17 +404,17 @@ class Episode(Stateful, ABC):
         self._set_first(self._last_observation.copy())
 
     def set_state(self, snake: SnakeState, yaw_rate: float = 0.0) -> None:
-        """Start the episode from a given physical state.
+        """Start the episode from a physical state with the given yaw rate, rad/s.
 
         Raises:
-            InputError: the twin cannot be in the given state.
+            InputError: the twin cannot start from this state.
         """
         self.state = self.twin.set_state(snake, yaw_rate=yaw_rate, seed=self.twin.seed)
         self._initialise_from_state()
         self._set_first(self._observation())
 
     def set_goal(self, place: object) -> None:
-        """Move the goal to x and y (m) before the first action.
+        """Set the position (x, y) of the goal before the first action, m.
 
         Raises:
             InputError: the task has no goal position, or the given position is not
@@ -433,10 +426,10 @@ class Episode(Stateful, ABC):
         )
 
     def _initialise_from_state(self) -> None:
-        """Reset the attributes that depend on the first state."""
+        """Reset the attributes that depend on the initial state."""
 
     def identity(self) -> dict[str, Any]:
-        """Return the properties, as JSON values, that a saved state must match."""
+        """Return the properties that a saved state must match, as JSON values."""
         return {"task": self._task.name, **self.twin.identity()}
 
     def step(self, action: object) -> StepResult:
@@ -458,9 +451,9 @@ class Episode(Stateful, ABC):
         return self.finish_step(state)
 
     def command(self, action: object) -> np.ndarray:
-        """Return the valve states of the next step.
+        """Return the valve states that an action causes in the next step.
 
-        After the twin has been stepped, `finish_step` or `diverged` must be called.
+        The caller must then step the twin and call `finish_step` or `diverged`.
         """
         if self.ending:
             raise InputError(
@@ -470,7 +463,7 @@ class Episode(Stateful, ABC):
         return self._valves(self._task.to_physical(action))
 
     def finish_step(self, state: SnakeState) -> StepResult:
-        """Return the result of a step that ended in the given state."""
+        """Complete a step that ended in the given state, and return its result."""
         self.state = state
         self._steps += 1
         values = self._reward_values()
@@ -487,9 +480,9 @@ class Episode(Stateful, ABC):
         )
 
     def diverged(self, error: DivergedError) -> StepResult:
-        """End the episode after a divergence.
+        """End the episode after the simulation has diverged.
 
-        The returned observation is the observation of the previous step.
+        The result contains the observation of the previous step.
         """
         self._steps += 1
         self.ending = DIVERGED
@@ -505,24 +498,23 @@ class Episode(Stateful, ABC):
 
     @abstractmethod
     def _valves(self, action: list[float]) -> np.ndarray:
-        """Return the valve states of the next step."""
+        """Return the valve states for an action in physical units."""
 
     @abstractmethod
     def _measure(self) -> Mapping[str, Sequence[float]]:
-        """Return the values of each group of observations.
+        """Return the measured values, keyed by observation group.
 
         This method must be called once per step, because it draws measurement noise.
         """
 
     @abstractmethod
     def _reward_values(self) -> dict[str, float]:
-        """Return the value of each reward term in the last step.
+        """Return the unweighted value of each reward term in the last step.
 
-        If the episode is over, this method sets `ending`.
+        This method also sets `ending` if the episode has terminated.
         """
 
     def _info(self) -> dict[str, object]:
-        """Return diagnostics, keyed by names that end in the unit."""
         return {
             "time_s": float(self.state.time),
             "air_j": float(self.state.pneumatic_energy),

@@ -17,7 +17,7 @@ def make_task(name: str, **settings: Any) -> Task:
 
     Args:
         name: name of the task, one of `TASKS`.
-        **settings: arguments of the task class: `CrawlTask`, `ModuleTask`,
+        **settings: arguments of the task's class, which is `CrawlTask`, `ModuleTask`,
             `SpatialCrawlTask`, `PegsTask` or `GraspTask`.
 
     Raises:

@@ -1,10 +1,11 @@
 """Distribution of robots over episodes (domain randomisation).
 
-Robots vary according to the module tolerances in a robot file, the confidence intervals
-in a fit file, and given ranges of parameters. Fitted parameters are drawn jointly from
-a normal distribution with the standard errors and correlations of the fit, and clipped
-to the confidence intervals. Because of the correlations, combinations of parameters
-that the data determine well, such as a sum of two parameters, vary little.
+The robot of an episode depends on random module properties from the robot file, on
+parameter estimates from a fit file, and on uniform parameter ranges. Fitted parameters
+are drawn from a joint normal distribution with the standard errors and correlations of
+the fit, and clipped to their confidence intervals. Because of the correlations,
+well-determined combinations of parameters, such as the sum of two parameters, vary
+little.
 """
 
 from __future__ import annotations
@@ -28,7 +29,6 @@ Robot = StrPath | Mapping[str, Any]
 Ranges = Mapping[str, tuple[float, float]]
 
 _SEED_COUNT = 2**32
-"""Number of possible seeds for the modules of a robot."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,9 @@ class Variation:
     """Distribution of robots over episodes.
 
     Attributes:
-        file: nominal robot, including the tolerances of the modules.
-        fit: fit whose parameters are drawn, or None.
-        ranges: lower and upper limit of a uniform distribution, keyed by parameter
-            name.
+        file: nominal robot, and random distributions of the module properties.
+        fit: fit from which parameters are drawn, or None.
+        ranges: limits (low, high) of a uniform distribution, keyed by parameter name.
     """
 
     file: RobotFile
@@ -50,13 +49,13 @@ class Variation:
     def load(
         cls, robot: Robot, fit: StrPath | None = None, ranges: Ranges | None = None
     ) -> Variation:
-        """Load the variation of a robot.
+        """Load a robot and a fit, and check the ranges.
 
         Args:
             robot: name or path of a robot file, or a mapping as in the section `robot`
                 of a scenario.
-            fit: path of a fit file for this robot.
-            ranges: lower and upper limit of a uniform distribution, keyed by parameter
+            fit: path of a fit file for this robot, or None.
+            ranges: limits (low, high) of a uniform distribution, keyed by parameter
                 name.
 
         Raises:
@@ -105,7 +104,7 @@ def _draw_fitted_values(
     values = np.array([parameter.value for parameter in fitted], dtype=float)
     errors = np.array([parameter.standard_error for parameter in fitted], dtype=float)
     covariance = np.array(fit.correlation, dtype=float) * np.outer(errors, errors)
-    # The method `eigh` is used, because correlations of 1 make the covariance singular.
+    # Correlations of 1 make the covariance singular, which the method `eigh` allows.
     drawn = values
     if fitted:
         drawn = rng.multivariate_normal(values, covariance, method="eigh")

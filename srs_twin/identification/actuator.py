@@ -2,18 +2,18 @@
 
 The data are time series of valve states or pressures and of the resulting bends. The
 model is `pneumatics.LagPneumatics`, which is Eq. 14 of the dissertation for nominal
-modules. The time constants τ_fill, τ_vent and τ_mode are common to all modules, whereas
-each module has its own gain and rest bend.
+modules. All modules share the time constants τ_fill, τ_vent and τ_mode, whereas each
+module has its own gain and rest bend.
 
-The segments must bend freely (on a bench, or with the robot lifted), because contact
-with the floor also changes the bends. Scaling `actuator.bend_rad` has the same effect
-as scaling all gains. A fit therefore keeps `actuator.bend_rad` constant unless it is
-among the requested parameters.
+The segments must bend freely, either on a bench or while the robot is lifted, because
+contact with the floor also changes the bends. Scaling `actuator.bend_rad` has the same
+effect as scaling the gains of all modules. A fit therefore keeps `actuator.bend_rad`
+constant unless this parameter is requested.
 
-If the log contains pressures instead of valve states, the model assumes that each bend
-lags its pressures by τ_mode. For pressures with time constant τ₁, the relative error of
-the modelled bends is (τ_mode/τ₁)². The parameters τ_fill and τ_vent are not
-identifiable from pressures.
+If the log contains pressures instead of valve states, a delay of τ_mode approximates
+the first-order lag of the bends. For pressures with time constant τ₁, the relative
+error of this approximation is of the order of (τ_mode/τ₁)². The parameters τ_fill and
+τ_vent cannot be identified from pressures.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec
 
 _BEND_NOISE_RAD = 0.01
-"""Standard deviation assumed for a bend without a stated error, rad."""
+"""Assumed standard deviation of a bend for which no error was recorded, rad."""
 
 _PRESSURE_NOISE_PA = 500.0
-"""Standard deviation of measured pressures, Pa."""
+"""Assumed standard deviation of a measured pressure, Pa."""
 
 MIN_DRIFT_RAD = 1e-4
 """Maximum drift of a settled bend, and minimum standard error of a bend, rad."""
@@ -61,14 +61,17 @@ class Response:
     """Bends of segments in response to valve states or measured pressures.
 
     Attributes:
-        drive: valve states from time 0, or logged pressures on the clock of `time`.
-        supply_pa: gauge supply pressure, Pa, which is ignored if pressures were logged.
+        drive: schedule of valve states that starts at time 0, or pressure log with the
+            clock of `time`.
+        supply_pa: supply pressure (gauge), Pa, which is not used if pressures were
+            logged.
         time: sample times in ascending order, s, shape (samples,).
-        bend: measured bends, rad, shape (samples, segments). An unknown bend is NaN.
-        pressure: pressures measured in addition to valve states, Pa, shape (samples,
-            segments, 2).
-        clock_known: whether `drive` and `bend` use the same clock. If not, the fit
-            estimates the offset between the clocks.
+        bend: measured bends, rad, shape (samples, segments), with NaN for unknown
+            bends.
+        pressure: pressures that were measured in addition to valve states, Pa, shape
+            (samples, segments, 2), or None.
+        clock_known: whether `drive` and `bend` use the same clock. Otherwise, the fit
+            estimates the offset between their clocks.
     """
 
     name: str
@@ -84,10 +87,7 @@ class Response:
     def from_recording(
         cls, recording: Recording, name: str, supply_pa: float
     ) -> Response:
-        """Create a response from a recording and its valve or pressure log.
-
-        Bends from interpolated marker positions become NaN.
-        """
+        """Create a response from a recording and its valve or pressure log."""
         trajectory = recording.trajectory
         log = log_of(recording, name)
         about = trajectory.metadata.get("valve_log")
@@ -109,12 +109,16 @@ class Response:
         )
 
     def data_set(self, role: Role) -> DataSet:
-        """Return the name, hash and size of the data."""
+        """Return the name, hash and size of the response."""
         return DataSet(self.name, self.sha256, role, int(np.isfinite(self.bend).sum()))
 
 
 def log_of(recording: Recording, name: str) -> ValveLog:
-    """Return the log of a recording, or raise an `InputError` if it has no log."""
+    """Return the valve or pressure log of a recording.
+
+    Raises:
+        InputError: the recording has no log.
+    """
     if recording.valves is None:
         raise InputError(
             f"{name}: the recording has no log of valves or pressures; give one with"
@@ -126,7 +130,7 @@ def log_of(recording: Recording, name: str) -> ValveLog:
 def measured_bends(recording: Recording) -> np.ndarray:
     """Return the measured bends, rad, shape (samples, segments).
 
-    The bend of a segment is NaN in a frame in which a marker of the segment was
+    The bend of a segment is NaN in frames in which a marker of this segment was
     interpolated.
     """
     trajectory = recording.trajectory
@@ -138,7 +142,7 @@ def measured_bends(recording: Recording) -> np.ndarray:
 
 
 def default_actuator_parameters(spec: RobotSpec) -> tuple[str, ...]:
-    """Return the parameters that `fit_actuator` estimates by default."""
+    """Return the names of the parameters that `fit_actuator` estimates by default."""
     lags = ("actuator.tau_fill_s", "actuator.tau_vent_s", "actuator.tau_mode_s")
     return (*lags, *per_segment(spec, *MODULE_PARAMETERS))
 
@@ -154,8 +158,7 @@ def fit_actuator(
 ) -> FitEstimate:
     """Estimate time constants, gains and rest bends from measured responses.
 
-    The search starts from the values in `spec`. The `validation` responses do not
-    influence the fit.
+    The search starts from the values in `spec`.
     """
     data = assign_roles("responses", responses, validation)
     for response, _ in data:
@@ -195,10 +198,10 @@ def fit_actuator(
 def fixed_values(
     spec: RobotSpec, unknowns: Sequence[FreeParameter]
 ) -> dict[str, float]:
-    """Return the constants relative to which the gains are fitted.
+    """Return the constants that define the scale of the fitted gains.
 
-    The constants are the nominal pressure and, unless the bend is a free parameter, the
-    bend at this pressure.
+    These are the nominal supply pressure (kPa) and, unless it is a free parameter, the
+    bend at this pressure (rad).
     """
     fixed = {"actuator.at_pressure_kpa": spec.supply.nominal / 1e3}
     if all(unknown.name != _BEND for unknown in unknowns):
@@ -209,11 +212,14 @@ def fixed_values(
 def predict_response(
     response: Response, spec: RobotSpec, clock: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Predict the bends and pressures of free segments for a clock offset (s).
+    """Predict the bends and chamber pressures of free segments.
 
-    Bends (rad) have shape (samples, segments), and pressures (Pa) have the shape
-    (samples, segments, 2). The pressures are None if the response contains logged
-    pressures.
+    The offset `clock` (s) converts the sample times of the bends to the clock of the
+    drive.
+
+    Returns:
+        Bends, rad, shape (samples, segments), and pressures, Pa, shape (samples,
+        segments, 2). The pressures are None if the response contains logged pressures.
     """
     if isinstance(response.drive, ValveLog):
         delayed = response.drive.at(response.time + clock - spec.actuator.tau_mode)
@@ -240,10 +246,10 @@ def _response_residuals(
 def bend_residuals(
     name: str, difference: np.ndarray, role: Role, error: np.ndarray | float
 ) -> list[Residual]:
-    """Return the residuals of the measured bends of each segment.
+    """Return one series of bend residuals for each segment.
 
-    For each segment, the residuals are scaled by the RMS of the bend errors, or by
-    `_BEND_NOISE_RAD` if an error is unknown.
+    The scale of a series is the RMS of the bend errors `error` (rad) of its segment. If
+    an error is unknown, the scale is `_BEND_NOISE_RAD`.
     """
     residuals = []
     columns = zip(difference.T, np.broadcast_to(error, difference.shape).T, strict=True)

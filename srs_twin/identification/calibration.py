@@ -75,21 +75,21 @@ LOCOMOTION = (
 
 _READER = RecordingReader()
 _NOT_RECORDED = {"out", "notify", "progress"}
-"""Arguments that do not change the result of a fit."""
+"""Arguments that the command in a fit file omits, as they do not affect the fit."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Result of a fit, with the data that were fitted.
+    """Result of a fit, with a description of the data.
 
     Attributes:
         estimate: estimated parameters, correlations and residuals.
         method: fit method.
         title: one-line title of the report.
-        robot: name or path of the initial robot.
-        data: data sets of the fit and of the validation.
-        plateaus: table of the intervals of constant pressure found in recordings, or
-            None if the method does not use such intervals.
+        robot: name or path of the robot from which the fit started.
+        data: data sets used for the fit and for its validation.
+        plateaus: pressures and bends in the intervals of constant pressure, or None if
+            the method does not use such intervals.
     """
 
     estimate: FitEstimate
@@ -143,22 +143,22 @@ def calibrate_friction(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate mu_t and mu_n, as `srs-twin calibrate friction` does.
+    """Estimate friction coefficients, as `srs-twin calibrate friction` does.
 
     Args:
-        files: path of a table of spring deformations, or paths of recordings of
-            coasting tests.
-        robot: initial robot.
+        files: path of one table of pulls, or paths of recordings of coasting tests.
+        robot: name or path of the initial robot, or a loaded robot.
         validate: paths of tables or recordings that are used only for validation.
-        friction_law: friction law for coasting tests: "wheel", "axis" or "ellipse".
+        friction_law: friction law for coasting tests, "wheel", "axis", "ellipse" or
+            "cosine".
         wheel_inertia: whether the model of coasting tests includes the rotational
             inertia of the wheels.
         reader: object that reads the recordings.
         out: path of the fit file, or None to write nothing. An existing file is
             replaced, and the report is written to the same folder.
         notify: function that receives a message about each recording.
-        progress: function called with the number of model runs and the best weighted
-            RMS so far.
+        progress: function called with the number of model runs and the smallest
+            weighted RMS so far.
 
     Raises:
         InputError: a file cannot be read, or the data are not sufficient for the fit.
@@ -190,22 +190,22 @@ def calibrate_actuator(
     """Estimate the actuator parameters, as `srs-twin calibrate actuator` does.
 
     Args:
-        files: paths of recordings of step responses, or of tables or recordings with
-            constant pressures. Constant pressures do not determine the time constants.
-        robot: initial robot.
-        valves: paths of the logs for `files`, followed by paths of the logs for
+        files: paths of recordings of step responses, or paths of tables of constant
+            pressures. Constant pressures do not determine the time constants.
+        robot: name or path of the initial robot, or a loaded robot.
+        valves: paths of the valve or pressure logs, first for `files` and then for
             `validate`. By default, each log is in the folder of its recording.
         validate: paths of recordings or tables that are used only for validation.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         parameters: names of the parameters to fit, by default all parameters that the
             data can determine.
-        static: whether to fit only the intervals of constant pressure in the
+        static: whether the fit uses only the intervals of constant pressure in the
             recordings.
         starts: number of searches, each from a different starting point.
-        reader: see `calibrate_friction`.
-        out: see `calibrate_friction`.
-        notify: see `calibrate_friction`.
-        progress: see `calibrate_friction`.
+        reader: object that reads the recordings.
+        out: path of the fit file, or None to write nothing.
+        notify: function that receives a message about each recording.
+        progress: progress callback, as in `calibrate_friction`.
 
     Raises:
         InputError: a file cannot be read, or the data are not sufficient for the fit.
@@ -240,29 +240,29 @@ def calibrate_locomotion(
     notify: Notify = str,
     progress: Watch | None = None,
 ) -> Calibration:
-    """Estimate friction, gap, masses or stiffness from runs of the crawling robot.
+    """Estimate friction, lengths, masses or stiffness from recorded gait runs.
 
-    If the recordings contain markers, the rigid gap or the length of a segment is
-    measured from the marker positions.
+    If the recordings contain markers and either the rigid gap or the segment length is
+    requested, this length is measured from the marker positions.
 
     Args:
         files: paths of recordings.
-        robot: initial robot.
-        valves: paths of the logs for `files`, followed by paths of the logs for
+        robot: name or path of the initial robot, or a loaded robot.
+        valves: paths of the valve or pressure logs, first for `files` and then for
             `validate`. By default, each log is in the folder of its recording.
         validate: paths of recordings that are used only for validation.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         parameters: names of the parameters to fit.
         plant: simulated plant, "analytical" or "twin".
-        model: analytical model, by default "compliant".
+        model: name of the analytical model, by default "compliant".
         friction_law: friction law of the analytical plant, by default "wheel".
-        compare_signals: signals to compare: "averages", "shapes" or "both".
-        starts: number of searches, each from a different starting point. The default
-            number is 1 if the twin is compared by shapes, and otherwise 3.
-        reader: see `calibrate_friction`.
-        out: see `calibrate_friction`.
-        notify: see `calibrate_friction`.
-        progress: see `calibrate_friction`.
+        compare_signals: signals to compare, "averages", "shapes" or "both".
+        starts: number of searches, each from a different starting point. The default is
+            3, or 1 if the shapes of twin simulations are compared.
+        reader: object that reads the recordings.
+        out: path of the fit file, or None to write nothing.
+        notify: function that receives a message about each recording.
+        progress: progress callback, as in `calibrate_friction`.
 
     Raises:
         InputError: a file cannot be read, or the data are not sufficient for the fit.
@@ -300,18 +300,18 @@ def calibrate_damping(
     Args:
         files: paths of recordings of one hanging segment that is bent and then
             released.
-        robot: initial robot.
+        robot: name or path of the initial robot, or a loaded robot.
         valves: state of the chambers, "open" to the air or "closed".
-        mass_kg: mass of the body at the end of the segment, by default the mass of the
-            first connector.
-        inertia_kg_m2: moment of inertia of the body about its centre, kg·m². The
-            default follows from the radius of gyration of the first connector.
-        leak_per_s: leak rate of closed chambers, 1/s, or None to estimate it.
+        mass_kg: mass of the body at the end of the segment, kg, by default the mass of
+            the first connector.
+        inertia_kg_m2: moment of inertia of the body about its centre, kg·m². By
+            default, the body has the radius of gyration of the first connector.
+        leak_per_s: leak rate of closed chambers, 1/s, or None to estimate the rate.
         noise_rad: standard deviation of a recorded bend, rad, or None to estimate it.
-        from_s: start time of the free swing, s, or None to detect the start.
-        out: see `calibrate_friction`.
-        notify: see `calibrate_friction`.
-        progress: see `calibrate_friction`.
+        from_s: time at which the free swing starts, s, or None to detect this time.
+        out: path of the fit file, or None to write nothing.
+        notify: function that receives a message about each recording.
+        progress: progress callback, as in `calibrate_friction`.
 
     Raises:
         InputError: a file cannot be read, or the data are not sufficient for the fit.
@@ -326,7 +326,7 @@ def _texts(paths: Paths) -> list[str]:
 
 
 class _Task:
-    """Arguments of a fit function, with the robot and the input files."""
+    """Settings, robot and input files of one call to a fit function."""
 
     def __init__(
         self, function: Callable[..., Calibration], given: Mapping[str, Any]

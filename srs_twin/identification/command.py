@@ -69,7 +69,7 @@ def calibrate() -> None:
 
 
 def _fits(declaration: Callable[..., None]) -> None:
-    """Build the command NAME, which calls the function `calibrate_NAME`."""
+    """Register the declared command NAME, which calls the function `calibrate_NAME`."""
 
     @app.command()
     @with_options
@@ -107,16 +107,16 @@ def friction(
     markers: ReadingOptions = _DEFAULT_READING,
     fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
-    """Estimate mu_t and mu_n from pulls or coasting tests.
+    """Estimate friction coefficients from pulls or coasting tests.
 
-    For pulls, give a table of the maximum deformations of the spring with which a car
-    pulls the robot. For coasting tests, give recordings.
+    Pulls require a table of the maximum deformations of the spring with which a car
+    pulls the robot. Coasting tests require recordings.
 
     Options:
-        --friction-law NAME: Friction law for coasting tests: wheel, axis, or ellipse
-            for a robot on skids.
+        --friction-law NAME: Friction law for coasting tests: wheel, axis, cosine, or
+            ellipse for a robot on skids.
         --wheel-inertia/--no-wheel-inertia: Include the rotational inertia of the wheels
-            in coasting tests.
+            in the model of coasting tests.
     """
 
 
@@ -129,12 +129,13 @@ def design(
 ) -> None:
     """Choose experiments that reach a target accuracy.
 
-    The command chooses among pulls, weighing, marker recordings, constant pressures,
-    pressure steps and gait runs.
+    The candidate experiments are pulls, weighing, marker recordings, constant
+    pressures, pressure steps and gait runs.
 
     Options:
-        --target-accuracy NAMES: Parameters with the required half-width of each 95 %
-            interval, for example friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
+        --target-accuracy NAMES: Parameters, each with the required half-width of its
+            95 % interval, for example
+            friction.mu_t=5%,bending.stiffness_nm_per_rad=10%.
     """
     from srs_twin.identification.design import calibrate_design
 
@@ -222,17 +223,17 @@ def locomotion(
     markers: ReadingOptions = _DEFAULT_READING,
     fit: FitOptions = _DEFAULT_OUTPUT,
 ) -> None:
-    """Estimate friction, gap, masses or stiffness.
+    """Estimate friction, lengths, masses or stiffness.
 
     If the recordings contain markers, the markers also determine the length of a
     segment or of its straight part (rigid gap).
 
     Options:
-        --plant NAME: Model whose parameters are fitted: analytical or twin.
+        --plant NAME: Model that simulates the robot in the fit: analytical or twin.
         --model NAME: Kind of analytical model: complete, simplified, compliant or
             quasistatic. [default: compliant]
-        --compare-signals WHAT: Signals that are fitted: averages (speed and yaw rate), shapes
-            (path, heading and bends over time) or both.
+        --compare-signals WHAT: Signals that are compared: averages (speed and yaw
+            rate), shapes (path, heading and bends over time) or both.
         --starts N: Number of searches, each from a different starting point. [default:
             3, or 1 if the twin is fitted to shapes]
     """

@@ -1,24 +1,24 @@
 """Stiffness and damping of a segment, fitted to free oscillations after a release.
 
-A free oscillation alone determines only k/m and T, where k is the stiffness, m the mass
-and T the damping time. The stiffness k is identifiable because the mass and the weight
-are known.
+A free oscillation determines the damping time T, but only the ratio k/m of stiffness to
+mass. The stiffness k is identifiable because the mass m and the weight are known.
 
-**Fit.** The stiffness k, the damping time T and the leak rate have the same values in
-all recordings. Each recording has its own initial state and rest bend. Two exponentials
-describe how the rest bend recovers after the segment has been held bent.
+**Fit.** All recordings share the same stiffness k, damping time T and leak rate,
+whereas each recording has its own initial state and rest bend. Two exponentials
+describe the slow recovery of the rest bend after a segment has been held bent.
 
 If the pressures were not measured, closed chambers are assumed to be at ambient
 pressure at the first sample, when the segment is at rest. The amount of air at the
-release is computed from the leak rate and the recorded bends. The effect of the
-enclosed air can be separated from the stiffness because the rest bend is recorded
-before and after the release.
+start of the free swing is computed from the leak rate and the recorded bends. The
+effect of the enclosed air can be separated from the stiffness because the rest bend is
+recorded before and after the release.
 
-**Intervals.** The scale of the residuals combines the noise with a model error of 1 %
-of the amplitude. The model assumes viscous damping, so its loss factor η = 2π f T is
-proportional to the frequency f. To estimate the error due to this assumption, the model
-is fitted to a simulated material with a nearly constant loss factor. At the frequency
-f, this material has the fitted stiffness and loss factor.
+**Intervals.** The residuals are scaled by the combined standard deviation of the noise
+and a model error of 1 % of the amplitude. The model assumes viscous damping, so its
+loss factor η = 2π f T is proportional to the frequency f. To estimate the error due to
+this assumption, the model is fitted to simulated swings of a material with a nearly
+constant loss factor. At the frequency f, this material has the fitted stiffness and
+loss factor.
 """
 
 from __future__ import annotations
@@ -71,44 +71,44 @@ NAMES = ("bending.stiffness_nm_per_rad", "bending.damping_time_s")
 VALVES = ("open", "closed")
 
 _MODEL_ERROR = 0.01
-"""Assumed model error, as a fraction of the amplitude."""
+"""Assumed model error of the bends, as a fraction of the swing amplitude."""
 
 _CREEP_RATIOS = (3.0, 12.0)
-"""Time constants of the recovery of the rest bend, as multiples of 1/ω."""
+"""Time constants with which the rest bend recovers, as multiples of 1/ω."""
 
 _MAX_CALM_SAMPLES = 25
 """Maximum number of samples at rest that are treated as independent."""
 
 _FIRST_LEAK = 0.1
-"""Initial leak rate of a search, 1/s."""
+"""Initial value of the leak rate in a search, 1/s."""
 
 _LEAKS = (-2.0, 30.0)
 """Bounds of the leak rate, 1/s.
 
-The lower bound is negative so that the confidence interval of a small rate is not
+The lower bound is negative so that the confidence interval of a small leak rate is not
 truncated.
 """
 
 _STAGES = (2.0, 4.0, 8.0)
-"""Numbers of swings in the successive stages of the fit.
+"""Numbers of swings that are fitted in successive stages.
 
-A search that starts with all swings could converge to a frequency with a wrong number
-of periods.
+A search that starts with all swings could miscount the periods and converge to a wrong
+frequency.
 """
 
 _SEARCH = SearchOptions(step=1e-3, tolerance=1e-8)
-"""Search options for a model whose air stiffness has kinks."""
+"""Search settings for a model in which the stiffness of the enclosed air has kinks."""
 
 _ERROR_STEP = 1e-3
-"""Step of finite differences of derived quantities, in standard errors."""
+"""Finite-difference step for derived quantities, in standard errors of a parameter."""
 
 _UPSAMPLING = 4
-"""Number of interpolated pressures per sample of the recording."""
+"""Number of interpolated pressures per recorded sample."""
 
 
 @dataclass(frozen=True)
 class HangingBody:
-    """Body at the end of the segment.
+    """Body that hangs at the end of a segment.
 
     Attributes:
         mass: mass m, kg.
@@ -124,8 +124,8 @@ class HangingBody:
     ) -> HangingBody:
         """Return a body with the mass and inertia of the first connector.
 
-        `mass` and `inertia` replace the values of the connector. If only `mass` is
-        given, the radius of gyration stays unchanged.
+        The arguments `mass` (kg) and `inertia` (kg·m²) override these values. If only
+        `mass` is given, the body keeps the radius of gyration of the connector.
         """
         if spec.skin is not None or spec.chamber.directions is not None:
             raise InputError(
@@ -145,7 +145,7 @@ class HangingBody:
         return cls(mass, inertia)
 
     def segment(self, spec: RobotSpec, encloses_air: bool) -> HangingSegment:
-        """Return the first segment of a robot with this body at its end."""
+        """Return the first segment of a robot with this body attached to its end."""
         g = spec.geometry
         chamber = spec.chamber
         plus, minus = (float(gain) for gain in chamber_gains(spec)[0])
@@ -172,9 +172,9 @@ def fit_damping(
 ) -> FitEstimate:
     """Estimate stiffness, damping time, frequency and loss factor.
 
-    `valves` states whether the chambers are "open" to the air or "closed". By default,
-    the hanging body is the first connector. If `leak` (1/s) is None, the leak rate is
-    estimated.
+    The chambers are open to the air or closed, as stated by `valves` ("open" or
+    "closed"). By default, `body` has the mass and inertia of the first connector. If
+    `leak` (1/s) is None, the leak rate is estimated.
     """
     check_choice("valves", valves, VALVES)
     if not decays:
@@ -211,15 +211,13 @@ def fit_damping(
 
 
 class _Swing(NamedTuple):
-    """Predicted bends (rad) and final products p V of the enclosed air (J)."""
+    """Predicted bends (rad) and final product p V of the air in each chamber (J)."""
 
     bend: np.ndarray
     air: np.ndarray
 
 
 class _DampingFit:
-    """Model of several free oscillations, with the best values found so far."""
-
     def __init__(
         self,
         decays: Sequence[Decay],
@@ -251,7 +249,7 @@ class _DampingFit:
     def _first_values(self) -> dict[str, float]:
         first = self.decays[0]
         # The squared frequency is a linear function of k, because the weight adds a
-        # constant and the stiffness of the air is proportional to k.
+        # constant, and the stiffness due to the air is proportional to k.
         segment = self.body.segment(self.spec, self.closed)
         air = self._air_at_end()
         one, two = (
@@ -270,9 +268,9 @@ class _DampingFit:
         return values
 
     def unknowns(self, *, coarse: bool = False) -> list[FreeParameter]:
-        """Return the free parameters.
+        """Return the free parameters of a complete or coarse fit.
 
-        A coarse fit excludes the leak rate and the recovery of the rest bend.
+        A coarse fit estimates neither the leak rate nor the recovery of the rest bend.
         """
 
         def free(
@@ -307,7 +305,7 @@ class _DampingFit:
         refit: Refit | None = None,
         swings: float = math.inf,
     ) -> FitEstimate:
-        """Fit the parameters to the first swings of the measured or given bends."""
+        """Fit the parameters to the first swings of the recorded or given bends."""
         fitted = [decay.bend for decay in self.decays] if bends is None else bends
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
@@ -353,7 +351,7 @@ class _DampingFit:
         return self.values | dict(values) | fitted
 
     def frequency_error(self) -> float:
-        """Return the error of ln(frequency) due to the assumed viscous damping."""
+        """Return the error of ln(frequency) caused by assuming viscous damping."""
         pulsation = 2 * math.pi * self.small_swing(self.values).frequency
         true = self.small_swing(self.values, pulsation).frequency
         return math.log(self.small_swing(self.refit(self.values)).frequency / true)
@@ -366,8 +364,9 @@ class _DampingFit:
     ) -> Ringing:
         """Return the small oscillation about the rest position of the first recording.
 
-        The loss factor is nearly constant around the angular frequency `constant_about`
-        (rad/s), or proportional to the frequency if `constant_about` is None.
+        If `constant_about` is an angular frequency (rad/s), the loss factor is nearly
+        constant around this frequency. Otherwise, the loss factor is proportional to
+        the frequency.
         """
         values = self.values | dict(values)
         material = self._material(values)
@@ -409,15 +408,15 @@ class _DampingFit:
     def _enclosed_air(self, decay: Decay, leak: float) -> np.ndarray:
         """Return p V of each chamber at the start of the free swing, J."""
         volumes = self._volumes(decay.before)
-        # The amount of air approaches its value at ambient pressure, which depends on
-        # the volume.
+        # Because of the leak, the amount of air tends to its value at ambient pressure,
+        # which depends on the volume of the chamber.
         kept = np.exp(-leak * (decay.time[0] - decay.before_time))
         weights = np.append(np.diff(kept), 0.0)
         amounts: np.ndarray = AMBIENT_PA * (kept[0] * volumes[0] + weights @ volumes)
         return amounts
 
     def _air_at_end(self) -> np.ndarray:
-        """Return p V at the mean final pressure of the first recording, J."""
+        """Return p V of each chamber at the end of the first recording, J."""
         first = self.decays[0]
         end = slice(-(len(first.time) // 4), None)
         pressure = 0.0 if first.pressure is None else first.pressure[end].mean(axis=0)
@@ -472,9 +471,10 @@ def _derived(
     unit: str,
     model_error: float = 0.0,
 ) -> Parameter:
-    """Return an attribute of `Ringing` with linearly propagated errors.
+    """Return the attribute `name` of `Ringing` with linearly propagated errors.
 
-    `model_error` is an additional error of the logarithm of the attribute.
+    The argument `model_error` is an additional error of the logarithm of this
+    attribute.
     """
 
     def logarithm(changes: Mapping[str, float]) -> float:

@@ -1,16 +1,17 @@
 """Recordings of a segment that is bent, released, and then swings freely.
 
-A recording is a CSV file with ``time_s`` and ``bend_rad`` (or ``bend_deg``), sampled at
-100 Hz or more. The optional columns ``pressure_plus_kpa`` and ``pressure_minus_kpa``
-contain the gauge pressures of closed chambers.
+A recording is a CSV file with the columns ``time_s`` and ``bend_rad`` (or
+``bend_deg``), sampled at 100 Hz or more. The optional columns ``pressure_plus_kpa`` and
+``pressure_minus_kpa`` contain the gauge pressures of closed chambers.
 
-The free swing begins at the maximum speed, about a quarter of a period after the
-release. The fitted interval is twice as long as the interval in which the half swings
-exceed the noise.
+By default, the free swing begins at the maximum bend rate, about a quarter of a period
+after the release. The fitted interval is twice as long as the interval in which the
+half swings are visible above the noise.
 
-The noise is estimated from the smallest singular values of the trajectory matrix.
-Without noise the smallest singular values would be 0, because successive samples of a
-free swing satisfy a linear recurrence.
+The rows of the trajectory matrix are windows of successive bends. The noise is
+estimated from the third smallest singular value of this matrix. Without noise, this
+value would be 0, because successive samples of a free swing satisfy a linear
+recurrence.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _MIN_SAMPLES_PER_SWING = 5.0
 _MIN_HALF_SWINGS = 3
 
 _MIN_TURN = 6.0
-"""Minimum half swing that counts as visible, in standard deviations of the noise."""
+"""Minimum size of a visible half swing, in standard deviations of the noise."""
 
 _MIN_SIZE = 12.0
 """Minimum range of the bends, in standard deviations of the noise.
@@ -47,19 +48,19 @@ Noise alone has a range of about 6 standard deviations.
 """
 
 _MIN_TURN_FRACTION = 0.02
-"""Minimum half swing that counts as visible, as a fraction of the bend range."""
+"""Minimum size of a visible half swing, as a fraction of the bend range."""
 
 _LEAST_DECREMENT = 0.01
-"""Minimum logarithmic decrement with which a search starts."""
+"""Minimum initial value of the logarithmic decrement in a search."""
 
 _WINDOW = 12
 """Number of columns of the trajectory matrix.
 
-The number must exceed the number of exponentials in a swing.
+This number must exceed the number of exponentials that describe a swing.
 """
 
 _KEPT_SPANS = 2.0
-"""Ratio of the duration of the fitted interval to the duration of the visible swing."""
+"""Duration of the fitted interval divided by the duration of the visible swing."""
 
 _MIN_CALM_SAMPLES = 5
 
@@ -77,7 +78,7 @@ class Decay:
         pressure: measured gauge pressures of the + and − chamber, Pa, shape (samples,
             2), or None if the pressures were not measured.
         noise: standard deviation of a measured bend, rad.
-        half_period: mean time between two turning points, s.
+        half_period: mean time between successive turning points, s.
         log_decrement: mean logarithm of the ratio of two successive half swings.
     """
 
@@ -98,10 +99,7 @@ class Decay:
         return math.pi / self.half_period
 
     def first_state(self) -> tuple[float, float]:
-        """Return the bend (rad) and bend rate (rad/s) at the first sample.
-
-        Both are computed from a sine fitted to the first swing.
-        """
+        """Return the bend (rad) and bend rate (rad/s) at the first sample."""
         since = (
             self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
         )
@@ -120,7 +118,7 @@ class Decay:
         )
 
     def data_set(self, role: Role) -> DataSet:
-        """Return the name, hash and size of the data."""
+        """Return the name, hash and size of the free swing."""
         return DataSet(
             self.name,
             self.sha256,
@@ -134,11 +132,11 @@ class Decay:
 def read_decay(
     path: StrPath, *, start: float | None = None, noise: float | None = None
 ) -> Decay:
-    """Read the free swing in a recording.
+    """Read a recording and extract its free swing.
 
-    `start` is the time from which the segment swings freely (s), by default the time of
-    the maximum speed. `noise` is the standard deviation of a bend (rad), or None to
-    estimate it.
+    The free swing starts at the time `start` (s), by default the time of the maximum
+    bend rate. The standard deviation `noise` of a recorded bend (rad) is estimated by
+    default.
     """
     pressures = dict.fromkeys(("pressure_plus", "pressure_minus"), PRESSURES)
     table = read_table(read_file(path), CLOCK | {"bend": ANGLES} | pressures)

@@ -1,24 +1,24 @@
-r"""Optimal experimental design: choice of experiments for a requested accuracy.
+r"""Optimal experimental design, which chooses experiments for a requested accuracy.
 
-Each candidate experiment has predicted observations with known noise. Let z be the
-logarithms of all uncertain parameters, J the Jacobian of the predictions with respect
-to z, and R the covariance of the noise. The information matrix Λ after the experiment
-is
+For each candidate experiment, a model predicts observations with known noise. Let z be
+the logarithms of all uncertain parameters, J the Jacobian of the predictions with
+respect to z, and R the covariance of the noise. The experiment increases the
+information matrix Λ to Λ', from which the standard deviations of z follow:
 
 $$ \Lambda' = \Lambda + J^T R^{-1} J, \qquad \mathrm{sd}(z_i) = \sqrt{(\Lambda'^{-1})_{ii}}. $$
 
 The initial information matrix is computed from the `uncertain` entries of the robot
-file. For a parameter with value 0, such as drag, z is instead the parameter divided
-by a tenth of the axial friction of the robot.
+file. For a parameter with value 0, such as drag, z is instead the parameter divided by
+a tenth of the axial friction of the robot.
 
-The experiments are chosen one after another. Let w be the ratio of an interval width to
-the requested width. Each choice minimises the mean of ln w over all intervals that are
-still too wide. The design ends early if no further experiment would narrow any of these
-intervals by 2 %.
+The experiments are chosen one after another. For each confidence interval, let w be the
+ratio of its width to the requested width, or 1 if the interval is narrow enough. Each
+choice minimises the mean of ln w over all intervals that are still too wide. The design
+ends early if the best experiment would not narrow any of these intervals by more than
+2 %.
 
 Model errors are included only for gait runs. For runs of any duration, the model error
-is 2 % of the speed and 2 % of the turning rate. This is the difference between the
-model `compliant` and the twin.
+is 2 % of the speed, of the turning rate and of the bend amplitudes.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ PULL_FRACTION = 0.015
 """Relative standard error of the mean of ten pulls (0.0015/0.0966, Section 3.4.1)."""
 
 LENGTH_STD_M = 4e-4
-"""Standard deviation of a length measured with markers during a run, m."""
+"""Standard deviation of a length that is measured with markers during a run, m."""
 
 BEND_STD_RAD = 0.01
 """Standard deviation of a measured bend, rad."""
@@ -56,22 +56,23 @@ MASS_STD_KG = 1e-3
 """Standard deviation of a weighed mass, kg."""
 
 RUN_DISCREPANCY = 0.02
-"""Relative difference between `compliant` and the twin in speed and turning rate."""
+"""Relative error of `compliant` in speed and turning rate, compared with the twin."""
 
 _MAX_REPETITIONS = 3
-"""Maximum number of times that one experiment may be chosen."""
+"""Maximum number of times that each experiment may be chosen."""
 
 _MIN_NARROWING = 0.98
-"""Maximum ratio of new to old interval width for an experiment to be worthwhile."""
+"""Ratio of new to old interval width below which an experiment is worthwhile."""
 
 _STEP = 0.05
 """Step of finite differences in z.
 
-The step is large because the metrics of simulated runs are not smooth functions of z.
+A large step is needed because the metrics of simulated runs are not smooth functions of
+z.
 """
 
 _PRIOR_STD = 3.0
-"""Standard deviation of z for a parameter without uncertainty in the robot file."""
+"""Standard deviation of z without prior knowledge, and maximum for all parameters."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +82,8 @@ class CandidateExperiment:
     Attributes:
         description: instruction for the operator.
         predict: function that returns the predicted observations for a robot.
-        noise: function that returns the standard deviations of the predicted
-            observations.
+        noise: function that returns the noise standard deviation of each predicted
+            observation.
     """
 
     description: str
@@ -237,8 +238,8 @@ def _gait_runs(spec: RobotSpec) -> Iterator[CandidateExperiment]:
 class ExperimentDesign:
     """Chosen experiments and the accuracy after each experiment.
 
-    The accuracy of a parameter is the half width of the 95 % interval divided by the
-    value. If the value is 0, the accuracy is the half width itself.
+    The accuracy of a parameter is the half width of its 95 % interval, divided by the
+    parameter value unless this value is 0.
 
     Attributes:
         chosen: experiments in the order in which they were chosen.
@@ -253,7 +254,7 @@ class ExperimentDesign:
 
     @property
     def unmet(self) -> tuple[str, ...]:
-        """Parameters whose interval remains wider than requested."""
+        """Names of the parameters whose intervals remain wider than requested."""
         return tuple(
             name
             for name, widths in self.after.items()
@@ -286,8 +287,8 @@ def calibrate_design(
 
     Args:
         robot: name or path of the robot, whose file states the current uncertainties.
-        target_accuracy: half width of the requested 95 % interval of each parameter,
-            relative to the value, for example 0.05.
+        target_accuracy: required half width of the 95 % interval of each parameter,
+            relative to the parameter value, for example 0.05.
 
     Raises:
         InputError: the robot is not valid, or no parameter is requested.
@@ -313,8 +314,9 @@ def choose_experiments(
 ) -> ExperimentDesign:
     """Choose experiments until the requested accuracy is reached.
 
-    `known` contains the value and the standard deviation of each uncertain parameter.
-    `targets` contains half widths of 95 % intervals, relative to the values.
+    The mapping `known` contains the value and the standard deviation of each uncertain
+    parameter. The mapping `targets` contains the required half widths of 95 %
+    intervals, relative to the parameter values.
     """
     if not targets:
         raise InputError(
@@ -373,9 +375,10 @@ def _information(
     values: Mapping[str, float],
     scale: Array,
 ) -> Array:
-    """Return the information matrix JᵀR⁻¹J.
+    """Return the information matrix JᵀR⁻¹J of an experiment.
 
-    J is computed by central differences, or by one-sided differences if a value is 0.
+    J is computed by central differences, or by one-sided differences for a parameter
+    with value 0.
     """
     predicted = experiment.predict(spec)
     columns = []

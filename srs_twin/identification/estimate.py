@@ -1,14 +1,14 @@
 r"""Result of a fit, with a verdict on the identifiability of each parameter.
 
 The verdicts of `identifiability` assume that the model is correct. The model does not
-explain the data if the RMS of all weighted residuals, or of the residuals of one kind
-of signal, exceeds `MAX_RESIDUAL_SCALE`. If the model does not explain the data, the
-verdict is "cannot tell", because the confidence intervals of a wrong model are
+explain the data if the RMS of the weighted residuals exceeds `MAX_RESIDUAL_SCALE`,
+either for all signals together or for one kind of signal. Estimated values then get the
+verdict "cannot tell", because the confidence intervals of a wrong model are
 meaningless.
 
-**Independent samples.** Residuals of successive samples are correlated, because cameras
-and filters smooth the noise and because of model errors. If the residuals have the
-autocorrelation ρ_k, n samples are equivalent to n/τ independent samples, where
+**Independent samples.** Successive residuals are correlated, because the model has
+errors and because cameras and filters smooth the noise. If the residuals have the
+autocorrelation ρ_k at lag k, n samples are equivalent to n/τ independent samples, where
 
 $$ \tau = 1 + 2 \sum_{k \ge 1} \rho_k . $$
 
@@ -18,8 +18,9 @@ removes about a fraction c = p τ/n of the noise power from the residuals, mainl
 frequencies. The autocorrelation is therefore replaced by (ρ_k + c)/(1 + c). This
 correction is iterated because c depends on τ.
 
-The autocorrelation is a mean over all series, weighted by their power. The values of a
-short series, such as pulls or averages of runs, are treated as independent samples.
+The autocorrelation is averaged over all series, weighted by their power. In short
+series, such as pulls or averages of runs, all values are treated as independent
+samples.
 """
 
 from __future__ import annotations
@@ -35,10 +36,10 @@ from srs_twin.errors import InputError
 from srs_twin.trajectory import HtmlResult
 
 IDENTIFIED_ERROR = 0.1
-"""Maximum standard error, in z, of an identified parameter."""
+"""Maximum standard error of an identified parameter, in the coordinate z."""
 
 UNIDENTIFIABLE_ERROR = 1.0
-"""Minimum standard error, in z, of an unidentifiable parameter."""
+"""Standard error at which a parameter becomes unidentifiable, in the coordinate z."""
 
 MAX_RESIDUAL_SCALE = 2.0
 """RMS of the weighted residuals above which the model does not explain the data."""
@@ -54,14 +55,13 @@ Role = Literal["fit", "validation"]
 
 @dataclass(frozen=True)
 class Residual:
-    """Difference between the measured and predicted values of one signal.
+    """Differences between the measured and predicted values of one signal.
 
     Attributes:
         name: name of the data set and of the signal, such as ``"step_1 bend_2"``.
-        values: residuals, shape (samples,). The residuals of a time series are ordered
-            by time.
-        scale: standard deviation of the expected noise, in `unit`. The fit divides the
-            residuals by this scale.
+        values: residuals, shape (samples,), ordered by time in a time series.
+        scale: standard deviation of the expected noise, in `unit`, by which the fit
+            divides the residuals.
     """
 
     name: str
@@ -82,13 +82,16 @@ class Residual:
 class Parameter:
     """Estimated value of one parameter, with a verdict on its identifiability.
 
-    - "identified": the standard error is at most a tenth of the value or scale.
-    - "weakly identified": the standard error is at most the value or scale.
+    The verdict depends on the ratio of the standard error to the value, or to the scale
+    of a parameter that may be 0 or negative:
+
+    - "identified": the ratio is at most 0.1.
+    - "weakly identified": the ratio is below 1, or the estimate is ambiguous.
     - "cannot tell": the model does not explain the data.
     - "not identifiable": the data do not determine the parameter, so `value` is None.
 
     Attributes:
-        name: parameter name as defined in `parameters`.
+        name: parameter name as defined in the module `parameters`.
         low: lower end of the 95 % confidence interval.
         high: upper end of the 95 % confidence interval.
         why: reason for the verdict.
@@ -116,9 +119,9 @@ class Parameter:
 
 
 def half_width(error: float, freedom: float) -> float:
-    """Return half the width of the confidence interval for a parameter.
+    """Return half the width of the confidence interval of a parameter.
 
-    `error` is the standard error of the parameter, estimated with `freedom` degrees of
+    The argument `error` is the standard error, estimated with `freedom` degrees of
     freedom.
     """
     from scipy import stats  # slow import
@@ -129,8 +132,8 @@ def half_width(error: float, freedom: float) -> float:
 def verdict_on(error: float, scale: float) -> Verdict:
     """Return the verdict on a parameter with a given standard error.
 
-    `scale` is the size of a change in the parameter that counts as large, in the unit
-    of `error`.
+    The argument `scale` is a significant change of the parameter, in the unit of
+    `error`.
     """
     if error <= IDENTIFIED_ERROR * scale:
         return "identified"
@@ -138,11 +141,11 @@ def verdict_on(error: float, scale: float) -> Verdict:
 
 
 class Estimated(Protocol):
-    """Parameter that may have no value."""
+    """Protocol for parameters that may have no value."""
 
     @property
     def value(self) -> float | None:
-        """Estimated value, or None."""
+        """Estimated value, or None if the parameter is not identifiable."""
 
 
 def with_value(parameters: Sequence[Estimated]) -> list[int]:
@@ -153,10 +156,7 @@ def with_value(parameters: Sequence[Estimated]) -> list[int]:
 def correlation_matrix(
     covariance: np.ndarray, parameters: Sequence[Parameter]
 ) -> np.ndarray:
-    """Return the correlation matrix for a covariance matrix.
-
-    Entries of parameters without a value are NaN.
-    """
+    """Return the correlation matrix, with NaN for parameters without a value."""
     matrix = np.full(covariance.shape, np.nan)
     rows = with_value(parameters)
     known = covariance[np.ix_(rows, rows)]
@@ -174,17 +174,16 @@ class FitEstimate(HtmlResult):
     Attributes:
         parameters: estimated parameters, in the requested order.
         correlation: correlation matrix of the estimates, shape (parameters,
-            parameters). Entries of a parameter without a value are NaN.
+            parameters), with NaN for parameters without a value.
         residuals: residuals of the fitted data and of the validation data.
         cancels: unidentifiable directions in z, each as a mapping from parameter names
-            to components. If only the ratio of two parameters has an effect, the two
-            components of the direction are 0.71.
+            to components.
         samples: number of fitted samples.
         independent: equivalent number of independent samples (see `correlation_time`).
         residual_scale: standard deviation of the weighted residuals, which is 1 if the
             residuals are as large as expected.
-        held: names and values of the quantities that were constant in the fit and
-            affect the estimates.
+        held: quantities that were constant in the fit and affect the estimates, by
+            name.
         derived: quantities computed from the parameters, such as a frequency.
     """
 
@@ -202,7 +201,7 @@ class FitEstimate(HtmlResult):
     derived: tuple[Parameter, ...] = ()
 
     def __getitem__(self, name: str) -> Parameter:
-        """Return a parameter by name."""
+        """Return the parameter with a given name."""
         return next(
             parameter for parameter in self.parameters if parameter.name == name
         )
@@ -218,7 +217,7 @@ class FitEstimate(HtmlResult):
 
     @property
     def misfit(self) -> tuple[str, ...]:
-        """Description of each kind of signal that the model does not explain."""
+        """Messages about the signals that the model does not explain."""
         explained = explains_data(self.residuals, self.residual_scale)
         if explained:
             return ()
@@ -266,17 +265,18 @@ class FitEstimate(HtmlResult):
 
 
 _MIN_SERIES = 20
-"""Minimum number of values for a signal to be treated as a time series."""
+"""Minimum number of values in a signal that is treated as a time series."""
 
 _GROWTH = 1.5
-"""Minimum ratio of the RMS in the second to the RMS in the first half of a series.
+"""Minimum RMS ratio at which residuals are reported as growing with time.
 
-Residuals with a larger ratio are reported as growing with time.
+The ratio is the RMS in the second half of a series divided by the RMS in the first
+half.
 """
 
 
 def residuals_by_kind(residuals: Sequence[Residual]) -> dict[str, list[Residual]]:
-    """Return the residuals of each kind of signal, sorted by weighted RMS."""
+    """Group the fitted residuals by kind of signal, with the largest RMS first."""
     kinds: dict[str, list[Residual]] = {}
     for residual in residuals:
         if residual.role == "fit" and len(residual.values):
@@ -293,16 +293,15 @@ def _weighted_rms(residuals: Sequence[Residual]) -> float:
 def explains_data(residuals: Sequence[Residual], scale: float) -> bool:
     """Return whether the residuals are consistent with the noise.
 
-    The check covers all residuals together and each kind of signal.
-
-    `scale` is the standard deviation of all weighted residuals.
+    Both the residuals of each kind of signal and the standard deviation `scale` of all
+    weighted residuals are checked.
     """
     scales = map(_weighted_rms, residuals_by_kind(residuals).values())
     return max(scale, *scales, 0.0) <= MAX_RESIDUAL_SCALE
 
 
 def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
-    """Describe each kind of signal whose residuals exceed the noise."""
+    """Yield a description of each kind of signal whose residuals exceed the noise."""
     for kind, signals in residuals_by_kind(residuals).items():
         if (scale := _weighted_rms(signals)) <= 1:
             break
@@ -320,16 +319,13 @@ def describe_misfit(residuals: Sequence[Residual]) -> Iterator[str]:
 
 
 MIN_CORRELATED_SAMPLES = 20
-"""Minimum number of samples of a series whose autocorrelation is estimated."""
+"""Minimum number of samples in a series whose autocorrelation is estimated."""
 
 _ITERATIONS = 5
 """Number of iterations of the correction for fitted parameters."""
 
 _MAX_REMOVED_FRACTION = 0.5
-"""Maximum value of the fraction c of the noise power.
-
-With a larger c, the residuals would no longer represent the noise.
-"""
+"""Maximum fraction c of the noise power that a fit is assumed to remove."""
 
 
 def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
@@ -365,7 +361,7 @@ def correlation_time(series: Sequence[np.ndarray], unknowns: int = 0) -> float:
 
 
 def _autocovariance(values: np.ndarray) -> np.ndarray:
-    """Return Σ_t r_t r_{t+k} for k = 0…n−1."""
+    """Return the sums Σ_t r_t r_{t+k} for the lags k = 0…n−1."""
     size = 1 << (2 * len(values) - 1).bit_length()
     spectrum = np.fft.rfft(values, size)
     return np.asarray(np.fft.irfft(np.abs(spectrum) ** 2, size)[: len(values)])

@@ -1,9 +1,9 @@
 """Measurement of how far a path follower leaves the footprint on random paths.
 
-An excursion is the maximum distance by which the body leaves the footprint. The runs
-are simulated under the conditions of a scenario. After the straight lead-in of the
-scenario, the robot follows a random path of length `LENGTH_M` without obstacles. The
-seed of a run determines the module properties, the camera noise and the path.
+The excursion of a run is the maximum distance by which the body leaves the footprint.
+The runs are simulated under the conditions of a scenario. After the straight lead-in of
+the scenario, the robot follows a random path of length `LENGTH_M` without obstacles.
+The seed of a run determines the module properties, the camera noise and the path.
 """
 
 from __future__ import annotations
@@ -43,22 +43,16 @@ LENGTH_M = 3.5
 """Length of a random path, m."""
 
 _ARC_LENGTHS_M = (0.3, 0.8)
-"""Minimum and maximum length of an arc, m."""
+"""Range from which the length of an arc is drawn, m."""
 
 _MIN_ARC_M = 0.05
-"""Minimum length of an arc, m."""
+"""Length below which a shortened arc is discarded, m."""
 
 _MAX_HEADING = 1.4
-"""Maximum heading of a random path relative to its start, rad.
-
-A path with a larger heading could cross itself.
-"""
+"""Maximum heading of a random path relative to its initial heading, rad."""
 
 _SLOWEST_FRACTION = 0.5
-"""Minimum mean speed of a successful run, relative to the footprint.
-
-The reference is the lowest speed over all offsets in the footprint.
-"""
+"""Minimum mean speed assumed for a run, relative to the lowest footprint speed."""
 
 _DIGITS = 4
 """Number of decimals with which excursions are written to a footprint file."""
@@ -69,7 +63,7 @@ class FollowerRun:
     """Simulation in which the path follower of a scenario tracks a random path.
 
     Attributes:
-        document: scenario that follows a straight path, as plain data.
+        document: scenario with a straight path, as plain data.
         lead_in: length of the straight start of the path, m.
     """
 
@@ -79,7 +73,10 @@ class FollowerRun:
     seed: int
 
     def run(self) -> tuple[float, float]:
-        """Return the maximum excursions during the lead-in and afterwards, m."""
+        """Return the maximum excursions during the lead-in and afterwards, m.
+
+        The second excursion is `LOST_M` if the robot does not reach the goal.
+        """
         scenario = parse_scenario(self.document | {"seed": self.seed})
         planner = scenario.planner
         follower = scenario.build_controller()
@@ -139,7 +136,7 @@ class FollowerRun:
 def _random_arcs(
     rng: np.random.Generator, low: float, high: float
 ) -> list[tuple[float, float]]:
-    """Return the curvature (1/m) and the length (m) of random arcs."""
+    """Return the curvature (1/m) and the length (m) of each arc of a random path."""
     arcs = []
     left = LENGTH_M
     heading = 0.0
@@ -179,7 +176,7 @@ def calibrate_margin(
 
     Args:
         scenario: name or path of a scenario that follows a plan, or a loaded scenario.
-        out: output folder of the footprint file with the excursions, or None to write
+        out: output folder for the footprint file with the excursions, or None to write
             no file.
         set: values that override fields of the scenario, as in `load_scenario`.
         runs: number of runs per plant.
@@ -189,7 +186,7 @@ def calibrate_margin(
             of runs.
 
     Returns:
-        Excursions on each plant.
+        Excursions for each plant.
 
     Raises:
         InputError: the scenario does not follow a plan, a run failed, or the file
@@ -235,10 +232,9 @@ def measure_excursions(
     workers: int | None,
     progress: Callable[[], None],
 ) -> ExcursionsFile:
-    """Measure how far a scenario's path follower leaves the footprint on one plant.
+    """Measure how far the path follower of a scenario leaves the footprint on a plant.
 
-    The seeds of the runs are 0 to `runs` − 1. The result is an entry of a footprint
-    file.
+    The seeds of the runs are 0 to `runs` − 1.
     """
     planner = scenario.file.section("planner")
     controller = scenario.controller

@@ -1,7 +1,7 @@
 """Fit files, which store a fit with its data, command line and package versions.
 
-The files are calibration/fits/*.yaml. Each data set is listed with its SHA-256 and its
-role, fit or validation. Using a sample for both fit and validation raises an error.
+A fit file lists each data set with its SHA-256 and its role, "fit" or "validation". No
+sample may have both roles.
 """
 
 from __future__ import annotations
@@ -36,14 +36,13 @@ from srs_twin.trajectory import HtmlResult, Trajectory
 
 @dataclass(frozen=True)
 class DataSet:
-    """Data set of a fit.
+    """Data set used for a fit or for its validation.
 
     Attributes:
         name: file name or label.
         sha256: SHA-256 of the file, or of the values if there is no file.
-        from_s: start of the interval that is used, s, or None for the start of the
-            data.
-        to_s: end of the interval that is used, s, or None for the end of the data.
+        from_s: start of the used interval, s, or None for the start of the data.
+        to_s: end of the used interval, s, or None for the end of the data.
     """
 
     name: str
@@ -71,7 +70,7 @@ class Data(Protocol):
     """Protocol for measurements that a fit can use."""
 
     def data_set(self, role: Role) -> DataSet:
-        """Return name, hash and size of the data."""
+        """Return the name, hash and size of the data."""
 
 
 Measured = TypeVar("Measured", bound=Data)
@@ -80,9 +79,9 @@ Measured = TypeVar("Measured", bound=Data)
 def assign_roles(
     label: str, fitted: Iterable[Measured], validation: Iterable[Measured]
 ) -> list[tuple[Measured, Role]]:
-    """Return the data of a fit, each with the role "fit" or "validation".
+    """Return the data of a fit, each paired with the role "fit" or "validation".
 
-    `label` is the plural noun for the data in error messages.
+    The argument `label` is the plural noun for the data in error messages.
     """
     result: list[tuple[Measured, Role]] = [(data, "fit") for data in fitted]
     if not result:
@@ -122,7 +121,7 @@ def array_hash(*arrays: np.ndarray) -> str:
 
 
 def trajectory_hash(trajectory: Trajectory) -> str:
-    """Return the SHA-256 of the recorded file, or of the columns if no file exists."""
+    """Return the SHA-256 of the source file, or of the columns if no file exists."""
     source = trajectory.metadata.get("source")
     if isinstance(source, dict) and isinstance(source.get("sha256"), str):
         return str(source["sha256"])
@@ -148,7 +147,6 @@ Method = Literal[
 ]
 
 _MAX_COMMAND_LENGTH = 2000
-"""Maximum number of characters of a command in a fit file."""
 
 
 def short_command(command: str) -> str:
@@ -166,7 +164,7 @@ _NUMBERS = ("value", "standard_error", "low", "high")
 
 
 class DataEntry(StrictModel):
-    """Data set and its role."""
+    """Data set with its role."""
 
     name: Text
     """File name or label of the data."""
@@ -175,17 +173,17 @@ class DataEntry(StrictModel):
     ]
     """SHA-256 of the data as a hexadecimal string."""
     role: Role
-    """Role of the data: fit, or validation for data that the fit does not use."""
+    """Role of the data, which is validation if the fit does not use the data."""
     samples: Count
     """Number of samples, 0 to 1e9."""
     from_s: Number | None = None
-    """Start of the interval that is used, s (default: start of the data)."""
+    """Start of the used interval, s (default: start of the data)."""
     to_s: Number | None = None
-    """End of the interval that is used, s (default: end of the data)."""
+    """End of the used interval, s (default: end of the data)."""
     measured: Averages | None = None
-    """Measured averages, keyed by name with unit."""
+    """Measured averages, keyed by names that include the units."""
     predicted: Averages | None = None
-    """Averages that the plant predicts with the fitted values."""
+    """Averages predicted with the fitted parameters, keyed by names with units."""
 
     def data_set(self) -> DataSet:
         """Return the data set of the entry."""
@@ -196,11 +194,11 @@ class ParameterEntry(StrictModel):
     """Fitted parameter."""
 
     name: Text
-    """Parameter name section.key as in robot files, numbered for a list element."""
+    """Parameter name in the form section.key, with a number for a list element."""
     unit: Annotated[str, Field(min_length=1, max_length=20)]
     """Unit of `value`, `standard_error`, `low` and `high`."""
     verdict: Verdict
-    """Verdict on identifiability."""
+    """Verdict on the identifiability of the parameter."""
     value: Number | None = None
     """Estimated value, missing if the parameter is not identifiable."""
     standard_error: Size | None = None
@@ -221,17 +219,17 @@ class QualityFile(StrictModel):
     independent_samples: Annotated[float, bounded(0.0, 1e9)]
     """Equivalent number of independent samples."""
     rms: Size | None = None
-    """RMS of the weighted residuals of the fit (1 if as large as expected)."""
+    """RMS of the weighted residuals of the fit, which is 1 for the expected noise."""
     validation_rms: Size | None = None
     """RMS of the weighted residuals of the validation data."""
     converged: bool
     """Whether the search converged."""
     misfit: Annotated[list[Long], Field(max_length=20)] | None = None
-    """Signals that the model does not explain (default: none)."""
+    """Descriptions of the signals that the model does not explain (default: none)."""
 
 
 class FitFile(StrictModel, HtmlResult):
-    """Result of a fit."""
+    """File with the result of a fit."""
 
     page: ClassVar[str] = "fit"
 
@@ -240,9 +238,9 @@ class FitFile(StrictModel, HtmlResult):
     ]
     """Short name of the fit."""
     title: Text
-    """One-line title."""
+    """One-line title of the fit."""
     robot: Text
-    """Name or path of the robot that the fit started from."""
+    """Name or path of the robot from which the fit started."""
     method: Method
     """Method of the fit."""
     command: Annotated[str, Field(min_length=1, max_length=_MAX_COMMAND_LENGTH)]
@@ -258,15 +256,14 @@ class FitFile(StrictModel, HtmlResult):
     correlation: Annotated[
         list[Annotated[list[Fraction], Field(max_length=100)]], Field(max_length=100)
     ]
-    """Correlation matrix of the parameters with a value, in the order of parameters."""
+    """Correlation matrix of the parameters that have a value, in the listed order."""
     cancels: Annotated[
         list[Annotated[dict[str, Fraction], Field(max_length=100)]],
         Field(max_length=100),
     ]
-    """Unidentifiable directions, each with its components keyed by parameter name."""
+    """Unidentifiable directions, each as components keyed by parameter name."""
     derived: Annotated[list[ParameterEntry], Field(max_length=20)] | None = None
-    """Quantities that follow from the parameters, such as a frequency (default: none).
-    """
+    """Quantities computed from the parameters, such as a frequency (default: none)."""
     quality: QualityFile
     """Quality of the fit."""
 
@@ -295,7 +292,7 @@ class FitFile(StrictModel, HtmlResult):
         )
 
     def unidentified(self) -> list[str]:
-        """Return the names of the parameters that have no value."""
+        """Return the names of the parameters without an estimated or constant value."""
         return [
             parameter.name
             for parameter in self.parameters
@@ -334,9 +331,9 @@ class FitFile(StrictModel, HtmlResult):
 def fit_file(
     estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any
 ) -> FitFile:
-    """Create the fit file of an estimate.
+    """Create a fit file from an estimate.
 
-    `about` contains the values of name, title, robot, method, command and versions.
+    The keyword arguments `about` are name, title, robot, method, command and versions.
     """
     check_disjoint(data)
     rows = with_value(estimate.parameters)
@@ -362,10 +359,7 @@ def fit_file(
 
 
 def check_fit_suffix(option: str, path: Path) -> None:
-    """Check that a path has the suffix of a fit file.
-
-    `option` is the name of the option in the error message.
-    """
+    """Check that a path has the suffix of a fit file."""
     if path.suffix not in (".yaml", ".yml"):
         raise InputError(
             f"{option}: {path} is not allowed; the name of a fit file must end in .yaml"

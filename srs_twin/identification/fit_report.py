@@ -20,18 +20,17 @@ if TYPE_CHECKING:
 
 
 _MAX_PANELS = 10
-"""Maximum number of signals in a plot."""
 
 _MAX_BARS = 3
-"""Maximum number of samples in a bar plot. A longer series is drawn as a line."""
+"""Maximum number of samples in a bar plot."""
 
 _COLORS = {"fit": "#0072B2", "validation": "#D55E00"}
 
 
 def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
-    """Return the self-contained HTML page of a fit.
+    """Return a self-contained HTML report of a fit.
 
-    `estimate` must contain the residuals of all data.
+    The residuals in `estimate` must include those of the validation data.
     """
     quality = fit.quality
     validated = (
@@ -64,7 +63,7 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
 
 
 def fit_page(fit: FitEstimate | FitFile) -> str:
-    """Return HTML that shows a fit in a notebook."""
+    """Return the HTML with which a notebook shows a fit."""
     return notebook_output(
         getattr(fit, "title", "Fit"),
         parameter_table((*fit.parameters, *(fit.derived or ()))),

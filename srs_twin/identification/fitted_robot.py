@@ -1,7 +1,6 @@
-"""Robot whose parameters are replaced by the results of one or more fits.
+"""Robots whose parameters are replaced by the results of one or more fits.
 
-The result is the block `robot: {base: …}` of a scenario, or a robot file. If several
-fits contain the same parameter, the last fit sets its value.
+The result is the block `robot: {base: …}` of a scenario, or a robot file.
 """
 
 from __future__ import annotations
@@ -38,16 +37,16 @@ _STDS_IN_INTERVAL = 3.92
 """Ratio of the width of a 95 % interval to the standard deviation."""
 
 _MIN_CORRELATION = 0.05
-"""Minimum magnitude of a correlation to be written to the robot."""
+"""Minimum magnitude of a correlation that is written to the robot file."""
 
 _MAX_CORRELATION = 0.99
-"""Maximum magnitude of a correlation written to the robot.
+"""Maximum magnitude of a correlation that is written to the robot file.
 
 A correlation of 1 would make the correlation matrix singular.
 """
 
 _ROUNDING = 1e-7
-"""Relative tolerance for equal values. Values in fit files have nine digits."""
+"""Absolute and relative tolerance for comparisons with rounded values of a fit file."""
 
 
 def robot_override(
@@ -59,15 +58,15 @@ def robot_override(
     constant value used in the fit.
 
     Args:
-        fit: fit file. The block is based on the robot from which the fit started.
-        weak: whether weakly identified parameters are included.
+        fit: fit file, which also specifies the base robot.
+        weak: whether to include values with a verdict other than "identified".
         over: robot that already has the results of other fits, by default the base
             robot. List elements that the fit does not estimate are copied from this
             robot.
 
     Raises:
-        InputError: the base robot does not exist or draws a fitted parameter at random,
-            or no parameter is identified.
+        InputError: the base robot does not exist, a fitted parameter of this robot is
+            drawn at random, or no parameter is identified.
     """
     file = load_robot_file(fit.robot)
     used = _used_parameters(fit, weak)
@@ -127,7 +126,7 @@ def _changes(
 
 
 def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec:
-    """Return a robot with the values that a fit estimated or kept constant."""
+    """Return a copy of a robot with the estimated and constant values of a fit."""
     used = _used_parameters(fit, weak)
     values = {parameter.name: parameter.value or 0.0 for parameter in used}
     base = load_robot_file(fit.robot).spec()
@@ -231,8 +230,9 @@ def merge_overrides(
     Args:
         fits: paths of fit files. If several files contain the same parameter, the last
             file sets its value.
-        base: name or path of the robot to change, by default the robot of the fits.
-        weak: whether weakly identified parameters are included.
+        base: name or path of the robot to change, by default the robot of the first
+            fit.
+        weak: whether to include values with a verdict other than "identified".
 
     Raises:
         InputError: no fit is given, a fit is for another robot, or a fit has no
@@ -291,7 +291,7 @@ def calibrate_robot(
             parameter, the last file sets its value.
         name: name of the new robot.
         out: path of the robot file, or None to write nothing.
-        weak: whether weakly identified parameters are included.
+        weak: whether to include values with a verdict other than "identified".
         overwrite: whether an existing file is replaced.
 
     Raises:

@@ -98,7 +98,7 @@ class FitProgress(Display):
         self._smallest_rms = 0.0
 
     def __call__(self, runs: int, smallest_rms: float) -> None:
-        """Show the number of model runs and the best weighted RMS so far."""
+        """Show the number of model runs and the smallest weighted RMS so far."""
         self._runs = runs
         self._smallest_rms = smallest_rms
         self._show()
@@ -114,22 +114,19 @@ class FitProgress(Display):
 
 
 _TABLE_WIDTH = 100
-"""Minimum width of a printed table, in characters."""
 
 _STRONG_CORRELATION = 0.5
 """Minimum magnitude of a correlation that is printed."""
 
 _MAX_PAIRS = 6
-"""Maximum number of correlations that are printed."""
 
 _MAX_SIGNALS = 24
-"""Maximum number of signals whose residuals are printed."""
 
 
 def print_table(
     headings: Sequence[str], rows: Iterable[Sequence[str]], left: Collection[int] = ()
 ) -> None:
-    """Print a table. The columns with the indices `left` are left-aligned."""
+    """Print a table in which the columns with the indices `left` are left-aligned."""
     table = new_table(*headings, left=left)
     for row in rows:
         table.add_row(*row)
@@ -164,7 +161,7 @@ def print_estimate(estimate: FitEstimate) -> None:
 
 
 def correlation_lines(estimate: FitEstimate) -> Iterator[str]:
-    """Yield a line of text for each of the strongest correlations."""
+    """Yield one line of text for each of the strongest correlations."""
     import numpy as np
 
     matrix = np.triu(np.nan_to_num(estimate.correlation), 1)
@@ -177,7 +174,7 @@ def correlation_lines(estimate: FitEstimate) -> Iterator[str]:
 
 
 def direction_lines(estimate: FitEstimate) -> Iterator[str]:
-    """Yield a line of text for each unidentifiable direction."""
+    """Yield one line of text for each unidentifiable direction."""
     for direction in estimate.cancels:
         components = ", ".join(
             f"{component:+.2f} {name}" for name, component in direction.items()
@@ -211,7 +208,7 @@ NOTHING_WRITTEN = "nothing was written"
 
 @dataclass(frozen=True)
 class FitOutput:
-    """Output files of a fit, and format of the printed result."""
+    """Checked output settings of a fit command."""
 
     name: str
     path: Path
@@ -224,7 +221,7 @@ class FitOutput:
     def from_options(
         cls, context: typer.Context, method: str, robot: str, options: FitOptions
     ) -> FitOutput:
-        """Return the settings after checking that the output files may be written."""
+        """Create the settings after checking that the output files may be written."""
         from srs_twin.identification.fit_file import check_fit_suffix
 
         out = options.out
@@ -299,7 +296,7 @@ def _check_same_command(path: Path, command: str) -> None:
 
 
 def command_line(context: typer.Context) -> str:
-    """Return the command line without options that have their default value."""
+    """Return the command line without output options and default values."""
     words = ["srs-twin", *context.command_path.split()[1:]]
     arguments: list[str] = []
     for parameter in context.command.params:
@@ -323,7 +320,7 @@ def command_line(context: typer.Context) -> str:
 
 
 def parse_names(text: str | None) -> list[str] | None:
-    """Split a comma-separated list of names, or return None if the list is None."""
+    """Return the names in a comma-separated list, or None if no list is given."""
     if text is None:
         return None
     names = [name.strip() for name in text.split(",") if name.strip()]

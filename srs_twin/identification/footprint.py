@@ -1,9 +1,8 @@
 """Measurement of footprints, which describe the area that a crawling robot sweeps.
 
-In the dissertation, the curvature, the speed and the circles that bound the body were
-measured at seven offsets (Section 5.3, Fig. 58, Table 8). This module determines the
-same quantities from simulations. Each offset is simulated with several initial gait
-phases, and each change of offset is simulated at several gait phases.
+In the dissertation, the path curvature, the speed and the circles that bound the swept
+area were measured at seven steering offsets (Section 5.3, Fig. 58, Table 8). This
+module determines the same quantities from simulations.
 """
 
 from __future__ import annotations
@@ -43,12 +42,12 @@ CONTROLLERS = ("gait", "ilc")
 TICK = 0.005
 """Control period, s.
 
-The period is short because iterative learning must resolve the peaks of the ripple, and
-because a change of offset must coincide with a tick.
+Iterative learning must resolve the bend ripple due to pulse-width modulation, and a
+change of offset must coincide with a tick.
 """
 
 RECORD_HZ = 100.0
-"""Sampling rate of the runs, Hz."""
+"""Sampling rate of the simulations, Hz."""
 
 FREQUENCY_HZ = {"gait": 2.0, "ilc": 1.5}
 """Default gait frequency for each controller, Hz."""
@@ -63,13 +62,13 @@ class GaitSetup:
 
     Attributes:
         frequency: gait frequency, Hz.
-        controller: "gait" (Eq. 13) or "ilc" (Eq. 32).
+        controller: controller of the robot, "gait" (Eq. 13) or "ilc" (Eq. 32).
         target: target bend amplitude of the learning controller, rad.
         plant: "twin", "analytical" (the model `compliant` on wheels), or a function
             that creates a plant with the tick `TICK`.
         steering: steering method of the learning controller, as in `ILC`.
-        chambers: pneumatic model, "lag" or "orifice". The model is ignored if `plant`
-            is a function.
+        chambers: pneumatic model, "lag" or "orifice", which is ignored if `plant` is a
+            function.
         contact: contact model of the twin, or None for the default contact model.
     """
 
@@ -139,21 +138,21 @@ class GaitSetup:
 
     @property
     def transient_periods(self) -> int:
-        """Maximum duration of a transient after an offset change, in gait periods."""
+        """Maximum duration of the transient after an offset change, in gait periods."""
         return 12 if self.controller == "ilc" else 6
 
     @property
     def offsets(self) -> tuple[float, ...]:
-        """Default offsets.
+        """Default steering offsets.
 
-        The range is ±0.3 for the controller "ilc" (Table 8) and ±0.4 for "gait" (Fig.
-        33).
+        The offsets range from −0.3 to 0.3 for the controller "ilc" (Table 8), and from
+        −0.4 to 0.4 for "gait" (Fig. 33).
         """
         count = 3 if self.controller == "ilc" else 4
         return tuple(k / 10 for k in range(-count, count + 1))
 
     def make_controller(self, offset: float, phase: float = 0.0) -> Gait | ILC:
-        """Return a controller with the given offset and the initial phase ψ (rad)."""
+        """Create a controller with a steering offset and an initial phase ψ (rad)."""
         if self.controller == "ilc":
             return ILC(
                 self.frequency,
@@ -173,7 +172,7 @@ class GaitSetup:
     def steady_job(
         self, factory: Callable[[], Plant], offset: float, phase: float, periods: int
     ) -> Job:
-        """Return a simulation at a constant offset."""
+        """Return a simulation job with a constant offset."""
         duration = next_sample((self.settling_periods + periods) * self.period)
         return Job(
             factory,
@@ -183,7 +182,7 @@ class GaitSetup:
         )
 
     def change_time(self, phase: float) -> float:
-        """Return the time (s) of a change of offset at a phase (in gait periods)."""
+        """Return the time (s) of an offset change at a phase given in gait periods."""
         return next_sample((self.settling_periods + phase) * self.period)
 
     def change_job(
@@ -193,7 +192,7 @@ class GaitSetup:
         time: float,
         periods: int,
     ) -> Job:
-        """Return a simulation in which the offset changes at a given time (s).
+        """Return a simulation job in which the offset changes at a given time (s).
 
         The simulation ends `periods` gait periods after the maximum duration of the
         transient.
@@ -208,10 +207,7 @@ class GaitSetup:
 
 
 def next_sample(time: float) -> float:
-    """Return the time of the next sample, s.
-
-    The sampling period of a simulation is two ticks.
-    """
+    """Round a time (s) up to the next sample."""
     return round(math.ceil(time * RECORD_HZ - 1e-6) / RECORD_HZ, 9)
 
 
@@ -238,10 +234,9 @@ class FootprintMeasurement:
     """Measured footprint.
 
     Attributes:
-        spread: half the range over the repeated simulations, for each entry of
-            `steady`.
+        spread: half the range of each value in `steady` over the repeated simulations.
         repeats: number of simulations per offset and per change of offset.
-        periods: number of measured gait periods of each steady simulation.
+        periods: number of measured gait periods in each steady simulation.
     """
 
     setup: GaitSetup
@@ -257,7 +252,7 @@ _OFFSETS = (3, 101)
 """Minimum and maximum number of offsets."""
 
 _LIMITS = {"periods": (3, 200), "phases": (1, 64)}
-"""Minimum and maximum number of measured gait periods, and of gait phases."""
+"""Minimum and maximum of `periods` and `phases` in a `FootprintStudy`."""
 
 
 @dataclass(frozen=True)
@@ -265,10 +260,10 @@ class FootprintStudy:
     """Set of simulations from which a footprint is measured.
 
     Attributes:
-        offsets: three or more offsets in ascending order, some negative and some
-            positive.
+        offsets: three or more offsets in ascending order, including negative and
+            positive values.
         changes: changes of offset to measure, as pairs of the old and the new offset.
-        periods: number of measured gait periods of each steady simulation.
+        periods: number of measured gait periods in each steady simulation.
         phases: number of simulations per offset and per change of offset, at equally
             spaced gait phases.
     """
@@ -320,8 +315,8 @@ class FootprintStudy:
     ) -> FootprintMeasurement:
         """Simulate the plant and measure the footprint.
 
-        By default, the number of threads is the number of processors. The callback
-        `progress` receives the finished and the total number of simulations.
+        By default, one thread per processor is used. The callback `progress` receives
+        the number of finished simulations and the total number of simulations.
 
         Raises:
             DivergedError: a simulation diverged.
@@ -433,11 +428,11 @@ def footprint_study(
     changes: Changes | None = None,
     **counts: int,
 ) -> FootprintStudy:
-    """Return the study that measures a footprint.
+    """Create the study that measures a footprint.
 
-    The default offsets are −0.3 to 0.3 for "ilc" and −0.4 to 0.4 for "gait", in steps
-    of 0.1. `changes` contains pairs of the old and the new offset, by default
-    `default_changes`. `counts` sets `periods` and `phases` of the `FootprintStudy`.
+    The argument `changes` contains pairs of the old and the new offset. The defaults
+    are `GaitSetup.offsets` and `default_changes`. The arguments `counts` are `periods`
+    and `phases` of the `FootprintStudy`.
     """
     rows = setup.offsets if offsets is None else tuple(map(float, offsets))
     study = FootprintStudy(setup, rows, tuple(changes or ()), **counts)
@@ -449,9 +444,9 @@ def footprint_study(
 def default_changes(offsets: Sequence[float]) -> tuple[tuple[float, float], ...]:
     """Return the changes of offset that are measured by default.
 
-    These are the changes between 0, the lowest and the highest offset, and the changes
-    between 0 and about half of these extremes. A planner interpolates linearly between
-    the measured changes.
+    Each change is a pair of the old and the new offset. The pairs contain all changes
+    between 0, the lowest and the highest offset, and those between 0 and the offsets
+    closest to half of these extremes.
     """
     low = min(offsets)
     high = max(offsets)

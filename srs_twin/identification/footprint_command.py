@@ -153,17 +153,17 @@ def margin(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how far a robot deviates from a path.
+    """Measure how far a robot leaves its footprint on random paths.
 
-    The robot follows random paths under the conditions of a scenario. The deviations
-    are written to the footprint file. If a scenario sets planner.margin_probability,
-    the planner computes the margin from these deviations.
+    The robot follows the paths under the conditions of a scenario. The maximum distance
+    in each run is written to the footprint file. If a scenario sets
+    planner.margin_probability, the planner computes the margin from these distances.
 
     Options:
         --runs N: Number of runs with each model.
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
             [default: the models named in the scenario]
-        --out DIR: Folder of the footprint file.
+        --out DIR: Output folder for the footprint file.
     """
     from srs_twin.identification.excursions import NO_MARGIN, calibrate_margin
     from srs_twin.planning.footprint_file import excursion_quantile, load_footprint_file

@@ -45,7 +45,7 @@ _SPREADS = {
     "left_m": "left",
     "right_m": "right",
 }
-"""Attributes of `SteadyPath` whose spread is written, by key in the file."""
+"""Attributes of `SteadyPath` whose spread is written, by key in the footprint file."""
 
 
 def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
@@ -58,7 +58,7 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         f" {measured.periods} gait periods from each of {phases}"
     )
     edge = "as curvature_per_m; maximum over all runs"
-    # Upper bound: a snake is longest when it is straight.
+    # This is an upper bound, because a snake is longest when it is straight.
     body = setup.spec.geometry
     straight = round((body.body_length + body.width) / 2, _DIGITS)
 
@@ -128,21 +128,22 @@ def calibrate_footprint(
 
     Args:
         robot: name or path of the robot, or a loaded robot.
-        out: folder of the footprint file, or None to write nothing.
+        out: folder for the footprint file, or None to write nothing.
         name: name of the footprint and of its file, by default the names of the robot
             and the controller.
         overwrite: whether an existing file from another measurement is replaced.
         controller: controller, "gait" (open loop) or "ilc" (iterative learning
             control).
-        frequency_hz: gait frequency, Hz, by default `FREQUENCY_HZ`.
+        frequency_hz: gait frequency, Hz, by default the frequency of the controller in
+            `FREQUENCY_HZ`.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         target_rad: target bend amplitude of the learning controller, rad.
         plant: simulated plant, "twin" or "analytical".
         contact: contact model of the twin, or None for the default contact model.
         chambers: pneumatic model, "lag" or "orifice".
-        offsets: steering offsets to measure, by default as in `footprint_study`.
+        offsets: steering offsets to measure, by default `GaitSetup.offsets`.
         transients: whether changes of offset are measured.
-        periods: number of measured gait periods of each simulation.
+        periods: number of measured gait periods in each simulation.
         phases: number of simulations per offset, which start at different phases of the
             gait.
         workers: number of parallel simulations, by default one per processor.
@@ -150,8 +151,9 @@ def calibrate_footprint(
             number of simulations.
 
     Raises:
-        InputError: a setting is not allowed, or the footprint file exists or cannot be
-            written.
+        InputError: a setting is not allowed, or the footprint file contains another
+            measurement or cannot be written.
+        DivergedError: a simulation diverged.
     """
     spec = load_robot(robot)
     if frequency_hz is None:
@@ -211,7 +213,7 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
 def header_lines(
     study: FootprintStudy, robot: str, name: str, versions: Mapping[str, str]
 ) -> list[str]:
-    """Return the comment lines of a footprint file."""
+    """Return the comment lines at the start of a footprint file."""
     with_versions = ", ".join(
         f"{package} {version}" for package, version in versions.items()
     )

@@ -1,30 +1,31 @@
 r"""Estimation of friction coefficients from pulls (Eq. 17, Table 2) and coasting tests.
 
-**Pulls.** A spring car pulls the robot along the body with rolling wheels, or across
-the body with blocked wheels. Each pull yields one static friction coefficient μ. The
-coefficient is computed from the maximum deformation ΔL_max of the spring with stiffness
-k, and from the mass m of the robot:
+**Pulls.** A car pulls the robot with a spring, either along the body with rolling
+wheels or across the body with blocked wheels. Each pull yields one static friction
+coefficient μ. The coefficient is computed from the maximum deformation ΔL_max of the
+spring with stiffness k, and from the mass m of the robot:
 
 $$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 
-The kinetic friction coefficient may be smaller. The estimate is the mean over all
+The kinetic friction coefficient may be smaller. The estimate is the mean of μ over all
 pulls. The standard error includes the errors in k and m, which are common to all pulls.
 
-A table of pulls is a CSV file. The columns ``along_mm`` and ``across_mm`` contain the
-maximum spring deformation in pulls along and across the body. Each row contains one
-pull along the body, one pull across the body, or both. The columns ``spring_n_per_m``
-and ``mass_kg`` must be constant, as must the optional columns of standard errors,
-``spring_error_n_per_m`` and ``mass_error_kg``.
+A table of pulls is a CSV file with the maximum spring deformations in pulls along the
+body (``along_mm``) and across the body (``across_mm``). Each row contains one pull
+along the body, one pull across the body, or both. The columns ``spring_n_per_m`` and
+``mass_kg`` must contain constant values. The same applies to the optional columns of
+standard errors, ``spring_error_n_per_m`` and ``mass_error_kg``.
 
 **Coasting tests.** The robot with vented chambers is pushed and released on the floor.
-A straight robot decelerates by μ_t g/(1 + s) along the wheels and by μ_n g across the
-wheels. In other directions the deceleration depends on the friction law (see
-`floor.slide`, which also defines s). The initial position and velocity of each run are
-fitted together with μ_t and μ_n. A component of the initial velocity is set to 0 if the
-displacement in its direction does not exceed the noise.
+A straight robot decelerates by μ_t g/(1 + s) in the rolling direction of its wheels,
+and by μ_n g in the lateral direction, where s is the relative inertia of the wheels. In
+other directions, the deceleration depends on the friction law (see `floor.slide`). The
+initial position and velocity of each run are fitted together with μ_t and μ_n. A
+component of the initial velocity is set to 0 if the displacement in its direction does
+not exceed the noise.
 
 **Bent bodies.** The wheels of a bent body cannot all roll without slip. The body moves
-along the circular arc with the minimum dissipation. On this arc the mean misalignment
+along the circular arc with the minimum dissipation. On this arc, the mean misalignment
 of the wheels is
 
 $$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert , $$
@@ -32,13 +33,13 @@ $$ ε = \min_{a, b} \sum_i \frac{m_i}{M}\,\lvert δ_i - a - b\,i \rvert , $$
 where δ_i is the heading of connector i, m_i the mass of connector i, and M the total
 mass. Under the friction law `wheel`, the lateral slip of the wheels increases the drag
 coefficient to μ_t + ε √(μ_n² − μ_t²). The motion is expressed in a frame that turns
-with the body. The angle between the mean heading and the rolling direction is also
-fitted.
+with the body. If the robot rolls, the angle between the mean heading and the rolling
+direction is also fitted.
 
-The misalignment ε is computed from the recorded bends. If no bends were recorded, ε is
-computed from the rest bends in the robot file. Because ε(bends) is a seminorm, errors
-of the bends (`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most ε(errors). The
-fit is repeated with ε increased and decreased by the 95 % quantile of ε(errors). The
+The misalignment ε is computed from the recorded bends, or from the rest bends in the
+robot file if no bends were recorded. Because ε(bends) is a seminorm, bend errors
+(`_BEND_ERROR_RAD`, `_UNSEEN_BEND_RAD`) change ε by at most ε(errors). The fit is
+repeated with ε increased and decreased by the 95 % quantile of ε(errors). The
 confidence interval of a coefficient also covers the intervals of these two fits.
 """
 
@@ -95,12 +96,12 @@ _DIRECTIONS = ("along", "across")
 
 @dataclass(frozen=True)
 class Pulls:
-    """Spring deformations measured in pulls of the robot with a spring car.
+    """Spring deformations measured while a car pulls the robot with a spring.
 
     Attributes:
         along: maximum deformation of the spring in each pull along the body, m.
-        across: maximum deformation of the spring in each pull across the body or with
-            blocked wheels, m.
+        across: maximum deformation of the spring in each pull with blocked wheels or
+            across the body, m.
         stiffness: spring stiffness k, N/m.
         mass: mass m of the pulled robot, kg.
         stiffness_error: standard error of k, N/m.
@@ -154,7 +155,7 @@ class Pulls:
         return self.factor * np.asarray(getattr(self, direction), dtype=float)
 
     def data_set(self, role: Role) -> DataSet:
-        """Return name, hash and size of the data."""
+        """Return the name, hash and size of the data."""
         along, across = (
             np.asarray(getattr(self, direction), dtype=float)
             for direction in _DIRECTIONS
@@ -241,14 +242,14 @@ _CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_k
 """Columns with constant values. The columns of standard errors are optional."""
 
 _MAX_DEFORMATION_M = 10.0
-"""Maximum plausible deformation, m. A larger value indicates a wrong unit."""
+"""Maximum plausible spring deformation, m."""
 
 PULL_COLUMNS = "along_mm,across_mm,spring_n_per_m,mass_kg"
 """Header line of a table of pulls."""
 
 
 def is_pull_table(path: StrPath) -> bool:
-    """Return whether the header of a file has a column of a table of pulls."""
+    """Return whether the header of a file contains a column of spring deformations."""
     return any(
         name == direction or name.startswith((f"{direction}_", f"{direction} "))
         for name in first_line_names(path)
@@ -257,7 +258,7 @@ def is_pull_table(path: StrPath) -> bool:
 
 
 def read_pull_table(path: StrPath) -> Pulls:
-    """Read a table of pulls."""
+    """Read a table of pulls from a CSV file."""
     known: dict[str, dict[str, float]] = dict.fromkeys(_DIRECTIONS, LENGTHS)
     table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
     columns = {column.name: column for column in table.columns}
@@ -340,20 +341,18 @@ def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
 _MAX_TURN_RAD = 0.2
 """Maximum change of heading during coasting, rad.
 
-With a larger change, the robot cannot be modelled as a point mass.
+A robot that turns further cannot be modelled as a point mass.
 """
 
 _MIN_SAMPLES = 8
-"""Minimum number of samples of a coasting test."""
 
 _MIN_SPEED_M_S = 0.02
-"""Minimum initial speed of a coasting test, m/s."""
 
 _NOISE_M = 1e-3
-"""Standard deviation of the measured position, m."""
+"""Standard deviation of a measured position, m."""
 
 _MIN_TRAVEL = 3.0
-"""Minimum displacement for fitting an initial velocity, in standard deviations."""
+"""Minimum ratio of displacement to `_NOISE_M` for fitting an initial velocity."""
 
 _MAX_ROLL_ANGLE_RAD = 0.1
 """Maximum angle between the mean heading and the rolling direction, rad."""
@@ -362,32 +361,28 @@ _HEADING_DEGREE = 3
 """Degree of the polynomial in time that smooths the heading."""
 
 _BEND_ERROR_RAD = 0.01
-"""Standard deviation of the mean recorded bend of a segment, rad.
-
-Markers are not exactly on the centre line.
-"""
+"""Standard deviation of a mean recorded bend due to marker placement, rad."""
 
 _UNSEEN_BEND_RAD = 0.03
-"""Standard deviation of a rest bend in the robot file, rad."""
+"""Standard deviation of a rest bend that is taken from the robot file, rad."""
 
 _BEND_DRAWS = 1000
-"""Number of random samples of the bend errors."""
 
 _MAX_HALF_WIDTH = 0.1
-"""Maximum relative half width of the interval of an identified coefficient."""
+"""Maximum relative half width of the 95 % interval of an identified coefficient."""
 
 
 @dataclass(frozen=True)
 class CoastingTest:
-    """Recorded deceleration of the vented robot after a push.
+    """Recorded motion of the vented robot after a push.
 
     Attributes:
-        time: time since the first sample that is used, s, shape (samples,).
+        time: time since the first used sample, s, shape (samples,).
         position: displacement of the centre of mass along and across the heading, m,
             shape (samples, 2).
-        velocity: first guess of the initial velocity along and across the heading, m/s.
-        span: first and last time of the samples that are used, on the clock of the
-            recording, s.
+        velocity: estimate of the initial velocity along and across the heading, m/s,
+            from which the fit starts.
+        span: times of the first and last used sample on the clock of the recording, s.
         bends: mean recorded bends, rad, shape (segments,), or None if the bends were
             not recorded.
     """
@@ -404,10 +399,10 @@ class CoastingTest:
     def from_trajectory(
         cls, trajectory: Trajectory, name: str, *, start: float | None = None
     ) -> CoastingTest:
-        """Return the part of a trajectory in which the robot coasts.
+        """Extract the coasting motion from a trajectory.
 
-        `start` is the time from which the robot coasts (s), by default the time of the
-        maximum speed.
+        The robot coasts from the time `start` (s), by default the time of the maximum
+        speed.
         """
         needed = f"{_MIN_SAMPLES} or more are needed"
         time = trajectory.time
@@ -457,7 +452,7 @@ class CoastingTest:
         )
 
     def data_set(self, role: Role) -> DataSet:
-        """Return name, hash and size of the data."""
+        """Return the name, hash and size of the data."""
         return DataSet(self.name, self.sha256, role, 2 * len(self.time), *self.span)
 
 
@@ -474,9 +469,9 @@ def fit_coasting(
 
     A coefficient is identifiable only if the robot coasts in its direction. Validation
     tests do not influence the coefficients, but their initial velocities are fitted. If
-    `wheel_inertia` is false, the wheels have no rotational inertia, as on skids and in
-    the analytical plant. `friction_law` is one of `robot.friction.FRICTION_LAWS` except
-    "viscous".
+    `wheel_inertia` is false, the wheels have no rotational inertia, as in the
+    analytical plant. The value of `friction_law` is one of
+    `robot.friction.FRICTION_LAWS` except "viscous".
     """
     allowed = [name for name in FRICTION_LAWS if name != "viscous"]
     if friction_law not in allowed:
@@ -512,7 +507,7 @@ _STDS_IN_HALF_WIDTH = 1.96
 def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
     """Return the mean misalignment ε of the wheels of bent bodies, rad.
 
-    `bends` are in rad and have shape (..., segments).
+    The array `bends` (rad) has the shape (..., segments).
     """
     weights = spec.mass.array() / spec.mass.total
     number = np.arange(len(weights))
@@ -521,7 +516,7 @@ def misalignment(bends: np.ndarray, spec: RobotSpec) -> np.ndarray:
     )
     smallest = np.full(bends.shape[:-1], np.inf)
     # The line with the minimum sum of absolute deviations passes through two of the
-    # points.
+    # headings.
     for i, j in itertools.combinations(number, 2):
         slope = (headings[..., j] - headings[..., i]) / (j - i)
         line = headings[..., i, None] + slope[..., None] * (number - i)
@@ -550,8 +545,9 @@ def _widened(parameter: Parameter, ends: Sequence[FitEstimate]) -> Parameter:
 class _CoastingModel:
     """Model that predicts coasting tests.
 
-    `fraction` is the fraction s of `floor.slide`. `mu_n` is the coefficient of lateral
-    slip for a bent body, by default the fitted μ_n.
+    The attribute `fraction` is the relative inertia s of the wheels. The attribute
+    `mu_n` is the coefficient for the lateral slip of a bent body, by default the fitted
+    μ_n.
     """
 
     spec: RobotSpec
@@ -562,10 +558,10 @@ class _CoastingModel:
     def fit(
         self, runs: Sequence[CoastingTest], side: float, watch: Watch | None
     ) -> FitEstimate:
-        """Fit the coefficients with the lower bound, estimate or upper bound of ε.
+        """Fit the friction coefficients for one value of the misalignment ε.
 
-        `side` is −1 for the lower bound of ε, 0 for the estimate, and 1 for the upper
-        bound.
+        The argument `side` is −1 for the lower bound of ε, 0 for the estimate, and 1
+        for the upper bound.
         """
         angles = [self._misalignment(run, side) for run in runs]
 
@@ -595,9 +591,9 @@ class _CoastingModel:
     def _residuals(
         self, run: CoastingTest, k: int, values: Mapping[str, float], angle: float
     ) -> list[Residual]:
-        """Return the residuals of run k without their means.
+        """Return the position residuals of run k, each series with a mean of 0.
 
-        Subtracting the mean value is equivalent to fitting the initial position.
+        Subtracting the mean of a series is equivalent to fitting the initial position.
         """
         velocity = values.get(f"along_{k}", 0.0), values.get(f"across_{k}", 0.0)
         mu_t, mu_n = (values[name] for name in _NAMES)
@@ -636,7 +632,7 @@ class _CoastingModel:
 
 
 _SHARP_SLIP = 1e-12
-"""Slip speed that regularises the friction law, m/s, with negligible effect on fits."""
+"""Slip speed that regularises the friction law, m/s, too small to affect a fit."""
 
 
 def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:

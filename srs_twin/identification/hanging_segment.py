@@ -1,27 +1,28 @@
-r"""Free swing of a body that hangs on one segment.
+r"""Free swing of a body that hangs from one segment.
 
 The upper end of the segment is clamped so that the segment hangs straight down. The
 lower end carries a body of mass m, whose moment of inertia about its centre is J. At
 bend q, the chord of the segment has length L(q) (`robot.geometry`) and is inclined by
-q/2 from the vertical. Lagrange's equation is
+q/2 to the vertical. Lagrange's equation is
 
 $$ M \ddot q + \tfrac12 M' \dot q^2 - m g\,\frac{d}{dq}\bigl(L \cos\tfrac q2\bigr)
    = k\,d + k T \dot d + \sum_i e_i, \qquad M = m \Bigl(L'^2 + \frac{L^2}{4}\Bigr) + J, \qquad
    d = b(t) + \varphi(x) - q . $$
 
 Here φ(x) is the bend law of `pneumatics.chambers`, which converts the pressures to a
-bend, and b is the rest bend without pressure. A real material recovers slowly after it
-was bent, so b contains decaying exponentials.
+bend, and b is the rest bend without pressure. A real material recovers slowly after
+being bent, so b(t) contains decaying exponentials.
 
-**Air.** If the chambers are open, φ = 0. In a closed chamber, the air has a constant
-temperature and the absolute pressure P. Through a leak with rate λ, the amount of air n
-= P V tends to its value at the ambient pressure p₀:
+**Air.** If the chambers are open, φ = 0. The air in a closed chamber of volume V has a
+constant temperature and the absolute pressure P. Through a leak with rate λ, the amount
+of air n = P V tends to its value at the ambient pressure p₀:
 
 $$ \dot n = -\lambda\,(n - p_0 V) . $$
 
 **Material.** The material is viscous with the damping time T. Maxwell branches may add
 moments e_i, which satisfy ė_i = g_i ḋ − e_i/τ_i. Five branches give a nearly constant
-loss factor if the relaxation times τ_i span two decades around the oscillation period.
+loss factor around the angular frequency ω if their relaxation times τ_i span two
+decades around 1/ω.
 """
 
 from __future__ import annotations
@@ -46,7 +47,6 @@ _half_angle_terms = kernel_only(half_angle_terms)
 _chord = kernel_only(chord_from_half_angle)
 
 _LARGEST_REST_RAD = 3.0
-"""Maximum magnitude of the equilibrium bend, rad."""
 
 _SMALL_BEND_RAD = 1e-4
 """Step of finite differences with respect to the bend, rad."""
@@ -55,7 +55,7 @@ _MAX_ANGLE_STEP = 0.06
 """Maximum product of the angular frequency and a time step, rad."""
 
 _SHORTEST_S = 1e-3
-"""Oscillation time scale that is too short for the branches to relax, s."""
+"""Inverse of an angular frequency that is too high for the branches to relax, s."""
 
 _SLOWEST_RAD_S = 1e-6
 """Angular frequency assigned to an overdamped swing, rad/s."""
@@ -67,11 +67,11 @@ _BRANCH_RATIOS = 10.0 ** np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
 """Relaxation times of the Maxwell branches as multiples of 1/ω."""
 
 _SMALLEST_RELAXED_FRACTION = 0.02
-"""Minimum fraction of the stiffness left after all branches have relaxed."""
+"""Minimum fraction of the stiffness that remains after all branches have relaxed."""
 
 
 class HangingSegment(NamedTuple):
-    """Constants of the equation of motion.
+    """Constants in the equation of motion of a hanging segment.
 
     Attributes:
         length: length l of the bending part, m.
@@ -100,7 +100,7 @@ class HangingSegment(NamedTuple):
 
 
 class Material(NamedTuple):
-    """Material and leak rate of a segment.
+    """Material properties and leak rate of a segment.
 
     Attributes:
         stiffness: stiffness k without the Maxwell branches, N·m/rad.
@@ -163,14 +163,14 @@ def swing(time, start, rest, frequency, material, segment, branches):  # type: i
         time: times in ascending order, s, shape (samples,).
         start: initial state, shape (4 + branches,).
         rest: rest bend b without pressure at each time, rad, shape (samples,).
-        frequency: approximate angular frequency, which sets the time step, rad/s.
+        frequency: approximate angular frequency, rad/s, which determines the time step.
         material: `Material` of the segment.
         segment: constants of the equation of motion.
         branches: stiffness g_i (N·m/rad) and relaxation time τ_i (s) of each branch,
             shape (branches, 2).
 
     Returns:
-        Bend at each time, rad, shape (samples,), and final state.
+        Bend at each time, rad, shape (samples,), and the final state.
     """
     result = np.empty(len(time))
     state = start.copy()
@@ -237,7 +237,8 @@ def ringing(
 ) -> Ringing:
     r"""Return the small oscillation about the bend at which the segment hangs at rest.
 
-    The linearised equation has the complex stiffness of the material and the air
+    The material and the air in a chamber with gain G, pressure P and volume V together
+    have the complex stiffness
 
     $$ K(s) = k\,(1 + s T)\Bigl(1 + \frac{r s}{s + \lambda}\Bigr), \qquad
     r = \varphi'(x)\,G\,P\,\frac{A}{V}. $$
@@ -251,8 +252,8 @@ def ringing(
         segment: hanging segment.
         material: stiffness, damping time and leak rate.
         rest: rest bend b, rad.
-        air: products P V of the air in the + and − chamber, J, shape (2,). They are
-            ignored if the valves are open.
+        air: products P V of the air in the + and − chamber, J, shape (2,). These values
+            are ignored if the chambers are open.
         branches: stiffness (N·m/rad) and relaxation time (s) of each Maxwell branch,
             shape (branches, 2).
     """
@@ -319,9 +320,8 @@ def constant_loss(material: Material, pulsation: float, rate: float) -> Branches
     """Return a material with a nearly constant loss factor.
 
     At the angular frequency `pulsation` (rad/s), the material has the stiffness and
-    loss factor of the given viscous material. The initial moments of the branches are
-    computed for a swing that passes the rest position with bend rate `rate`
-    (rad/s).
+    loss factor of the given viscous material. The moments of the branches are those of
+    a swing that passes the rest position with the bend rate `rate` (rad/s).
     """
     x = _BRANCH_RATIOS
     storage = x**2 / (1 + x**2)

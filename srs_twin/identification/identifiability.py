@@ -8,13 +8,13 @@ error of the derivatives:
 
 $$ s_k \le 2\,\lVert E v_k \rVert \quad\text{or}\quad s_k \le 10^{-6} s_1 . $$
 
-Each identifiable direction has the standard error σ/s_k. A parameter is not
-identifiable if its component in the unidentifiable directions exceeds 0.1. If the
-component is smaller, the parameter is assumed to be uniformly distributed between the
-bounds along these directions, which increases the variance. A parameter is also not
-identifiable if its standard error in z is at least 1. The data then restrict the
-parameter little more than the bounds do. Otherwise a parameter is identified if its
-standard error is at most 0.1, and weakly identified above 0.1.
+Each identifiable direction has the standard error σ/s_k, where σ is the noise of the
+weighted residuals. A parameter is not identifiable if its component in the
+unidentifiable directions exceeds 0.1. A smaller component increases the variance of the
+parameter, as if the parameter were uniformly distributed between its bounds along these
+directions. A parameter is also not identifiable if its standard error in z is at least
+1. All other parameters are identified if this standard error is at most 0.1, and weakly
+identified otherwise.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _RELATIVE_CUTOFF = 1e-6
 """Relative singular value below which a direction is unidentifiable."""
 
 _MIN_COMPONENT = 0.05
-"""Minimum component for a parameter to be listed in an unidentifiable direction."""
+"""Minimum magnitude of a component that is listed for an unidentifiable direction."""
 
 _SPREAD_ONLY = "the spread about the best value under a wrong model"
 
@@ -66,7 +66,7 @@ class Identifiability:
 
     @property
     def errors(self) -> np.ndarray:
-        """Standard errors, shape (n,)."""
+        """Standard errors in z, shape (n,)."""
         return np.sqrt(np.diag(self.covariance))
 
     def is_unidentifiable(self, i: int) -> bool:
@@ -132,8 +132,8 @@ def identifiability(
     determined = directions[~undetermined]
     unidentifiable = directions[undetermined]
     covariance = (determined.T * (noise / singular[~undetermined]) ** 2) @ determined
-    # Without data, a parameter is uniformly distributed between its bounds. This
-    # distribution has variance width²/12.
+    # Without data, a parameter is assumed to be uniformly distributed between its
+    # bounds. This distribution has a variance of width²/12.
     prior_std = (np.abs(unidentifiable) @ widths) / np.sqrt(12)
     covariance += (unidentifiable.T * prior_std**2) @ unidentifiable
     fraction = np.linalg.norm(unidentifiable, axis=0)
@@ -150,7 +150,7 @@ class Accuracy:
         inside: indices of the parameters whose estimates lie inside the bounds.
         known: identifiability of the parameters in `inside`.
         bias: bias in z due to model errors, shape (n,).
-        spread: maximum distance in z to an equally good minimum, shape (n,).
+        spread: maximum distance in z to a minimum with an equally good fit, shape (n,).
         quantile: half width of a confidence interval divided by the standard error.
     """
 

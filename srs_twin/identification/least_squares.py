@@ -1,15 +1,12 @@
 r"""Weighted nonlinear least squares with confidence intervals and identifiability.
 
 **Search.** SciPy's trust-region method minimises the sum of squared weighted residuals
-within bounds, in the coordinates z of `parameters`. The Jacobian is computed by central
-differences. If the model has kinks, the search continues with a coarse step from the
-first minimum. Additional starting points are random but use a fixed seed, so the search
-is deterministic.
+within bounds, in the coordinates z of `parameters`. If the model has kinks, the search
+continues from the first minimum with a coarser difference step. Additional starting
+points are drawn at random with a fixed seed, so the search is deterministic.
 
 An optional first stage uses only residuals that vary monotonically over a large range
-of the parameters. For a crawling robot, the first stage uses the residuals of the
-bends. The residuals of path and heading are monotonic only within a few per cent of the
-solution. Further away, the simulated robot may turn in a different direction.
+of the parameters. For a crawling robot, these are the residuals of the bends.
 
 **Intervals.** Let S be the sum of squares at the estimate, p the number of parameters
 and n the number of samples. Due to correlations, these samples are equivalent to n/τ
@@ -29,13 +26,14 @@ bias is estimated by indirect inference with a better model, the *reference*
 fitted to data that the reference simulates with the parameters z₀. The bias b(z₀) is
 the difference between the fitted parameters and z₀.
 
-The bias at the unknown true values is approximated by the iteration
-b_{k+1} = b(z − b_k) with b₁ = b(z), and the covariance becomes
+The bias at the unknown true parameters is approximated by the iteration
+b_{k+1} = b(z − b_k) with b₁ = b(z). The covariance becomes
 
 $$ C \to C + b_n b_n^\top + (b_n - b_{n-1})(b_n - b_{n-1})^\top , $$
 
-where the last term is the uncertainty of b. The iteration ends when b changes by less
-than the standard errors, or after five searches. The estimate itself is not corrected.
+where the last term is the uncertainty of the bias. The iteration ends when the bias
+changes by less than the standard errors, or after five searches. The estimate itself is
+not corrected.
 """
 
 from __future__ import annotations
@@ -71,28 +69,23 @@ Refit = Callable[[Values], Values]
 """Function that fits the model to data simulated by a reference model."""
 
 Watch = Callable[[int, float], None]
-"""Progress callback, called with the number of model runs and the best weighted RMS."""
+"""Callback that receives the number of model runs and the smallest weighted RMS."""
 
 _START_RANGE = 1.5
-"""Range in z from which additional starting points are drawn."""
+"""Maximum change of each coordinate z for additional starting points."""
 
 _MIN_START_DISTANCE = 0.7
-"""Minimum distance in z between two starting points.
-
-Searches from closer points would find the same minimum.
-"""
+"""Minimum distance in z between two starting points."""
 
 _CANDIDATES_PER_START = 12
-"""Number of random candidates per additional starting point. The best one is used."""
+"""Number of random candidates per additional starting point."""
 
 _MAX_COARSE_SEARCHES = 4
-"""Maximum number of repetitions with the coarse step."""
 
 _IMPROVEMENT = 0.99
-"""Maximum ratio of new to old sum of squares for which the search is repeated again."""
+"""Ratio of new to old sum of squares below which the search is repeated."""
 
 _MAX_ITERATIONS = 100
-"""Maximum number of iterations of SciPy's search."""
 
 
 @dataclass(frozen=True)
@@ -109,8 +102,8 @@ class SearchOptions:
         first_stage: filter that selects the residuals of the first stage, which are
             monotonic over a large range of the parameters.
         identifiability_step: step of the Jacobian from which the identifiability is
-            computed, by default `step`. This step is used only if the uncertainty of
-            the estimate exceeds `step`.
+            computed. If this value is None or the uncertainty of the estimate is below
+            `step`, the Jacobian is computed with `step`.
         target_rms: RMS of the weighted residuals at which the search ends early.
         max_runs: maximum number of model runs, or None for no limit. A search that
             reaches this limit counts as not converged.
@@ -126,7 +119,7 @@ class SearchOptions:
 
     @property
     def effective_tolerance(self) -> float:
-        """Tolerance, which is derived from `step` if it is not given."""
+        """Tolerance of the search, which by default is derived from `step`."""
         if self.tolerance is None:
             return max(1e-12, 1e-3 * self.step**2)
         return self.tolerance
@@ -142,7 +135,7 @@ class SearchResult:
 
 
 class Search:
-    """Weighted residuals as a function of z, and their minimisation."""
+    """Weighted residuals as a function of z, with methods that minimise them."""
 
     def __init__(
         self,
@@ -180,7 +173,7 @@ class Search:
             )
 
     def values(self, z: Array) -> dict[str, float]:
-        """Return the parameter values at z as a mapping from names to values."""
+        """Return the parameter values at z, keyed by parameter name."""
         return {
             unknown.name: unknown.value(float(at))
             for unknown, at in zip(self.unknowns, z, strict=True)
@@ -191,9 +184,9 @@ class Search:
         return tuple(self._residuals(self.values(z)))
 
     def weighted(self, z: Array, only: ResidualFilter | None = None) -> Array:
-        """Return the weighted residuals of the fitted data.
+        """Return the weighted residuals of the fitted data at z.
 
-        `only` is a filter that selects residuals.
+        If the filter `only` is given, it selects the residuals that are returned.
 
         Raises:
             _SearchStoppedError: the maximum number of runs or the target RMS is
@@ -259,7 +252,10 @@ class Search:
         return np.array(found) - z
 
     def run(self, start: Array) -> SearchResult:
-        """Search from a starting point. A stopped search returns its best point."""
+        """Search from a starting point and return the minimum.
+
+        A search that is stopped early returns the best point found.
+        """
         options = self._options
         self._best = SearchResult(start, np.inf, False)
         self._is_searching = True
@@ -281,7 +277,7 @@ class Search:
         return float(np.sum(self.weighted(z, self._options.first_stage) ** 2))
 
     def _minimize_with_kinks(self, start: Array) -> SearchResult:
-        """Minimise with fine and coarse steps in turn to leave local minima."""
+        """Minimise with alternating fine and coarse steps to leave local minima."""
         fine = self._options.step
         coarse = self._options.coarse_step
         end = self._minimize(start, fine)
@@ -301,8 +297,8 @@ class Search:
     ) -> SearchResult:
         from scipy import optimize  # slow import
 
-        # The prior adds one observation per parameter, so that a parameter without
-        # effect on the filtered residuals keeps its initial value.
+        # The prior adds one observation per parameter. A parameter that does not affect
+        # the filtered residuals therefore keeps its initial value.
         count = 0 if only is None else len(start)
         prior = np.eye(count, len(start))
         result = optimize.least_squares(
@@ -330,10 +326,7 @@ def _weighted(residuals: Sequence[Residual]) -> Array:
 
 
 def select_starts(search: Search, count: int) -> list[Array]:
-    """Return the given starting point and the best of many random points around it.
-
-    The returned points keep a minimum distance from each other.
-    """
+    """Return the given starting point and the best of many random points around it."""
     size = (_CANDIDATES_PER_START * (count - 1), len(search.start))
     shifts = np.random.default_rng(0).uniform(-_START_RANGE, _START_RANGE, size)
     candidates = [
@@ -349,7 +342,7 @@ def select_starts(search: Search, count: int) -> list[Array]:
 
 
 _BOUND_DISTANCE = 1e-3
-"""Distance in z from a bound up to which a parameter counts as at the bound."""
+"""Maximum distance in z at which a parameter counts as being at its bound."""
 
 
 def least_squares(
@@ -374,10 +367,10 @@ def least_squares(
         starts: number of searches, each from a different starting point.
         held: constant values that affect the estimates and are stored in the result.
         watch: progress callback.
-        validation: function that returns the residuals of the validation data. To save
-            time, the function is called only after the search.
-        refit: function that fits the model to data of a reference model, from which the
-            bias due to model errors is estimated.
+        validation: function that returns the residuals of the validation data, called
+            once after the search.
+        refit: function that fits the model to data of a reference model, to estimate
+            the bias due to model errors.
     """
     search = Search(residuals, tuple(unknowns), options or SearchOptions(), watch)
     ends = [search.run(start) for start in select_starts(search, starts)]
@@ -441,7 +434,7 @@ def _identify(
     search: Search, z: Array, noise: float
 ) -> tuple[np.ndarray, Identifiability]:
     jacobian, error = search.jacobian_and_error(z, noise)
-    # A parameter that does not affect the residuals may end anywhere, even at a bound.
+    # The search may leave a parameter without effect anywhere, even at a bound.
     has_effect = np.linalg.norm(jacobian, axis=0) > 2 * np.linalg.norm(error, axis=0)
     at_bound = has_effect & (
         (z - search.low < _BOUND_DISTANCE) | (search.high - z < _BOUND_DISTANCE)
@@ -481,15 +474,12 @@ def _iterate_bias(
 
 
 _MAX_REFITS = 5
-"""Maximum number of fits to data of the reference model.
-
-Gait fits need three to five.
-"""
+"""Maximum number of fits to data of the reference model."""
 
 
 def _spread_of_minima(
     best: SearchResult, ends: Sequence[SearchResult], limit: float
 ) -> Array:
-    """Return the distance in z of each parameter to the farthest equivalent minimum."""
+    """Return the maximum distance of each parameter in z to an equivalent minimum."""
     minima = [end.z for end in ends if 2 * (end.cost - best.cost) <= limit]
     return np.asarray(np.abs(np.array(minima) - best.z).max(axis=0))

@@ -1,13 +1,13 @@
 """Fits of friction, lengths, masses or stiffness to runs of the crawling robot.
 
-A plant is simulated with the recorded valve states, and the simulated motion is
-compared with the measured motion. The comparison uses the period-averaged speed and yaw
-rate ("averages"), or the path, heading and bends over time ("shapes"), or all of these
-signals ("both").
+A plant is simulated with the recorded valve states or pressures, and the simulated
+motion is compared with the measured motion. The compared signals are the
+period-averaged speed and yaw rate ("averages"), the path, heading and bends over time
+("shapes"), or all of these ("both").
 
 Some parameters cannot be identified from these data. The motion depends only on ratios
 of masses, and on the ratios of stiffness and damping to the masses. In the model
-`complete` the bends are prescribed, so the motion does not depend on the stiffness.
+`complete`, the bends are prescribed, so the motion does not depend on the stiffness.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def _recorded_pressures(
 
 
 MEASURED_LENGTHS = ("geometry.rigid_gap_m", "geometry.segment_length_m")
-"""Lengths whose sum is the segment pitch, which markers can measure."""
+"""Lengths whose sum is the segment pitch, which can be measured with markers."""
 
 FROM_MARKERS = "measured from the markers, not from the walk"
 
@@ -84,7 +84,8 @@ def measured_length(
     The pitch is the sum of the rigid gap and the length of a straight segment. The
     requested length is the measured pitch minus the other length, which is taken from
     the robot file. With the gap g of the robot file, the markers determine the arc
-    length ℓ of a segment at each bend q. The pitch then follows from a fit of a and b,
+    length ℓ of a segment at each bend q. The pitch then follows from the fitted
+    coefficients a and b:
 
     $$ \ell = a + b\,q^2, \qquad \text{pitch} = a + g . $$
 
@@ -93,10 +94,10 @@ def measured_length(
     placement, and the noise of the two outermost markers.
 
     Args:
-        recordings: recordings. Recordings without markers are ignored.
+        recordings: recordings, of which those without markers are ignored.
         spec: robot with which the recordings were read.
-        names: requested parameters. If the gap and the segment length are requested,
-            the result is None, because markers determine only the pitch.
+        names: requested parameters. If both the gap and the segment length are
+            requested, the result is None, because markers determine only the pitch.
     """
     requested = [name for name in names if name in MEASURED_LENGTHS]
     marked = [
@@ -144,23 +145,22 @@ NOISE = {
 }
 """Expected standard deviation and unit of each signal.
 
-For a bend, the error computed from the markers is used instead if it is larger.
+If the bend error computed from the markers is larger, it is used instead.
 """
 
 _STEP = 3e-2
-"""Step of finite differences in z for the analytical plants, which have kinks."""
+"""Step of finite differences in z for analytical plants, whose residuals have kinks."""
 
 _COARSE_STEP = 0.1
-"""Coarse step of finite differences in z for the analytical plants."""
 
 MAX_TWIN_RUNS = 150
 """Maximum number of model runs in a search with the twin."""
 
 _CLOSE_STEPS = {"tolerance": 2e-5}  # m/s, multiplied by the time scale of the robot
-"""Settings of an analytical plant in a fit.
+"""Settings of an analytical plant with prescribed bends in a fit.
 
-The friction tolerance is a tenth of the default value. With the default value,
-step-size control would change finite differences more than the parameters do.
+The tolerance is a tenth of the default value. With the default value, step-size control
+would affect finite differences more than the parameters do.
 """
 
 _COMPLIANT_STEPS = _CLOSE_STEPS | {
@@ -169,13 +169,13 @@ _COMPLIANT_STEPS = _CLOSE_STEPS | {
 }  # s and m/s, multiplied by the time scale of the robot
 """Settings of the model `compliant` in a fit.
 
-With the defaults, a time step of 2 ms and a slip speed of 0.25 mm/s, the sum of squares
-has many close local minima, a few standard errors apart. The slip speed set here is
-also used by the twin.
+With the default time step of 2 ms and slip speed of 0.25 mm/s, the sum of squares has
+many local minima that are a few standard errors apart. The twin also uses a slip speed
+of 1 mm/s.
 """
 
 _DIVERGED_RESIDUAL = 1e3
-"""Residual assigned to each sample of a simulation that diverges."""
+"""Residual assigned to each sample of a diverged simulation."""
 
 _MAX_RATE_HZ = 50.0
 """Maximum sampling rate at which shapes are compared, Hz."""
@@ -189,8 +189,8 @@ class GaitRun:
         trajectory: measured motion from rest, with the gait frequency in the metadata.
         controller: controller that replays the recorded valve states.
         supply_pa: supply pressure, Pa.
-        chambers: function that creates a pneumatic model which replays the recorded
-            pressures, or None if valve states were recorded.
+        chambers: function that creates a pneumatic model with the recorded pressures,
+            or None if valve states were recorded.
     """
 
     trajectory: Trajectory
@@ -200,7 +200,7 @@ class GaitRun:
     chambers: Callable[[RobotSpec], Pneumatics] | None = None
 
     def data_set(self, role: Role) -> DataSet:
-        """Return name, hash and size of the data."""
+        """Return the name, hash and size of the run."""
         return DataSet(
             self.name, trajectory_hash(self.trajectory), role, len(self.trajectory)
         )
@@ -227,11 +227,10 @@ class PlantModel:
         """Return the search settings for this plant.
 
         The motion of the twin is a smooth function of z down to steps of 1e-3. Path and
-        heading are monotonic functions of z within 1e-2 of the solution, whereas bends
-        are monotonic within 1. The first stage therefore uses only the bends. The step
-        for the identifiability is a few per cent, similar to the uncertainty of the
-        parameters. The model `compliant` has finer kinks than the twin, and all of its
-        signals are monotonic.
+        heading vary monotonically with z only within 1e-2 of the solution, whereas
+        bends do so within 1. The first stage of a search with the twin therefore uses
+        only the bends. The model `compliant` has finer kinks than the twin, and all of
+        its signals vary monotonically.
         """
         if self.plant == "twin":
             options = SearchOptions(
@@ -261,7 +260,7 @@ class PlantModel:
     ) -> Plant:
         """Create the plant for a robot.
 
-        `chambers` is the pneumatic model, or None for the default model.
+        The argument `chambers` is a pneumatic model, or None for the default model.
         """
         settings = dict(self.settings)
         if chambers is not None:
@@ -365,12 +364,12 @@ def fit_locomotion(
     Args:
         runs: measured runs.
         spec: robot with the initial values and the constant values.
-        names: names of the free parameters, as defined in `parameters`.
+        names: names of the free parameters, as defined in the module `parameters`.
         model: plant that simulates the robot, by default the analytical plant.
-        compare_signals: signals to compare: "averages", "shapes" or "both".
-        validation: runs for validation.
+        compare_signals: signals to compare, "averages", "shapes" or "both".
+        validation: runs that are used only for validation.
         starts: number of searches, each from a different starting point. A single
-            search is sufficient only if the twin is compared by shapes.
+            search is sufficient only if shapes are compared with the twin.
         watch: progress callback.
         reference: better model of the robot, from which the bias due to model errors is
             estimated (see `least_squares`). Without a reference, the intervals assume
@@ -401,8 +400,8 @@ def fit_locomotion(
         search = Search(
             partial(comparison.residuals, simulated), unknowns, options, None
         )
-        # Start at the starting point of the fit, to find the local minimum that the fit
-        # found.
+        # The search starts where the fit started, so that it finds the same local
+        # minimum.
         return search.values(search.run(search.start).z)
 
     estimate = least_squares(

@@ -8,8 +8,8 @@ connector mass. A change of this mean scales all masses, including the wheel mas
 parameter ``modules.sensor_bias_rad`` applies to the sensors of all modules.
 
 A search uses the coordinate z = ln(value), or z = value/scale if the value may be 0 or
-negative. A change of z by 1 corresponds to a factor e or to a difference of one
-`scale`, and is considered significant.
+negative. A change of z by 1, which is considered significant, multiplies the value by e
+or changes the value by `scale`.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ class FreeParameter:
     Attributes:
         name: name of the robot parameter, or any name for a nuisance parameter.
         start: initial value of the search.
-        scale: difference that is considered significant, in `unit`. If `scale` is None,
-            the value is positive and z is the logarithm of the value.
-        nuisance: whether the parameter is only needed for the fit, such as the initial
-            velocity of a coasting test.
+        scale: change of the value that is considered significant, in `unit`. If `scale`
+            is None, the value is positive and z is the logarithm of the value.
+        nuisance: whether the parameter is needed for the fit but omitted from the
+            result, such as the initial velocity of a coasting test.
     """
 
     name: str
@@ -77,7 +77,7 @@ class FreeParameter:
 
 @dataclass(frozen=True)
 class _Accessor:
-    """Functions that get and set a parameter, for example of connector or segment k."""
+    """Functions that get and set a parameter of the robot or of one list element k."""
 
     unit: str
     low: float
@@ -94,7 +94,7 @@ def free_parameters(
 ) -> tuple[FreeParameter, ...]:
     """Return free parameters that start from the values of a robot.
 
-    `starts` maps parameter names to initial values that replace those of the robot.
+    The mapping `starts` contains initial values that replace those of the robot.
     """
     parameters: list[FreeParameter] = []
     for name in names:
@@ -131,7 +131,7 @@ def with_values(spec: RobotSpec, values: Mapping[str, float]) -> RobotSpec:
 
 
 def is_parameter(name: str) -> bool:
-    """Return whether a name is a robot parameter."""
+    """Return whether a robot parameter has the given name."""
     key, _ = _key(name)
     return key in _ACCESSORS
 
@@ -143,12 +143,12 @@ def parameter_unit(name: str) -> str:
 
 
 def parameter_names() -> list[str]:
-    """Return the names of all parameters that can be fitted, with "N" as the number."""
+    """Return the names of all parameters that can be fitted, with "N" for a number."""
     return list(_ACCESSORS)
 
 
 def per_segment(spec: RobotSpec, *names: str) -> tuple[str, ...]:
-    """Return parameter names with segment numbers, such as ``modules.bias_rad_1``."""
+    """Return the names with segment numbers, such as ``modules.bias_rad_1``."""
     return tuple(f"{name}_{j}" for name in names for j in range(1, spec.segments + 1))
 
 
@@ -235,7 +235,7 @@ def _set_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
 
 
 def _lightest(spec: RobotSpec) -> float:
-    """Return the minimum mass of a connector (kg), slightly above the wheel mass."""
+    """Return the minimum mass of a connector (kg), which depends on the wheel mass."""
     return 2.01 * spec.mass.wheel / WHEEL_FRACTION
 
 
@@ -255,7 +255,7 @@ def _set_bend(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     )
 
 
-# These bounds lie within those of robot files, so that every result can be saved.
+# These bounds lie within those of robot files, so that every result can be written.
 _ACCESSORS: dict[str, _Accessor] = {
     "geometry.segment_length_m": _scalar("geometry", "segment_length", "m", 0.005, 0.5),
     "geometry.rigid_gap_m": _scalar("geometry", "rigid_gap", "m", 0.0, 0.2, scale=0.02),

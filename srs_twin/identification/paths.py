@@ -1,24 +1,25 @@
 r"""Period-averaged path of a crawling snake: speed, curvature, edges and transients.
 
-A pose is a point of the path with the direction of the path there. The motion along an
-arc of curvature κ and length L is
+A pose consists of a point on the path and the direction of the path at this point. The
+motion along an arc of curvature κ and length L is
 
 $$ A_κ(L) = \Bigl(L\,\mathrm{sinc}\tfrac{κL}{2},\; \text{at the angle}\; \tfrac{κL}{2};\;\; κL\Bigr), $$
 
 where P ∘ A is the pose at the end of an arc that starts at the pose P.
 
 `SteadyPath` describes crawling at a constant offset (Fig. 58, Table 8).
-`measure_transient` measures a change of offset at time t_s. The pose P at t_s is
-extrapolated from the steady arc before the change. If the curvature changed instantly,
-as in the dissertation, the snake would then follow the steady arc P ∘ A(v (t − t_s)) of
-the new offset. In fact, the path after the transient is
+`measure_transient` measures the effect of a change of offset at time t_s. The pose P at
+t_s is extrapolated from the steady arc before the change. If the curvature changed
+instantly, as assumed in the dissertation, the snake would then follow the steady arc
+P ∘ A(v (t − t_s)) of the new offset with the speed v. In fact, the path after the
+transient is
 
 $$ P ∘ D ∘ A(v (t − t_s)), $$
 
-where D is a constant displacement due to the transient. The error of the turning angle
-per gait period is the difference from the value at the new offset. The path has settled
-when this error is at most 10 % of the change. If iterative learning still varies the
-turning angle, an error of twice the variation is allowed.
+where D is a constant displacement due to the transient. The path has settled when the
+turning angle per gait period differs from its value at the new offset by at most 10 %
+of the total change. If iterative learning still varies the turning angle at the end of
+the run, the tolerance is at least twice this variation.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from srs_twin.robot.spec import Geometry
 from srs_twin.trajectory import Trajectory
 
 _STRAIGHT_PER_M = 1e-9
-"""Curvature below which an arc is treated as a straight line."""
+"""Curvature below which an arc is treated as a straight line, 1/m."""
 
 _SMALL_TURN_RAD = 1e-4
 """Turning angle below which a series expansion replaces a quotient, rad."""
@@ -54,7 +55,7 @@ class Poses:
 
     Attributes:
         place: positions as complex numbers x + i y, m, shape (n,) or ().
-        heading: heading, rad, with the shape of `place`.
+        heading: headings, rad, with the shape of `place`.
     """
 
     place: np.ndarray
@@ -62,12 +63,15 @@ class Poses:
 
     @classmethod
     def arc(cls, curvature: float, length: np.ndarray | float) -> Poses:
-        """Return the motions A_κ(L). A negative length (m) is a backward motion."""
+        """Return the motions A_κ(L) along arcs.
+
+        A negative length (m) is a backward motion.
+        """
         half = curvature * np.asarray(length, dtype=float) / 2
         return cls(length * np.sinc(half / np.pi) * np.exp(1j * half), 2 * half)
 
     def compose(self, other: Poses) -> Poses:
-        """Return the pose that the motion `other` reaches from this pose."""
+        """Return the pose that is reached from this pose by the motion `other`."""
         return Poses(
             self.place + np.exp(1j * self.heading) * other.place,
             self.heading + other.heading,
@@ -78,13 +82,13 @@ class Poses:
         return Poses(-np.exp(-1j * self.heading) * self.place, -self.heading)
 
     def mean(self) -> Poses:
-        """Return the mean pose. The poses must be close to each other."""
+        """Return the mean of poses that are close to each other."""
         return Poses(np.asarray(self.place.mean()), np.asarray(self.heading.mean()))
 
     def coordinates(
         self, points: np.ndarray, curvature: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the coordinates of points relative to arcs through these poses.
+        """Return the coordinates of points relative to arcs that start at these poses.
 
         Args:
             points: points in the plane, m, shape (n, points, 2). If there is a single
@@ -118,8 +122,7 @@ def period_averaged_path(
     window. Each pose belongs to the middle of a gait period and points along the chord
     of the path over this period. If the path turns by φ per period, the mean position
     over a period lies inside the arc by (1 − sinc(φ/2))/κ. The returned path is
-    corrected for this distance. The lateral oscillation of the body vanishes in
-    averages over whole periods.
+    corrected for this distance.
     """
     mean, velocity = window.running_mean(trajectory, trajectory.com)
     turn = (
@@ -143,7 +146,7 @@ class SteadyPath:
 
     Attributes:
         speed: speed of the centre of mass along the arc, m/s.
-        curvature: curvature of the arc, 1/m. A left turn has a positive curvature.
+        curvature: curvature of the arc, 1/m, positive for a left turn.
         left: maximum extent of the body to the left of the arc, m.
         right: maximum extent of the body to the right of the arc, m.
         ahead: maximum extent of the body in front of the centre of mass, along the arc,
@@ -197,7 +200,7 @@ class SteadyPath:
         )
         extent = (
             geometry.width / 2 / (1 - curvature * offset)
-        )  # half the disc width, as an angle about the centre of the arc
+        )  # half the width of a disc, projected onto the arc
         if abs(curvature) > _STRAIGHT_PER_M:
             extent = np.arcsin(curvature * extent) / curvature
         ahead = max(along.max(), (ends + extent).max())
@@ -208,7 +211,7 @@ class SteadyPath:
 
 
 def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPath]:
-    """Combine repeated measurements, and also return half the range of each value.
+    """Combine repeated measurements and compute half the range of each value.
 
     Speed and curvature are averaged. The extents of the body are the maxima over all
     measurements.
@@ -252,8 +255,8 @@ def measure_transient(
     """Measure the transient after one change of offset.
 
     The part of the body that is still on the old arc is excluded, because a planner
-    assigns it to the area swept along that arc. `paths` contains the steady paths of
-    the old and the new offset.
+    assigns this part to the area swept along the old arc. The argument `paths` contains
+    the steady paths of the old and the new offset.
     """
     old = GaitWindow.ending_at(trajectory, period, change.time, STEADY_PERIODS)
     if old is None:
@@ -290,7 +293,7 @@ def _excess(
     begin: Poses,
     paths: BothPaths,
 ) -> tuple[float, float]:
-    """Return the maximum distance of the body beyond the new arc to each side, m.
+    """Return how far the body exceeds the left and right edges of the new path, m.
 
     Within one body length of the change, the area swept along the old arc is excluded.
     """
@@ -334,9 +337,9 @@ def _settling_time(
 
 
 def combine_transients(repeats: Sequence[Transient]) -> Transient:
-    """Combine the transients of changes at several phases of the gait.
+    """Combine the transients of one offset change, measured at several gait phases.
 
-    Displacements are averaged. The extents of the body are the maxima over all
+    The displacements are averaged. The widths and the length are the maxima over all
     measurements.
     """
     first = repeats[0]

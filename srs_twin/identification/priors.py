@@ -6,8 +6,8 @@ variables ζ and the correlation matrix R:
 
 $$ x_i = F_i^{-1}(\Phi(\zeta_i)), \qquad \zeta = L z, \quad L L^T = R, \quad z_i = \Phi^{-1}(u_i), $$
 
-where the variables u are independent and uniformly distributed. Normal and lognormal
-distributions are truncated at the bounds of robot files.
+where the variables u_i are independent and uniformly distributed. Normal and lognormal
+distributions are truncated at the bounds that apply in robot files.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Prior:
 
     Attributes:
         path: path of the parameter in a robot file.
-        bounds: minimum and maximum value in a robot file.
+        bounds: minimum and maximum value allowed in a robot file.
     """
 
     path: str
@@ -71,7 +71,7 @@ class Priors:
 
     @classmethod
     def from_robot(cls, robot: RobotFile, *, exclude: Collection[str] = ()) -> Priors:
-        """Return the prior distribution in a robot file.
+        """Return the prior distribution that a robot file defines.
 
         Parameters with paths in `exclude` are treated as exactly known.
         """

@@ -24,10 +24,9 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.scenario import Scenario
 
 _MAX_DURATION_S = 3600.0
-"""Maximum duration of a scenario, s."""
 
 _BENCH_RECORD_HZ = 1000
-"""Sampling rate on a bench, Hz.
+"""Sampling rate of a simulation on a bench, Hz.
 
 On a bench, the bends respond to the valves within milliseconds.
 """
@@ -51,8 +50,8 @@ def replay_scenario(
 ) -> Scenario:
     """Build a scenario that simulates the robot with recorded valve states.
 
-    When `run_scenario` runs the scenario, metrics compare each plant with the
-    recording.
+    When `run_scenario` runs this scenario, the resulting metrics compare each plant
+    with the recording.
 
     Args:
         motion: path of a file with motion capture, or with bends measured on a bench.
@@ -65,7 +64,7 @@ def replay_scenario(
         bench: whether the head of the robot is clamped on a bench.
         supply_pa: supply pressure, Pa, by default the nominal pressure of the robot.
         plants: names of the plants to simulate, by default "analytical" and "twin".
-        model: analytical model.
+        model: name of the analytical model.
         friction_law: friction law of the analytical plant, by default "wheel".
         notify: function that receives a summary of the recording.
 

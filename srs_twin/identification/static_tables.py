@@ -1,27 +1,27 @@
 r"""Gains, rest bends and dead zones of free segments, fitted to static measurements.
 
 **Tables.** A table is a CSV file with constant pressures and the bends at which free
-segments come to rest. The columns are ``pressure_plus_1,pressure_minus_1,bend_1,…``,
-with optional standard errors ``bend_error_1``. A column name may include the unit
-(``pressure_plus_1_kpa``, ``bend_1_deg``). A pressure without a column is 0. An empty
-cell marks a bend that was not measured. Static data do not determine time constants or
-masses.
+segments come to rest. The columns are ``pressure_plus_1,pressure_minus_1,bend_1,…``
+and, optionally, the standard errors ``bend_error_1,…``. A column name may include the
+unit (``pressure_plus_1_kpa``, ``bend_1_deg``). A pressure without a column is assumed
+to be 0. An empty cell marks a bend that was not measured. Static data do not determine
+time constants or masses.
 
 **Plateaus.** A table can also be computed from the plateaus of a recording. A plateau
 is an interval in which all pressures stay within ±1 kPa, or within ±5 standard
-deviations of the noise. The first 5 τ of a plateau are discarded, where τ is the
-maximum time constant of the robot. The last 50 ms and frames with pressure outliers are
-also discarded. Until the bend of a segment has settled, the first quarter of the
-remaining frames is discarded again. A bend has settled if the drift along a fitted line
-is less than twice its standard error, or less than 0.1 mrad. The mean bend has the
-standard error
+deviations of the noise if this range is larger. The first 5 τ of each plateau, the last
+50 ms and frames with pressure outliers are discarded, where τ is the largest time
+constant of the robot. The first quarter of the remaining frames is discarded repeatedly
+until the bend of a segment has settled. A bend has settled if its drift along a fitted
+line is less than twice the standard error of the drift, or less than 0.1 mrad. The mean
+bend has the standard error
 
 $$ \sigma = \max\bigl(s / \sqrt{n/\tau_c},\; e/10\bigr), $$
 
 where s is the standard deviation of n frames about the line, τ_c the
 `correlation_time`, and e the recorded standard error of one frame (``bend_error_1``). A
-tenth of e is assumed to be systematic, for example due to marker offsets, and is not
-reduced by averaging.
+tenth of e is assumed to be a systematic error, for example due to marker offsets, and
+is not reduced by averaging.
 """
 
 from __future__ import annotations
@@ -64,19 +64,19 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 _PLATEAU_BAND_PA = 1e3
-"""Maximum deviation from the mean of a pressure that counts as constant, Pa."""
+"""Half the maximum pressure range on a plateau, Pa."""
 
 _OUTLIER_MEDIANS = 7.5
 """Minimum deviation of an outlier, as a multiple of the median absolute deviation."""
 
 _OUTLIER_MARGIN_PA = 100.0
-"""Additional deviation allowed before a pressure is an outlier, Pa."""
+"""Constant part of the minimum deviation of an outlier, Pa."""
 
 _MAX_PRESSURE_PA = 2e6
-"""Maximum plausible pressure, Pa. A larger value indicates a wrong unit."""
+"""Maximum plausible pressure, Pa."""
 
 _MAX_BEND_RAD = 2 * math.pi
-"""Maximum plausible bend, rad. A larger value indicates a wrong unit."""
+"""Maximum plausible bend, rad."""
 
 _BEND_LIMIT = "actuator.bend_limit_rad"
 _ONSET_FRACTION = "actuator.onset_fraction"
@@ -85,7 +85,7 @@ _ONSET_WIDTH = "actuator.dead_zone_transition_rad"
 _DEAD_ZONE = (_ONSET, _ONSET_WIDTH, _ONSET_FRACTION)
 
 _SHARP_WIDTH_RAD = 0.02
-"""Width assumed for a dead zone if the data do not determine the width, rad."""
+"""Assumed width of the dead-zone transition if the data do not determine it, rad."""
 
 
 @dataclass(frozen=True)
@@ -94,10 +94,10 @@ class StaticTable:
 
     Attributes:
         pressure: gauge pressures, Pa, shape (points, segments, 2).
-        bend: measured bends, rad, shape (points, segments). A bend that was not
-            measured is NaN.
-        bend_error: standard errors of the bends, rad, shape (points, segments). An
-            unknown standard error is NaN.
+        bend: measured bends, rad, shape (points, segments), with NaN for bends that
+            were not measured.
+        bend_error: standard errors of the bends, rad, shape (points, segments), with
+            NaN for unknown errors.
     """
 
     name: str
@@ -110,12 +110,12 @@ class StaticTable:
     def from_recording(
         cls, recording: Recording, name: str, spec: RobotSpec, supply_pa: float
     ) -> StaticTable:
-        """Return the plateaus of a recording that has a log.
+        """Create a table from the plateaus of a recording that has a log.
 
-        If the log contains valve states, pressures are assumed to be constant after 5
-        τ: the supply pressure in filling chambers, and zero gauge pressure in venting
-        chambers. Times at which a chamber holds its air are excluded, because the
-        chamber pressure is then unknown.
+        If the log contains valve states, filling chambers are assumed to be at the
+        supply pressure after 5 τ, and venting chambers at zero gauge pressure. Times at
+        which a chamber holds its air are excluded, because the chamber pressure is then
+        unknown.
         """
         trajectory = recording.trajectory
         log = log_of(recording, name)
@@ -167,7 +167,7 @@ class StaticTable:
         )
 
     def data_set(self, role: Role) -> DataSet:
-        """Return name, hash and size of the data."""
+        """Return the name, hash and size of the table."""
         return DataSet(self.name, self.sha256, role, int(np.isfinite(self.bend).sum()))
 
 
@@ -195,14 +195,14 @@ def _settled_frames(
     limit = _OUTLIER_MEDIANS * np.median(deviation, axis=0) + _OUTLIER_MARGIN_PA
     is_near = (deviation <= limit).all(axis=(1, 2))
     since = time[begin:end] - time[begin]
-    # The end of a plateau is discarded because the next step may already have begun
-    # within the band, and because the clocks may differ.
+    # The end of a plateau is discarded, because the next step may already have begun
+    # within the band and because the clocks may differ.
     frames = begin + np.flatnonzero(
         is_near & (since >= wait) & (since <= span - CLOCK_ERROR_S)
     )
     if len(frames) < MIN_FRAMES:
         return None
-    # A slow ramp may stay within the band for some time, but it is not a plateau.
+    # A slow ramp may stay within the band for some time, but is not a plateau.
     slope = np.polyfit(
         since[frames - begin], pressure[frames].reshape(len(frames), -1), 1
     )[0]
@@ -231,10 +231,10 @@ def _constant_intervals(
 def _noise_scale(values: np.ndarray) -> np.ndarray:
     """Return the noise scale of a log, which is 1.65 σ for white noise.
 
-    The scale is the smaller of the median magnitudes of the first and second
-    differences. The median of the first differences is insensitive to steps, and the
-    second differences are insensitive to ramps. For white noise, first differences are
-    smaller than second differences by a factor of √3.
+    The scale is the smaller of two medians, computed from the magnitudes of the first
+    and second differences. The first differences are multiplied by √3, so that both
+    medians are equal for white noise. The first differences are insensitive to steps,
+    and the second differences are insensitive to ramps.
     """
     medians = [
         scale * np.median(np.abs(np.diff(values, order, axis=0)), axis=0)
@@ -247,7 +247,10 @@ def _noise_scale(values: np.ndarray) -> np.ndarray:
 def _settled_mean(
     time: np.ndarray, pressure: np.ndarray, bend: np.ndarray, frame_error: np.ndarray
 ) -> list[float]:
-    """Return mean pressures, mean bend and standard error. An unsettled bend is NaN."""
+    """Return the mean pressures, the mean bend and its standard error.
+
+    The bend and its standard error are NaN if the bend does not settle.
+    """
     kept = np.flatnonzero(np.isfinite(bend))
     while len(kept) >= MIN_FRAMES:
         since = time[kept] - time[kept].mean()
@@ -270,19 +273,24 @@ def _settled_mean(
 
 
 NamedRecordings = Sequence[tuple[str, Recording]]
-"""Names and recordings that have logs."""
+"""Recordings that have logs, each paired with its name."""
 
 
 def plateau_tables(
     recordings: NamedRecordings, spec: RobotSpec, supply_pa: float
 ) -> list[StaticTable]:
-    """Return the plateaus of recordings for a fit."""
+    """Return a table of the plateaus of each recording.
+
+    Raises:
+        InputError: a recording has no plateau, or a pressure has only two different
+            values.
+    """
     tables = [
         StaticTable.from_recording(recording, name, spec, supply_pa)
         for name, recording in recordings
     ]
     if any(log_of(recording, name).kind == "valve" for name, recording in recordings):
-        return tables  # a log of valve states yields only two pressures
+        return tables  # valve states correspond to only two pressures
     merged = merge_tables(tables)
     for j, k in np.ndindex(spec.segments, len(SIDES)):
         levels = np.sort(merged.pressure[np.isfinite(merged.bend[:, j]), j, k])
@@ -329,7 +337,7 @@ def is_static_table(path: StrPath) -> bool:
 
 
 def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
-    """Read a static table."""
+    """Read a static table from a CSV file."""
     names = [*(f"pressure_{side}" for side in SIDES), "bend", "bend_error"]
     units = dict.fromkeys(names[:2], PRESSURES) | dict.fromkeys(names[2:], ANGLES)
     table = read_table(read_file(path), units)
@@ -377,9 +385,10 @@ def fit_static(
 ) -> FitEstimate:
     """Estimate gains, rest bends and the bend limit from static tables.
 
-    A dead zone is included if it improves the fit significantly (F-test, 1 %). A dead
-    zone without any response is tried first, and then one with a reduced response.
-    `actuator.bend_rad` is constant, as in `fit_actuator`.
+    By default, a dead zone is included if it improves the fit significantly (F-test,
+    1 %). A dead zone in which segments do not respond is tried first, and then one with
+    a reduced response. The parameter `actuator.bend_rad` is constant, as in
+    `fit_actuator`.
     """
     data = assign_roles("static tables", tables, validation)
     largest = max(float(np.nanmax(np.abs(table.bend), initial=0.1)) for table in tables)
@@ -407,8 +416,8 @@ def fit_static(
         is_reached = _BEND_LIMIT not in searched or _BEND_LIMIT in estimate.values
         if names is not None or not unlimited or is_reached:
             return estimate
-        # The data do not reach the bend limit. Even a limit at the upper bound of the
-        # search would reduce the bends, so the fit is repeated without a limit.
+        # If the data do not reach the bend limit, the fit is repeated without a limit,
+        # because even a limit at the upper bound of the search would reduce the bends.
         without = search([name for name in searched if name != _BEND_LIMIT], fixed, {})
         return without.with_fixed([estimate[_BEND_LIMIT]])
 
@@ -429,10 +438,7 @@ def fit_static(
 _StaticSearch = Callable[
     [Sequence[str], Mapping[str, float], Mapping[str, float]], FitEstimate
 ]
-"""Search function.
-
-Its arguments are the free parameters, constants and initial values.
-"""
+"""Search function, called with the free parameters, constants and initial values."""
 
 
 def _fit_dead_zone(
@@ -449,8 +455,8 @@ def _fit_dead_zone(
         estimate = search(names, fixed, {**starts, **zone_starts})
         if estimate[_ONSET_WIDTH].value is not None:
             return estimate
-        # The data do not determine the width of the dead zone, so use the minimum
-        # width.
+        # The data do not determine the width of the transition, so the minimum width
+        # is used.
         names.remove(_ONSET_WIDTH)
         sharp = {**fixed, _ONSET_WIDTH: _SHARP_WIDTH_RAD}
         return search(names, sharp, {**starts, _ONSET: zone_starts[_ONSET]})

@@ -1,1 +1,1 @@
-"""Readers and writers of YAML, JSON, Parquet, saved states and shipped files."""
+"""Readers and writers of YAML, JSON, Parquet and saved-state files."""

@@ -1,7 +1,7 @@
-"""Type checks of the arguments of public functions against their annotations.
+"""Type checks for the arguments of public functions.
 
-The types are checked once per call, not in every time step. Error messages use the same
-terms as the command line.
+The types are checked once per call of a public function, not in every time step. Error
+messages use the same terms as the command line.
 """
 
 from __future__ import annotations
@@ -27,9 +27,8 @@ from srs_twin.errors import InputError
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _CONVERSIONS = {float: "__float__", int: "__index__"}
-"""Special method by which other objects, such as NumPy scalars, convert to each number
-type.
-"""
+"""Special methods that convert objects such as NumPy scalars to numbers, keyed by
+number type."""
 
 _DESCRIPTIONS = {
     "float": "a number",
@@ -49,11 +48,11 @@ _DESCRIPTIONS = {
     "Scenario": "a Scenario, such as load_scenario('gen2_straight')",
     "Problem": "a Problem; plan_scenario plans a scenario",
 }
-"""Description of each type in messages."""
+"""Descriptions of types in messages, keyed by type name."""
 
 
 def checked(function: Function) -> Function:
-    """Return a function that checks the types of its arguments."""
+    """Decorate a function so that it checks the types of its arguments."""
     names = tuple(signature(function).parameters)
     owner = function.__qualname__.removesuffix(".__init__")
 
@@ -70,7 +69,7 @@ def checked(function: Function) -> Function:
 def check_types(
     owner: str, annotated: Callable[..., Any], values: Mapping[str, object]
 ) -> None:
-    """Check the types of values against the annotations of a function or class."""
+    """Check values against the type annotations of a function or class."""
     kinds = _kinds(annotated)
     for name, value in values.items():
         if name in kinds and not _accepts(kinds[name], value):
@@ -86,10 +85,7 @@ def _kinds(annotated: Callable[..., Any]) -> dict[str, Any]:
 
 
 def _accepts(kind: Any, value: object) -> bool:
-    """Return whether a value has the annotated type.
-
-    Elements of sequences are checked, but elements of mappings are not.
-    """
+    """Return whether a value fits a type, without checking the elements of mappings."""
     origin = get_origin(kind) or kind
     parts = get_args(kind)
     if origin in (Any, object):

@@ -1,8 +1,8 @@
-"""YAML documents with the line and column of every value, for error messages.
+"""YAML documents that store the line and column of every value for error messages.
 
-Documents follow YAML 1.2 with the core schema. A file is parsed event by event, so that
+Documents follow the core schema of YAML 1.2. A file is parsed event by event, so that
 limits apply before the data are stored in memory. Anchors, aliases, tags, directives,
-merge keys and several documents in one file are rejected. PyYAML's own loaders are
+merge keys and files with several documents are rejected. PyYAML's own loaders are
 unsuitable, because they provide no positions and read YAML 1.1.
 """
 
@@ -35,18 +35,17 @@ Loc = tuple[str | int, ...]
 """Path to a value in nested data, as a tuple of keys and list indices."""
 
 Position = tuple[int, int]
-"""Line and column, counted from 1."""
+"""Line and column of a key or value, counted from 1."""
 
 MAX_DEPTH = 16
-"""Maximum depth of nested lists and mappings, which limits the recursion of the
-parser.
-"""
+"""Maximum nesting depth of lists and mappings, which limits the recursion of the
+parser."""
 
 MAX_NODES = 10_000
 """Maximum number of keys and values in a document."""
 
-# These characters are escaped in written files: control characters, unusual spaces,
-# surrogates and byte order marks.
+# Control characters, unusual spaces, surrogates and byte order marks are escaped in
+# written files.
 _UNUSUAL = re.compile(
     "[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]"
 )
@@ -55,7 +54,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], object]], ...] = (
     (re.compile(r"~|null|Null|NULL|"), lambda text: None),
     (re.compile(r"true|True|TRUE"), lambda text: True),
     (re.compile(r"false|False|FALSE"), lambda text: False),
-    # Longer integers are converted to infinite floats, which are rejected.
+    # Longer integers are read as floats, and are rejected if they are infinite.
     (re.compile(r"[-+]?[0-9]{1,300}"), int),
     (re.compile(r"0o[0-7]{1,300}"), lambda text: int(text[2:], 8)),
     (re.compile(r"0x[0-9a-fA-F]{1,300}"), lambda text: int(text[2:], 16)),
@@ -69,7 +68,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], object]], ...] = (
 
 @dataclass(frozen=True)
 class Override:
-    """Value that the command line or a program sets in place of a value from a file.
+    """Value from the command line or a program that replaces a value from a file.
 
     Attributes:
         label: origin of the value, such as "--set controller.frequency_hz=1.5".
@@ -81,7 +80,7 @@ class Override:
 
     @classmethod
     def parse(cls, label: str, field: str, value: str) -> Override:
-        """Return the override that sets a dotted field name to a YAML value."""
+        """Return an override from a dotted field name and a YAML value."""
         if not (loc := parse_path(field)):
             raise InputError(
                 f"{label}: must be FIELD=VALUE, as in controller.frequency_hz=1.5"
@@ -90,7 +89,7 @@ class Override:
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
-        """Return overrides as a sequence, also if they are given as a mapping."""
+        """Convert overrides to a sequence if they are given as a mapping."""
         if not isinstance(changes, Mapping):
             return changes
         return [
@@ -100,20 +99,19 @@ class Override:
 
 
 Overrides = Mapping[str, Any] | Sequence[Override]
-"""Sequence of overrides, or a mapping of dotted field names to their values."""
+"""Sequence of overrides, or mapping from dotted field names to values."""
 
 
 @dataclass
 class Document:
-    """Data of one file with the positions of its values, and the problems found so far.
+    """Data of one file, with the positions of its values and the problems found so far.
 
     Attributes:
-        values: line and column of each value in the file, keyed by the path of the
-            value.
-        keys: line and column of each key in the file, keyed by the path of the key.
+        values: line and column of each value in the file, keyed by path.
+        keys: line and column of each key in the file, keyed by path.
         refused: positions at which no further problems are reported.
         override_labels: labels of the applied overrides. A value set by the k-th
-            override has position (−k, 0).
+            override has the position (−k, 0).
     """
 
     name: str
@@ -127,10 +125,10 @@ class Document:
     warnings: list[str] = field(default_factory=list)
 
     def apply(self, override: Override) -> None:
-        """Replace a value of the document.
+        """Apply an override to the data.
 
-        If the path of the override continues below a file name, that name is first
-        moved to the key `base` of a new mapping.
+        If the override sets a key below a file name, the file name is first moved to
+        the key `base` of a new mapping.
         """
         self.override_labels.append(override.label)
         position = (-len(self.override_labels), 0)
@@ -153,7 +151,7 @@ class Document:
             inner = child(data, key)
             if isinstance(inner, str):
                 inner = {"base": inner}
-            # In a file, a bare number is short for a mapping with the key `value`.
+            # A bare number is shorthand for a mapping with the key `value`.
             elif isinstance(inner, bool | int | float) and override.loc[k + 1 :] != (
                 "value",
             ):
@@ -177,27 +175,27 @@ class Document:
                 self._set_positions((*loc, key), inner, position)
 
     def origin(self, loc: Loc) -> str:
-        """Return the origin of a value, such as "set by --set …"."""
+        """Describe the origin of a value, as in "set by --set …"."""
         line = self.values.get(loc, (0, 0))[0]
         if line < 0:
             return f"set by {self.override_labels[-line - 1]}"
         return f"set in {self.name}"
 
     def get(self, *loc: str | int) -> Any:
-        """Return the value at a path, or None if the value does not exist."""
+        """Return the value at a path, or None if there is no such value."""
         value = self.data
         for key in loc:
             value = child(value, key)
         return value
 
     def locate(self, loc: Loc, kind: str = "") -> None:
-        """Replace a path by the path of an existing file, or report a problem.
+        """Resolve a file path in the data, or report that the file does not exist.
 
-        Paths from overrides or programs are relative to the current folder and are not
-        replaced. See `place_of` for the folders that are searched.
+        Relative paths are resolved as in `place_of`. Paths from overrides or programs
+        are relative to the current folder and remain unchanged.
 
         Args:
-            loc: path of the value in the data.
+            loc: key path of the entry that contains the file path.
             kind: kind of shipped files whose names are also allowed, if any.
         """
         text = self.get(*loc)
@@ -227,7 +225,7 @@ class Document:
         return loc
 
     def user_path(self, prefix: Loc, loc: Loc) -> Loc:
-        """Return the path of a merged value in the file that the user wrote.
+        """Return the path in the user's file that corresponds to a path in merged data.
 
         For example, an error in ``stiffness.value`` of a merged robot is an error in
         ``stiffness`` of the robot override.
@@ -238,9 +236,9 @@ class Document:
         return prefix + loc
 
     def report(self, loc: Loc, message: str, *, at_key: bool = False) -> None:
-        """Add a problem at a value or key.
+        """Add a problem with a value, or with its key if `at_key` is true.
 
-        A missing value is reported at the position of its parent.
+        A missing value is reported at the position of its parent block.
         """
         existing = self.existing_prefix(loc)
         positions = self.values
@@ -253,7 +251,7 @@ class Document:
             self.problems.append((position, message))
 
     def describe(self, loc: Loc, message: str) -> str:
-        """Prefix a message with the position and the path of a value."""
+        """Return a message that begins with the position and path of a value."""
         position = self.values.get(self.existing_prefix(loc), (0, 0))
         return self._placed(position, f"{format_path(loc)}: {message}")
 
@@ -268,19 +266,23 @@ class Document:
 
     @contextmanager
     def report_errors(self, *loc: str | int) -> Iterator[None]:
-        """Report an `InputError` raised in a `with` block as a problem with a value."""
+        """Report an `InputError` from the `with` block as a problem with a value."""
         try:
             yield
         except AbsentPartError:
-            pass  # other functions report missing and invalid parts
+            pass  # other functions report missing and invalid plug-ins
         except InputError as error:
             self.report(loc, str(error))
 
     def raise_problems(self, other_files: Iterable[str] = ()) -> None:
-        """Raise one error with the messages about other files and all problems."""
+        """Raise an `InputFileError` that lists all problems, if there are any.
+
+        Args:
+            other_files: messages about other files, which are listed first.
+        """
         lines = list(other_files)
-        # Several alternatives of a union may report the same message, so duplicates are
-        # dropped.
+        # Several alternatives of a union may report the same problem, so duplicates
+        # are dropped.
         for position, message in sorted(
             dict.fromkeys(self.problems), key=itemgetter(0)
         ):
@@ -290,7 +292,7 @@ class Document:
 
 
 def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
-    """Read and parse a YAML file with at most `limit` bytes."""
+    """Read and parse a YAML file of at most `limit` bytes."""
     document = parse_yaml(read_text(path, limit=limit), display_path(path))
     document.folder = path.parent
     return document
@@ -299,13 +301,13 @@ def load_yaml(path: Path, *, limit: int = MAX_BYTES) -> Document:
 def parse_yaml(text: str, name: str) -> Document:
     """Parse YAML text.
 
-    Rejected features that do not stop the parser are recorded in `Document.problems`.
-    `name` is the file name in messages.
+    Rejected features that do not stop the parser are added to `Document.problems`. The
+    argument `name` is the name of the file in messages.
     """
     with suppress(yaml.YAMLError, ValueError):
         return _Reader(yaml.parse(text, yaml.CSafeLoader), Document(name)).read()
-    # The C parser is eight times faster, but only the Python parser includes the
-    # unexpected text in its messages.
+    # The C parser is eight times faster, but only the messages of the Python parser
+    # include the unexpected text.
     reader = _Reader(yaml.parse(text, yaml.SafeLoader), Document(name))
     try:
         reader.read()
@@ -357,27 +359,27 @@ def _explain(problem: str, lines: list[str], mark: yaml.Mark) -> str:
 def dump_yaml(data: object, *, compact: bool = False) -> str:
     """Return plain data as YAML text that `parse_yaml` reads back unchanged.
 
-    If `compact` is true, lists and dicts of numbers are written on one line.
+    If `compact` is true, each list or dict of numbers is written on one line.
     """
     text: str = yaml.dump(
         data,
         Dumper=_CompactDumper if compact else _Dumper,
         default_flow_style=False,
         allow_unicode=True,
-        width=150 if compact else 110,  # a compact list fits on a line of this width
+        width=150 if compact else 110,  # 150 columns are enough for a compact list
         sort_keys=False,
     )
     return text
 
 
 def format_path(loc: Loc) -> str:
-    """Return a path as dotted text such as ``expect[1].metric``."""
+    """Convert a path to a dotted name, such as ``expect[1].metric``."""
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in loc)
     return text.removeprefix(".")
 
 
 def parse_path(name: str) -> Loc:
-    """Return the path of a dotted field name, such as ``world.obstacles[0].x_m``."""
+    """Convert a dotted name, such as ``world.obstacles[0].x_m``, to a path."""
     return tuple(
         int(text) if text.isdigit() else text
         for text in re.split(r"[.\[\]]+", name)
@@ -386,14 +388,14 @@ def parse_path(name: str) -> Loc:
 
 
 def has_child(value: object, key: str | int) -> bool:
-    """Return whether a dict contains a key, or whether a list contains an index."""
+    """Return whether a dict contains a key, or a list contains an index."""
     if isinstance(value, Mapping):
         return key in value
     return isinstance(value, list) and isinstance(key, int) and 0 <= key < len(value)
 
 
 def child(value: Any, key: str | int) -> Any:
-    """Return an entry of a dict or list, or None if the entry does not exist."""
+    """Return an entry of a dict or list, or None if there is no such entry."""
     if has_child(value, key):
         return value[key]
     return None
@@ -443,13 +445,13 @@ class _Reader:
         self._check(event)
         scalar = isinstance(event, yaml.ScalarEvent)
         if scalar and event.implicit[0] and not event.value:
-            # If no value follows the colon, the parser reports a position after the
-            # colon or on the next line, so the position of the key is used.
+            # The position that the parser reports for an empty value may be on the next
+            # line, so the position of the key is used.
             self.last = self.document.keys.get(loc, self.last)
         self.document.values[loc] = self.last
         if scalar:
-            # A value may have several lines, and control characters could corrupt the
-            # terminal output.
+            # A value may contain line breaks and tabs, but no other control characters,
+            # because they could corrupt the terminal output.
             text = self._text(event, keep="\n\t")
             if event.implicit[0]:
                 return _resolve_scalar(text)
@@ -523,7 +525,7 @@ class _Reader:
 class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
     """YAML dumper that quotes and escapes unusual characters.
 
-    A YAML reader would treat an unquoted U+0085 as a space.
+    Without quotes, a YAML reader would treat U+0085 as a space.
     """
 
 
@@ -557,7 +559,6 @@ def _is_row(values: Collection[object]) -> bool:
 
 
 def _resolve_scalar(text: str) -> object:
-    """Return the value of an unquoted scalar under the core schema of YAML 1.2."""
     for pattern, convert in _CORE_SCHEMA:
         if pattern.fullmatch(text):
             return convert(text)

@@ -1,14 +1,14 @@
 """Atomic replacement of a set of files.
 
-A run writes into a hidden staging folder ``.part-…`` inside the results folder. When
-all files are written, the results folder is locked. The earlier files are moved into
-``.part-…/.aside``, and the new files are moved into the results folder. The first file
-of the set serves as its completion mark: it is moved away before all other files and
-moved in after them.
+A run writes its files into a hidden staging folder ``.part-…`` inside the results
+folder. When all files are written, the run locks the results folder, moves the earlier
+files into ``.part-…/.aside``, and moves the new files into the results folder. The
+first file of the set is its completion mark, which is moved away before all other files
+and moved in after them.
 
-A process that was killed leaves its staging folder, but no lock. The next run in the
-folder restores the earlier set from the staging folder, unless all new files were moved
-in.
+A killed process leaves its staging folder behind, but no lock. The next run in the
+results folder restores the earlier set from the staging folder, unless all new files
+were moved in.
 """
 
 from __future__ import annotations
@@ -28,26 +28,27 @@ from srs_twin.io.files import check_not_folders, display_path, make_folder
 
 _STAGING_PREFIX = ".part-"
 _PRODUCT_LIST = ".products"
-"""File with the names of the new files in a staging folder, one per line."""
+"""File in a staging folder that lists the names of the new files, one per line."""
 
 _ASIDE = ".aside"
-"""Subfolder that holds the earlier files while they are being moved away."""
+"""Name of the subfolder for the earlier files while they are being moved away."""
 
 _SAVED = ".earlier"
-"""New name of this subfolder while the new files are being moved in."""
+"""Name of the subfolder for the earlier files while the new files are being moved in.
+"""
 
 _OBSOLETE = ".gone"
-"""New name of this subfolder once all new files are in place."""
+"""Name of the subfolder for the earlier files after all new files have been moved in.
+"""
 
 _LOCK_TIMEOUT_S = 60.0
 """Maximum time to wait for a lock, s.
 
-A replacement takes milliseconds. A process that holds the lock longer is probably
-suspended.
+A replacement takes milliseconds, so a process that holds the lock for longer is
+probably suspended.
 """
 
-# Some file systems, such as network drives, have no folder locks and raise these
-# errors.
+# Errors raised by file systems without folder locks, such as some network drives.
 _LOCKS_UNSUPPORTED = (
     errno.EBADF,
     errno.EINVAL,
@@ -66,7 +67,7 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
 
     Args:
         folder: folder that contains the set.
-        products: names of all files of the set, or patterns such as ``best/*.yaml``.
+        products: names of all files in the set, or patterns such as ``best/*.yaml``.
             The first file is the completion mark, which exists only in a complete set.
     """
     try:
@@ -88,7 +89,7 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
 
 
 def remove_completion_mark(mark: Path) -> None:
-    """Remove the completion mark of an outdated set."""
+    """Remove the completion mark of an outdated set of files."""
     try:
         mark.unlink(missing_ok=True)
     except OSError as error:
@@ -142,13 +143,10 @@ def _move(names: Iterable[Path], source: Path, target: Path) -> None:
 
 
 def _restore(folder: Path, staging: Path) -> None:
-    """Restore the earlier set after an incomplete replacement.
-
-    The function can be called again if it was interrupted.
-    """
+    """Restore the earlier set after an incomplete replacement or restoration."""
     mark, *others = (staging / _PRODUCT_LIST).read_text("utf-8").splitlines()
-    # If the completion mark exists, no file was moved away or all new files were moved
-    # in.
+    # If the completion mark exists, then either no earlier file was moved away or all
+    # new files were moved in.
     if not os.path.lexists(folder / mark):
         if (staging / _SAVED).is_dir():
             for name in _existing_products(folder, others):
@@ -166,7 +164,8 @@ def _restore(folder: Path, staging: Path) -> None:
 @contextmanager
 def _staging_folder(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     with ExitStack() as locks:
-        # The lock prevents other processes from removing the new staging folder.
+        # While the staging folder is unlocked, the lock on `folder` prevents other
+        # processes from removing it.
         with _lock(folder):
             _clean_up(folder)
             staging = Path(tempfile.mkdtemp(prefix=_STAGING_PREFIX, dir=folder))
@@ -196,7 +195,7 @@ def _clean_up(folder: Path) -> None:
 def _lock(folder: Path, timeout_s: float = _LOCK_TIMEOUT_S) -> Iterator[bool]:
     """Lock a folder for a `with` block, and yield whether the folder was locked.
 
-    Some file systems do not support locks.
+    If the file system does not support locks, the folder remains unlocked.
     """
     deadline = time.monotonic() + timeout_s
     locked = False

@@ -1,4 +1,4 @@
-"""Shipped files, paths in messages, and atomic writes of single files."""
+"""Shipped files, paths in messages, and atomic writing of single files."""
 
 from __future__ import annotations
 
@@ -15,8 +15,7 @@ from pathlib import Path
 from srs_twin.errors import InputError, UnknownNameError, did_you_mean
 
 MAX_BYTES = 64 * 1024
-"""Maximum size of a hand-written file, bytes. A larger file is probably the wrong
-file.
+"""Maximum size of a hand-written file, bytes. A larger file is probably the wrong file.
 """
 
 StrPath = str | os.PathLike[str]
@@ -30,16 +29,16 @@ _FOLDERS = {
     "table": "calibration/published",
 }
 _SUFFIXES = (".yaml", ".yml")
-# Control characters (C0, DEL and C1) and surrogates. Python represents file name bytes
-# that are not UTF-8 by surrogates.
+# Control characters (C0, DEL and C1) and surrogates. In file names, Python represents
+# invalid UTF-8 bytes by surrogates.
 _UNPRINTABLE = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 
 
 def data_root() -> Path:
     """Return the folder that contains calibration/, models/ and scenarios/.
 
-    The folder is ``srs_twin/_data`` in an installed wheel, and otherwise the root of
-    the repository.
+    In an installed wheel, this is ``srs_twin/_data``, and otherwise the root of the
+    repository.
     """
     package = Path(__file__).resolve().parents[1]
     packed = package / "_data"
@@ -49,12 +48,12 @@ def data_root() -> Path:
 
 
 def shipped_folder(kind: str) -> Path:
-    """Return the folder of the shipped files of a kind (see `find_file`)."""
+    """Return the folder with the shipped files of a kind (see `find_file`)."""
     return data_root() / _FOLDERS[kind]
 
 
 def shipped_names(kind: str) -> list[str]:
-    """Return the sorted names of the shipped files of a kind."""
+    """Return the sorted names of all shipped files of a kind."""
     return sorted(path.stem for path in shipped_folder(kind).glob("*.yaml"))
 
 
@@ -64,16 +63,17 @@ _LIST_COMMANDS = {
 
 
 def is_path(text: str) -> bool:
-    """Return whether a text is a path instead of the name of a shipped file."""
+    """Return whether a text is a path rather than the name of a shipped file."""
     return "/" in text or os.sep in text or text.endswith(_SUFFIXES)
 
 
 def place_of(text: str, folder: Path, kind: str = "") -> str:
     """Resolve a path that is written in another file, and check that it exists.
 
-    The written path may be relative to `folder`, the folder of the other file, or to
-    the current folder. If the file does not exist, the error message suggests shipped
-    files of `kind`.
+    Args:
+        text: path relative to `folder` or to the current folder.
+        folder: folder of the file that contains the path.
+        kind: kind of shipped files that the error message suggests, if any.
     """
     beside: Path | None = folder / text
     with suppress(OSError):  # a folder may have been removed
@@ -89,7 +89,7 @@ def place_of(text: str, folder: Path, kind: str = "") -> str:
 
 
 def path_from(folder: Path, name_or_path: str) -> str:
-    """Make a path relative to the folder of the file that will contain it.
+    """Make a path relative to the folder of the file that will contain the path.
 
     Absolute paths and names of shipped files are returned unchanged.
     """
@@ -101,12 +101,12 @@ def path_from(folder: Path, name_or_path: str) -> str:
 def find_file(kind: str, name_or_path: StrPath) -> Path:
     """Find a file by its path, or a shipped file by its name.
 
-    Text that contains a slash or ends in .yaml or .yml is a path relative to the
+    A text that contains a slash or ends in .yaml or .yml is a path relative to the
     current folder. Any other text is the name of a shipped file.
 
     Args:
         kind: "robot", "footprint", "scenario", "sweep", "study" or "table".
-        name_or_path: name or path as the user wrote it.
+        name_or_path: name or path given by the user.
     """
     text = os.fspath(name_or_path)
     names = shipped_names(kind)
@@ -131,9 +131,10 @@ def results_name(path: Path) -> str:
 
 
 def check_file_name(name: str, source: str) -> str:
-    """Check that a name consists of lower-case letters, digits and _, and return it.
+    """Return a name after checking that it is a valid file name.
 
-    `source` is the option or argument that the message mentions.
+    The name has at most 60 lower-case letters, digits and _, and begins with a letter.
+    The argument `source` is the option or argument that the error message mentions.
     """
     if not re.fullmatch(r"[a-z][a-z0-9_]{0,59}", name):
         allowed = (
@@ -144,10 +145,10 @@ def check_file_name(name: str, source: str) -> str:
 
 
 def escape_unprintable(text: str, *, keep: str = "") -> str:
-    r"""Return text in which control characters and invalid UTF-8 bytes are escaped.
+    r"""Escape control characters and invalid UTF-8 bytes in a text.
 
     Terminals interpret control characters. For example, a title with ``\x1b[31m`` would
-    colour the text after it. Characters in `keep` are not replaced.
+    colour the text after it. Characters in `keep` are not escaped.
     """
     return _UNPRINTABLE.sub(
         lambda match: match[0] if match[0] in keep else _escape(match[0]), text
@@ -155,7 +156,7 @@ def escape_unprintable(text: str, *, keep: str = "") -> str:
 
 
 def _escape(character: str) -> str:
-    # Python decodes a byte from 0x80 to 0xff that is not UTF-8 as U+DC80 to U+DCFF
+    # Python decodes invalid UTF-8 bytes from 0x80 to 0xff as U+DC80 to U+DCFF
     # ("surrogateescape").
     byte = ord(character) - 0xDC00
     if 0x80 <= byte <= 0xFF:
@@ -164,7 +165,7 @@ def _escape(character: str) -> str:
 
 
 def check_printable(argument: StrPath) -> None:
-    """Check that a path or argument can be written to result files in UTF-8 YAML."""
+    """Check that a text has neither control characters nor invalid UTF-8 bytes."""
     text = os.fspath(argument)
     if match := _UNPRINTABLE.search(text):
         reason = "it contains a control character"
@@ -177,7 +178,7 @@ def check_printable(argument: StrPath) -> None:
 
 
 def display_path(path: Path) -> str:
-    """Return a printable path, which is relative if it is inside the current folder."""
+    """Return a printable path, relative to the current folder for paths inside it."""
     with suppress(OSError):  # a folder may have been removed
         if path.is_absolute() and path.is_relative_to(here := Path.cwd()):
             path = path.relative_to(here)
@@ -185,7 +186,7 @@ def display_path(path: Path) -> str:
 
 
 def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
-    """Return the text of a UTF-8 file of at most `limit` bytes."""
+    """Read the text of a UTF-8 file of at most `limit` bytes."""
     try:
         with require_file(path).open("rb") as stream:
             raw = stream.read(limit + 1)
@@ -202,7 +203,7 @@ def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
 
 
 def decode_text(raw: bytes, name: str) -> str:
-    """Decode UTF-8 bytes and remove a byte order mark."""
+    """Decode UTF-8 bytes, without the byte order mark if there is one."""
     try:
         return raw.decode("utf-8").removeprefix("\ufeff")
     except UnicodeDecodeError as error:
@@ -213,11 +214,11 @@ def decode_text(raw: bytes, name: str) -> str:
 
 
 MAX_NEW_FOLDERS = 100
-"""Maximum number of nested new folders, because `Path.mkdir` is recursive."""
+"""Maximum number of nested new folders, which limits the recursion of `Path.mkdir`."""
 
 
 def missing_folders(folder: Path) -> list[Path]:
-    """Return the folders of a path that do not exist, innermost folder first."""
+    """Return the missing folders in a path, innermost folder first."""
     missing = [path for path in (folder, *folder.parents) if not os.path.lexists(path)]
     if len(missing) > MAX_NEW_FOLDERS:
         raise OSError(
@@ -229,7 +230,7 @@ def missing_folders(folder: Path) -> list[Path]:
 
 
 def remove_empty_folders(folders: Iterable[Path]) -> None:
-    """Remove the folders that are empty."""
+    """Remove those of the given folders that are empty."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
@@ -237,7 +238,10 @@ def remove_empty_folders(folders: Iterable[Path]) -> None:
 
 @contextmanager
 def folder_or_temporary(folder: StrPath | None) -> Iterator[Path]:
-    """Yield an output folder, or a temporary folder that is deleted after the block."""
+    """Yield a folder, or a temporary folder if `folder` is None.
+
+    The temporary folder is deleted when the block ends.
+    """
     if folder is not None:
         yield Path(folder)
         return
@@ -249,7 +253,7 @@ def folder_or_temporary(folder: StrPath | None) -> Iterator[Path]:
 def make_folder(folder: Path) -> Iterator[None]:
     """Create a folder and its parents for a `with` block.
 
-    After an error, the new folders that are still empty are removed.
+    After an error in the block, the new folders that are still empty are removed.
     """
     missing = missing_folders(folder)
     try:
@@ -284,12 +288,12 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
 def _temporary_file(target: Path) -> Iterator[Path]:
     """Yield a hidden file in the folder of a target, and remove it after an error.
 
-    All processes that write a target use the same temporary name. The next process
-    therefore overwrites a file left behind by a killed process. While a process writes,
-    its file is locked, and other processes use random names.
+    All processes use the same temporary name for a target, so that the next process
+    overwrites a file left behind by a killed process. If another process has locked
+    this file, a random name is used.
     """
-    # The suffix remains at the end of the name, because some libraries select the file
-    # format by the suffix.
+    # The suffix remains at the end of the name, because some libraries infer the file
+    # format from it.
     temporary = target.with_name(f".{target.stem}.part{target.suffix}")
     with ExitStack() as stack:
         try:
@@ -298,7 +302,7 @@ def _temporary_file(target: Path) -> Iterator[Path]:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             # Another process may have renamed the file before the lock was obtained.
             is_usable = os.path.samestat(os.fstat(lock), temporary.stat())
-        except OSError:  # the file is locked, cannot be locked, or is not writable
+        except OSError:  # the file is locked, or it cannot be locked or written
             is_usable = False
         if not is_usable:
             temporary = target.with_name(
@@ -307,7 +311,7 @@ def _temporary_file(target: Path) -> Iterator[Path]:
         try:
             yield temporary
         except BaseException:
-            # Further errors are suppressed, because they would hide the first error.
+            # An error during removal would hide the first error.
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
             raise
@@ -316,8 +320,8 @@ def _temporary_file(target: Path) -> Iterator[Path]:
 def create_numbered_file(folder: Path, name: str) -> Path:
     """Create an empty file with the lowest free number in its name.
 
-    Concurrent processes create different files. The name has the form
-    "journal-{}.mcap".
+    Concurrent processes create different files. The argument `name` has a placeholder
+    for the number, as in "journal-{}.mcap".
     """
     number = 0
     while True:
@@ -422,7 +426,7 @@ def check_output_folder(
 
 
 def check_not_folders(folder: Path, products: Sequence[str]) -> None:
-    """Check that no folder has the name of an output file."""
+    """Check that no folder has the same name as an output file."""
     for product in products:
         if (folder / product).is_dir():
             raise InputError(

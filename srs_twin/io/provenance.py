@@ -1,4 +1,4 @@
-"""Provenance of a result: everything that determines the result.
+"""Provenance of a result, which records everything that determines the result.
 
 Two results belong to the same run if their provenances have equal keys.
 """
@@ -14,21 +14,20 @@ _MAX_NAMED = 3
 """Maximum number of differences listed in a message."""
 
 _MAX_VALUE_LENGTH = 60
-"""Maximum length of a value in a message, characters."""
+"""Maximum total length of an old and a new value in a message, characters."""
 
 
 @dataclass(frozen=True)
 class Provenance:
     """Input, files, source code and package versions that determine a result.
 
-    All attributes contain JSON values. Sources and versions are empty if only the input
-    matters.
-
     Attributes:
-        content: complete input, such as a scenario with all default values.
+        content: complete input as JSON values, such as a scenario with all default
+            values.
         files: SHA-256 of each file that the run reads, keyed by path.
-        sources: SHA-256 of each source file that the run uses, keyed by module.
-        versions: version of each package that affects the result.
+        sources: SHA-256 of each source file that the run uses, keyed by module. Sources
+            and versions are empty if only the input matters.
+        versions: version of each package that affects the result, keyed by package.
     """
 
     content: dict[str, object]
@@ -38,9 +37,9 @@ class Provenance:
 
     @property
     def key(self) -> str:
-        """Hexadecimal SHA-256 under which the result is stored.
+        """Hexadecimal SHA-256 that identifies the result.
 
-        File names do not affect the key.
+        File contents affect the key, but file names do not.
         """
         code = {"sources": self.sources, "versions": self.versions}
         data = self.content | {"files": list(self.files.values())}
@@ -49,11 +48,11 @@ class Provenance:
 
     @property
     def text(self) -> str:
-        """JSON document of all attributes, as stored in files."""
+        """Provenance as JSON text, as stored in files."""
         return json.dumps(asdict(self))
 
     def difference(self, before: Provenance) -> str:
-        """Return what changed since an earlier run, or an empty string.
+        """Describe what changed since an earlier run, or return an empty string.
 
         >>> now = Provenance({"duration_s": 3}, versions={"mujoco": "3.17.0"})
         >>> now.difference(Provenance({"duration_s": 2}, versions={"mujoco": "3.16.0"}))
@@ -71,7 +70,7 @@ class Provenance:
 
 
 def short_digest(*values: object) -> str:
-    """Return a digest of the `repr` of values: 16 hexadecimal digits of the SHA-256."""
+    """Return the first 16 hexadecimal digits of a SHA-256 over the `repr` of values."""
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
 
 

@@ -1,12 +1,13 @@
 """Saved states of plants and controllers, stored in files without pickle.
 
 The class attribute `state_attributes` names the attributes that change during a run.
-`Stateful` attributes are saved recursively. Arguments of the constructor and of `reset`
-are not part of a state. An object can restore a state only if its settings are equal to
-the settings of the saved object.
+Attributes that are `Stateful` objects are saved recursively. A state includes neither
+the constructor arguments nor the arguments of `reset`. A state can be restored only by
+an object whose settings equal those of the saved object.
 
-A file is a NumPy archive that contains the arrays and a JSON document with all other
-values. Named tuples and dataclasses of this package are stored with their class names.
+A state file is a NumPy archive that contains the arrays and a JSON document with all
+other values. Named tuples, dataclasses and enums of this package are stored with their
+class names.
 
 >>> from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 >>> snake = AnalyticalSnake(load_robot("gen2"))
@@ -42,14 +43,15 @@ from srs_twin.io.untrusted import read_arrays
 VERSION = 3
 """Version of the state format.
 
-It is increased whenever the format changes or a saved class moves to another module.
+The version increases whenever the format changes or a saved class moves to another
+module.
 """
 
 _DOCUMENT = "state"
 """Name of the JSON document in the archive."""
 
 _MAX_DOCUMENT = 16 << 20
-"""Maximum number of characters of the JSON document."""
+"""Maximum length of the JSON document, characters."""
 
 _PACKAGE = __name__.partition(".")[0] + "."
 
@@ -65,7 +67,7 @@ class DeepCopied:
         return copy.deepcopy(self)
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> str | tuple[object, ...]:
-        """Return the class and the attributes, for `copy` and `pickle`."""
+        """Support `copy` and `pickle`, and refuse attributes that cannot be copied."""
         for name, value in vars(self).items():
             if (kind := _why_not_copyable(value)) is not None:
                 raise InputError(
@@ -95,17 +97,17 @@ class Stateful(DeepCopied):
 
     Attributes:
         state_attributes: names of the attributes that change during a run, in addition
-            to the attributes that the base classes list.
+            to those of the base classes.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ()
 
     def state_dict(self) -> dict[str, object]:
-        """Return a copy of the state as a dict of attribute names and values."""
+        """Return a copy of the state, keyed by attribute name."""
         return {name: _copy_state(getattr(self, name)) for name in self._state_names()}
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore the state that `state_dict` returned."""
+        """Restore a state that `state_dict` returned."""
         missing = [name for name in self._state_names() if name not in state]
         if missing:
             raise InputError(
@@ -151,7 +153,7 @@ class Stateful(DeepCopied):
 
 
 def check_kind(label: str, saved: object, present: object) -> None:
-    """Check that a saved value can replace the current array or nested state."""
+    """Check that a saved value fits the present array or nested state."""
     if isinstance(present, np.ndarray):
         if not isinstance(saved, np.ndarray) or saved.ndim != present.ndim:
             raise InputError(
@@ -170,14 +172,14 @@ def _copy_state(value: object) -> object:
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """State of a plant or a controller that determines all later states.
+    """State of a plant or controller that determines all later states.
 
-    States can be pickled or written to files.
+    A state can be pickled or written to a file.
 
     Attributes:
         owner: settings of the saved object as JSON values. Only an object with equal
             settings can restore the state.
-        content: saved value of each attribute by its name.
+        content: saved values, keyed by attribute name.
         version: version of the format of `content`.
     """
 
@@ -193,7 +195,7 @@ class SavedState:
             owner: settings of the object.
 
         Raises:
-            InputError: the settings differ, or the state has another version.
+            InputError: the settings differ, or the state has another format version.
         """
         _check_version(label, self.version)
         saved = Provenance(dict(self.owner))
@@ -223,7 +225,7 @@ class SavedState:
         """Read a state from a file.
 
         Raises:
-            InputError: the file cannot be read, or is not a saved state.
+            InputError: the file cannot be read or is not a saved state.
         """
         arrays = read_arrays(path, "saved state")
         try:
@@ -241,7 +243,7 @@ class SavedState:
             return SavedState(document["of"], content, document["version"])
         except (InputError, MemoryError):
             raise
-        except Exception as error:  # constructors raise many kinds of errors
+        except Exception as error:  # a constructor may raise any kind of error
             reason = f"{type(error).__name__}: {error}"
             raise InputError(
                 f"{display_path(path)}: the file is not a saved state ({reason})"
@@ -257,10 +259,7 @@ def _check_version(label: str, version: object) -> None:
 
 
 def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
-    """Convert a value to JSON data in which each array is replaced by a name.
-
-    The arrays are added to `arrays` under these names.
-    """
+    """Convert a value to JSON data, and move its arrays to `arrays`."""
     if isinstance(value, np.ndarray):
         name = f"array_{len(arrays)}"
         arrays[name] = value
@@ -316,7 +315,8 @@ def _class_name(kind: type) -> str:
 def _find_class(name: str) -> type:
     """Return a dataclass, named tuple or enum of this package by its name.
 
-    Classes of other packages are refused, because they could execute code.
+    Classes of other packages are refused, because their constructors could execute
+    arbitrary code.
     """
     module, _, kind = name.partition(":")
     cls = None

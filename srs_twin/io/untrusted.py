@@ -1,15 +1,16 @@
 """Strict readers of untrusted JSON, Parquet and NumPy files.
 
-JSON: the reader of the standard library accepts ``NaN`` and ``Infinity``, which are not
-valid JSON. The standard reader also converts ``1e999`` to infinity, keeps the last of
-two equal keys, and overflows its stack on deeply nested data.
+The JSON reader rejects ``NaN``, ``Infinity``, numbers such as ``1e999`` that overflow
+to infinity, duplicate keys and deeply nested data. The standard library accepts all of
+these except deeply nested data, which overflow its stack.
 
-Parquet: a file of 200 kB can contain a hundred million rows, so the sizes in the footer
+A Parquet file of 200 kB can contain a hundred million rows, so the sizes in the footer
 are checked before data are read. Pages are verified if the file contains checksums, as
 files written by this package do.
 
-NumPy: an unpacked `.npz` archive can be a thousand times as large as the file. In
-addition, `numpy.load` allocates memory for whatever size an array header declares.
+A NumPy archive (`.npz`) can unpack to a thousand times the size of the file, and
+`numpy.load` allocates memory for whatever size an array header declares. The unpacked
+size and the array headers are therefore checked first.
 """
 
 from __future__ import annotations
@@ -35,11 +36,12 @@ if TYPE_CHECKING:
     from pyarrow.parquet import ParquetFile
 
 MAX_DEPTH = 64
-"""Maximum depth of nested lists and objects. Result files have fewer than ten levels.
+"""Maximum nesting depth of lists and objects. Result files have fewer than ten levels.
 """
 
 MAX_JSON_BYTES = 64 << 20
-"""Maximum size of a JSON file, bytes. The file for all reproduced claims takes 1 MB."""
+"""Maximum size of a JSON file, bytes. The file with all reproduced claims has a size of
+1 MB."""
 
 MAX_ARCHIVE_BYTES = 256 << 20
 """Maximum unpacked size of a NumPy archive, bytes."""
@@ -63,7 +65,7 @@ def read_json(path: Path) -> Any:
 
 
 def parse_json(text: str, name: str) -> Any:
-    """Return the data of JSON text."""
+    """Parse JSON text, with `name` as the name of the file in messages."""
     try:
         data = json.loads(
             text,
@@ -99,8 +101,7 @@ def _number(text: str) -> float:
 
 
 def _integer(text: str) -> int | float:
-    # Python rejects integers with thousands of digits. Shorter integers may still be
-    # too large for a float.
+    # Long integers are read as floats, which are checked for overflow.
     if len(text) < 19:
         return int(text)
     return _number(text)
@@ -151,18 +152,18 @@ MAX_METADATA_BYTES = 32 << 20
 
 MAX_FOOTER_BYTES = 96 << 20
 """Maximum size of the footer, bytes. The footer contains the metadata twice, once in
-base64.
-"""
+base64."""
 
 
 def read_table(
     path: Any, kind: str, check: Callable[[pyarrow.Schema], None] = lambda schema: None
 ) -> pyarrow.Table:
-    """Read a Parquet file if its size is within the limits.
+    """Read a Parquet file after checking its sizes.
 
     Args:
         path: path or file-like object.
-        kind: expected kind of file, such as "a trajectory written by srs-twin".
+        kind: expected kind of file in messages, such as "a trajectory written by
+            srs-twin".
         check: function that raises TypeError or ValueError for an unexpected schema.
     """
     import pyarrow as pa
@@ -173,7 +174,7 @@ def read_table(
     try:
         if isinstance(path, Path):
             _check_size(path)
-        # The function pq.read_table would also accept a folder and concatenate its
+        # Unlike ParquetFile, pq.read_table would accept a folder and concatenate its
         # files.
         with pq.ParquetFile(
             path,
@@ -184,8 +185,8 @@ def read_table(
             _check_bounds(file)
             check(file.schema_arrow)
             table = _read(file)
-            # The schema of the table is read from the second copy in the footer. In a
-            # damaged file, the two copies may differ.
+            # The schema of the table comes from a second copy in the footer, which may
+            # differ from the first copy in a damaged file.
             check(table.schema)
             return table
     # Arrow raises MemoryError for a page whose declared size is impossible.
@@ -202,7 +203,7 @@ def read_table(
 
 
 def _check_size(path: Path) -> None:
-    """Check the sizes of file and footer, because Arrow would read gigabytes."""
+    """Check the sizes of the file and its footer before Arrow reads them."""
     size = path.stat().st_size
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
@@ -243,8 +244,8 @@ def _read(file: ParquetFile) -> pyarrow.Table:
     import pyarrow as pa
 
     try:
-        # Declared page sizes may be false. To limit the memory, the columns are
-        # unpacked one at a time in a single thread.
+        # Declared page sizes may be false. To limit memory use, a single thread unpacks
+        # one column at a time.
         table = file.read(use_threads=False)
         table.validate()
     except (pa.ArrowException, OSError) as error:
@@ -259,12 +260,11 @@ def _read(file: ParquetFile) -> pyarrow.Table:
 
 
 def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
-    """Return the numeric and text arrays in a NumPy archive (npz) by name."""
+    """Return the numeric and text arrays in a NumPy archive (npz), keyed by name."""
     try:
         with require_file(path, suffix=".npz").open("rb") as file:
             size = os.fstat(file.fileno()).st_size
-            # Opening an archive reads its whole directory, which can be as large as the
-            # file.
+            # Opening an archive reads its directory, which can be as large as the file.
             if size > MAX_ARCHIVE_BYTES:
                 raise ValueError(
                     f"the file has {size} bytes, but at most {MAX_ARCHIVE_BYTES}"
@@ -316,7 +316,7 @@ def _parse_array(raw: bytes) -> np.ndarray:
         else:
             read_header = np.lib.format.read_array_header_2_0
         shape, _, kind = read_header(stream)
-    # NumPy parses the header as Python code, which raises many kinds of errors.
+    # NumPy parses the header as Python code, which can raise any kind of error.
     except Exception as error:
         raise ValueError(
             f"the header of an array is damaged: {type(error).__name__}"

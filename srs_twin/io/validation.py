@@ -41,7 +41,7 @@ Schema = Mapping[str, Any]
 Model = TypeVar("Model", bound=BaseModel)
 
 _LIST_HINT = "`srs-twin schema`"
-# A wrong prefix, such as mm for m or Pa for kPa, is a common mistake in these units.
+# Numbers with these units are often given with a wrong prefix, such as mm for m.
 _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
 _WITH_UNIT = re.compile(
@@ -69,7 +69,8 @@ RETIRED_KINDS = {
         " the key `by`"
     ),
 }
-"""Replacement of each removed kind or key, or the reason for its removal."""
+"""Hint about each removed kind or key, which names its replacement or the reason for
+its removal."""
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -89,7 +90,7 @@ def _module_docstrings(module: str) -> dict[str, dict[str, str]]:
 
 
 def attribute_docstrings(cls: type[StrictModel]) -> dict[str, str]:
-    """Return the attribute docstrings of a model and of its base classes, by key.
+    """Return the attribute docstrings of a model and its base classes, by key.
 
     The source code is parsed only when the docstrings are needed, because
     `use_attribute_docstrings` of pydantic takes 0.2 s at every import.
@@ -110,14 +111,14 @@ def _add_descriptions(schema: dict[str, Any], cls: type[StrictModel]) -> None:
 class StrictModel(BaseModel):
     """Base class of all file models.
 
-    A model does not convert types, and rejects unknown keys and numbers that are not
-    finite. Attribute docstrings become the descriptions of the keys in JSON schemas.
-    The optional method `contradictions()` yields the path and the message for each
-    violated constraint between keys.
+    A model rejects unknown keys, infinite numbers and NaN, and does not convert types.
+    Attribute docstrings become the descriptions of the keys in JSON Schemas. The
+    optional method `contradictions()` yields the path and a message for each violated
+    constraint between keys.
 
     Attributes:
-        elsewhere: correct path for each key that users may expect in this block but
-            that belongs to another block.
+        elsewhere: correct path of each key that belongs to another block, keyed by the
+            path at which users may expect it.
     """
 
     elsewhere: ClassVar[dict[str, str]] = {}
@@ -145,7 +146,7 @@ def load_model(model: type[Model], path: Path, paths: Mapping[Loc, str] = {}) ->
 def validate(
     model: type[Model], document: Document, data: object, *, prefix: Loc = ()
 ) -> Model | None:
-    """Return plain data as a model, or report all problems and return None."""
+    """Convert plain data to a model, or report all problems and return None."""
     try:
         file = model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
@@ -154,8 +155,8 @@ def validate(
             return validate(model, document, data, prefix=prefix)
         elsewhere = getattr(model, "elsewhere", {})
         for item in error.errors(include_url=False):
-            # The path does not exist in the data if a key is missing or if a default
-            # value contradicts the given keys.
+            # The path of an error does not exist in the data if a key is missing or a
+            # default value contradicts the given keys.
             loc = _existing_path(item["loc"], data)
             if item["type"] in _UNION_TAG_ERRORS:
                 _report_block_kind(document, item, prefix + loc)
@@ -182,7 +183,7 @@ def validate(
 
 
 def _adopt_current_names(error: ValidationError, schema: Schema, data: Any) -> bool:
-    """Rename old keys and kinds in the data, warn, and return whether any existed."""
+    """Replace renamed keys and kinds in the data, and return whether any existed."""
     adopted: dict[str, str] = {}
     for item in error.errors(include_url=False):
         *parents, key = _existing_path(item["loc"], data) or ("",)
@@ -207,15 +208,11 @@ def _adopt_current_names(error: ValidationError, schema: Schema, data: Any) -> b
 
 @cache
 def _schema_of(model: type[StrictModel]) -> Schema:
-    """Return the JSON schema of a model.
-
-    The schema is cached, because generating it takes longer than checking a file.
-    """
     return model.model_json_schema()
 
 
 def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str:
-    """Describe the values of a JSON schema, such as 'a number from 0.01 to 50'.
+    """Describe the values of a JSON Schema, as in 'a number from 0.01 to 50'.
 
     If `brief` is true, a long list of choices is replaced by the number of choices.
     """
@@ -357,7 +354,7 @@ def _describe_value(value: Any) -> str:
 
 
 def _format_number(value: float) -> str:
-    # including integers that are too large for a float
+    # This includes integers that are too large for a float.
     if abs(value) > 1e300:
         return "infinity"
     if math.isnan(value):

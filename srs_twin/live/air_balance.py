@@ -1,29 +1,29 @@
-r"""Estimates of the supply pressure and of leaks from the air that flows into chambers.
+r"""Estimation of the supply pressure and of leaks from the air flow into the chambers.
 
-While the valve of a chamber is open, the chamber pressure P and the bend q of the
+While a valve fills a chamber, the absolute chamber pressure P and the bend q of the
 segment satisfy the air balance
 
 $$ \Delta (P\,V(q)) = c \int \dot n_{in}\,dt - (\lambda_0 + \lambda)\,K \int (P - P_a)\,dt, $$
 
 where V is the chamber volume, ṅ_in the flow through an orifice (`pneumatics/flow.py`),
 P_a the ambient pressure and K the capacity of a nominal chamber. A stroke is an
-interval in which the valve stays open. The flow factor c and the apparent loss λ₀ of an
-intact chamber are estimated from many strokes by linear regression with forgetting. The
-scatter between strokes is estimated as well, so that a leak λ can be detected within
-one stroke.
+interval in which the valve fills the chamber without interruption. The flow factor c
+and the apparent loss λ₀ of an intact chamber are estimated from many strokes by linear
+regression with exponential forgetting. The variation of the inflow between strokes is
+also estimated, so that a leak with the rate λ can be detected within one stroke.
 
-All chambers share one supply, whose gauge pressure S is modelled as a random walk. Let
-r_i be the measured minus the expected amount of air that flows into chamber i during a
-stroke. Let h_i be the derivative of this expected amount with respect to S, and v_i the
-error. Then r_i = h_i (S − Ŝ) + v_i. A Kalman filter combines the measurements of all
-chambers:
+All chambers share one supply, whose gauge pressure S is modelled as a random walk with
+the estimate Ŝ. The residual r_i is the measured minus the expected amount of air that
+flows into chamber i during a stroke. The residual satisfies r_i = h_i (S − Ŝ) + v_i.
+Here h_i is the derivative of the expected amount with respect to S, and v_i is the
+measurement error. A Kalman filter combines the residuals of all chambers:
 
 $$ \hat S' = \hat S + \frac{\sum_i w_i h_i r_i / \sigma_i^2}{1/P + \sum_i w_i h_i^2 / \sigma_i^2}. $$
 
-Here σ_i is the standard deviation of v_i, and P is the variance of Ŝ. The weights w_i
-of Student's t distribution limit the effect of a chamber that leaks or is stuck. If
-most filling chambers indicate the same large change, the estimate adopts the change
-immediately.
+Here σ_i is the standard deviation of v_i, and P is the variance of Ŝ. The weights w_i,
+which are based on Student's t distribution, limit the effect of a chamber that leaks or
+whose valve is stuck. If most filling chambers indicate the same large change of the
+supply pressure, the filter adopts this change immediately.
 """
 
 from __future__ import annotations
@@ -44,34 +44,36 @@ from srs_twin.pneumatics.orifice import CRITICAL_RATIO
 from srs_twin.robot.spec import RobotSpec
 
 PRIOR_SD = 0.05
-"""Initial standard deviation of the supply pressure, fraction of the nominal pressure.
+"""Initial standard deviation of the supply pressure, relative to the nominal pressure.
 """
 LARGEST_SD = 0.2
-"""Maximum standard deviation of the estimate, fraction of the nominal pressure."""
+"""Maximum standard deviation of the supply pressure, relative to the nominal pressure.
+"""
 WALK = 0.02
-"""Random walk of the supply pressure, fraction of the nominal pressure per √s."""
+"""Random walk of the supply pressure per √s, relative to the nominal pressure."""
 SENSOR_SD = 0.01
-"""Standard deviation of the supply sensor, fraction of the nominal pressure."""
+"""Standard deviation of the supply sensor noise, relative to the nominal pressure."""
 LOW_SUPPLY_FRACTION = 0.6
 """Fraction of the nominal pressure below which `low_supply_pressure` is reported."""
 RECOVERED_ABOVE = 0.7
 """Fraction of the nominal pressure above which `low_supply_pressure` is cleared."""
 SUDDEN = 0.12
-"""Minimum size of a sudden pressure change, fraction of the nominal pressure."""
+"""Minimum sudden change of the supply pressure, relative to the nominal pressure."""
 _SUDDEN_SD = 3.0
-"""Minimum median residual of a sudden change, in standard deviations."""
+"""Minimum median residual that indicates a sudden change, in standard deviations."""
 _SURPRISE = 3.0
-"""Median change, in standard deviations, above which the variance is increased."""
+"""Median pressure change, in standard deviations, above which the variance increases.
+"""
 _AGREE = 3
 """Minimum number of filling chambers from which a median is computed."""
 _SUPPLY_TAILS = 4.0
 """Degrees of freedom of Student's t distribution for supply residuals."""
 _LOWEST = 0.02
-"""Lower limit of the estimated supply pressure, fraction of the nominal pressure."""
+"""Lower limit of the estimated supply pressure, relative to the nominal pressure."""
 
 
 class SupplyFilter(Stateful):
-    """Kalman filter for the supply pressure. See the module docstring.
+    """Kalman filter for the gauge pressure of the supply.
 
     Attributes:
         nominal: nominal gauge pressure, Pa.
@@ -82,7 +84,6 @@ class SupplyFilter(Stateful):
     state_attributes = ("pressure", "variance")
 
     def __init__(self, nominal: float) -> None:
-        """Initialise the estimate with the nominal gauge pressure (Pa)."""
         self.nominal = self.pressure = nominal
         self.variance = (PRIOR_SD * nominal) ** 2
 
@@ -114,12 +115,13 @@ class SupplyFilter(Stateful):
         """Correct the estimate with measurements of filling chambers.
 
         Args:
-            residual: measured minus expected value of each chamber. Missing
-                measurements are NaN.
-            response: derivative h of each residual with respect to the supply pressure.
-            sd: standard deviation of the error v of each chamber.
+            residual: measured minus expected value for each chamber, or NaN for a
+                missing measurement.
+            response: derivative h of the expected value with respect to the supply
+                pressure, for each chamber.
+            sd: standard deviation of the measurement error v, for each chamber.
             weight: weight of each chamber, from 0 to 1.
-            repeats: number of correlated measurements that carry the information of one
+            repeats: number of successive measurements that are as informative as one
                 independent measurement.
         """
         there = ~np.isnan(residual) & (weight > 0) & (response > 0)
@@ -129,8 +131,8 @@ class SupplyFilter(Stateful):
         response = response[there]
         weight = weight[there]
         variance = sd[there] ** 2
-        # If the median indicates a change, outliers are identified by their difference
-        # from the median.
+        # If enough chambers are filling, outliers are identified by the deviation from
+        # the median change of all chambers.
         change = 0.0
         if len(residual) >= _AGREE:
             change = float(np.median(residual / response))
@@ -138,8 +140,7 @@ class SupplyFilter(Stateful):
             chance = np.pi / 2 / len(residual) * scatter
             if change**2 > _SURPRISE**2 * (self.variance + chance):
                 self.variance += change**2
-                # Messages before a sudden change are not correlated with messages after
-                # the change.
+                # Messages after a sudden change are independent of earlier messages.
                 repeats = 1.0
         expected = variance + response**2 * self.variance
         square = (residual - response * change) ** 2 / expected
@@ -151,7 +152,7 @@ class SupplyFilter(Stateful):
     def follow_sudden_change(
         self, residual: np.ndarray, response: np.ndarray, sd: np.ndarray
     ) -> bool:
-        """Adopt a sudden change that most chambers indicate.
+        """Adopt a sudden pressure change if most filling chambers indicate it.
 
         Returns:
             Whether a sudden change was detected.
@@ -174,7 +175,7 @@ class SupplyFilter(Stateful):
         self._set(self.pressure + kalman_gain * (pressure - self.pressure))
 
     def jump(self, fraction: float) -> None:
-        """Multiply the estimate by a fraction and increase its variance."""
+        """Scale the estimate by a fraction, and set the variance from `LARGEST_SD`."""
         self._set(fraction * self.pressure)
         self.variance = (LARGEST_SD * self.pressure) ** 2
 
@@ -185,38 +186,38 @@ class SupplyFilter(Stateful):
 FLOW_SD = 0.3
 """Prior standard deviation of the flow factor c.
 
-The value is large, so that a chamber filling half as fast as in the robot file is not
-mistaken for a leak during the first strokes.
+With this large value, a chamber that fills at half the nominal rate is not mistaken for
+a leaking chamber during the first strokes.
 """
 LOSS_SD = 0.3
 """Prior standard deviation of the apparent loss λ₀, 1/s."""
 FORGETTING = 0.95
-"""Factor by which the weight of a stroke decreases with each later stroke."""
+"""Factor by which the weight of earlier strokes decreases with each new stroke."""
 MOST_STROKES = 40
-"""Maximum number of strokes over which the scatter is averaged."""
+"""Maximum number of strokes from which the inflow variation is estimated."""
 SCATTER = 0.05
-"""Prior standard deviation of the inflow from stroke to stroke, fraction of the inflow.
-"""
+"""Prior relative standard deviation of the inflow between strokes."""
 SCATTER_STROKES = 3
-"""Number of initial strokes that do not change the scatter."""
+"""Number of initial strokes that do not affect the estimated inflow variation."""
 LEAST_SCATTER = 0.02
-"""Lower limit of the standard deviation between strokes, fraction of the inflow."""
+"""Lower limit of the relative standard deviation of the inflow between strokes."""
 MESSAGES_PER_INDEPENDENT = 16
-"""Number of messages that carry the information of one independent message."""
+"""Number of successive messages that are as informative as one independent message."""
 AMOUNT_SD = 0.013
-"""Standard deviation of an amount of air, fraction of K times the nominal pressure."""
+"""Standard deviation of a measured air increase, in the unit of `LeakDetector`."""
 LEAK_RATE_SD = 0.3
-"""Relative standard deviation of a leak rate."""
+"""Relative standard deviation of the leak rate under a leak hypothesis."""
 WEAK_INFLOW_SD = 0.7
 """Relative standard deviation of the inflow from a weak supply."""
 LEAST_INFLOW = 0.1
-"""Minimum inflow of a usable stroke, fraction of K times the nominal pressure."""
+"""Minimum inflow of a usable stroke, in the unit of `LeakDetector`."""
 LONGEST_GAP_S = 0.1
 """Time without a message after which a stroke is ended, s."""
 SOUND = 0.98
-"""Probability of no fault above which the strokes of a segment are used for learning."""
+"""Probability of no fault above which the strokes of a segment are learnt."""
 LIMIT = 3.0
-"""Limit at which residuals are clipped in the scatter, in standard deviations."""
+"""Limit of each residual in the estimate of inflow variation, in standard deviations.
+"""
 TAILS = 12.0
 """Degrees of freedom of Student's t distribution for stroke residuals."""
 
@@ -225,13 +226,13 @@ _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
 )
-# The columns of the stroke integrals are gauge pressure, inflow of each variant, and
-# derivative of the inflow with respect to the supply pressure.
+# The columns of the stroke integrals are the gauge pressure, the inflow of each variant
+# and the derivative of the inflow with respect to the supply pressure.
 _OUTFLOW = 0
 _SOUND_INFLOW = 1
 _INFLOWS = slice(1, -1)
 _DERIVATIVE = -1
-# The supply pressure is stored at the start of a stroke and at the last message.
+# Indices of the supply pressures at the start of a stroke and at the last message.
 _FIRST = 0
 _LAST = 1
 
@@ -240,11 +241,11 @@ class SupplyResidual(NamedTuple):
     """Inflow residuals of filling chambers at the estimated supply pressure.
 
     Attributes:
-        residual: measured minus expected amount of air, shape (segments, 2). Unknown
-            residuals are NaN.
-        derivative: derivative of the expected amount with respect to the supply
-            pressure, 1/Pa, shape (segments, 2).
-        sd: standard deviation of the residual, shape (segments, 2).
+        residual: measured minus expected increase of the air in each chamber, in the
+            unit of `LeakDetector`, shape (segments, 2), or NaN if unknown.
+        derivative: derivative of the expected increase with respect to the supply
+            pressure, shape (segments, 2), 1/Pa.
+        sd: standard deviation of each residual, shape (segments, 2).
     """
 
     residual: np.ndarray
@@ -256,9 +257,7 @@ class _Residual(NamedTuple):
     """Residuals of the air balances, shape (segments, 2, variants).
 
     Attributes:
-        value: residual of each balance.
-        variance: variance of each residual.
-        fit_variance: part of the variance that is due to the uncertainty of c and λ₀.
+        fit_variance: contribution to the variance from the uncertainty of c and λ₀.
     """
 
     value: np.ndarray
@@ -280,14 +279,15 @@ class _Message(IntEnum):
 class LeakDetector(Stateful):
     """Leak detector based on the air balances of all chambers.
 
-    Amounts of air are expressed as fractions of K times the nominal supply pressure.
+    The unit of air amounts is the capacity K times the nominal supply pressure.
 
     Attributes:
         fit: flow factor c and apparent loss λ₀ (1/s) of each chamber, shape (segments,
             2, 2).
-        scatter: variance between strokes, fraction of the squared inflow, shape
+        scatter: squared relative standard deviation of the inflow between strokes,
+            shape (segments, 2).
+        learnt: number of learnt strokes of each chamber, at most `MOST_STROKES`, shape
             (segments, 2).
-        learnt: number of strokes learnt for each chamber, shape (segments, 2).
     """
 
     state_attributes = (
@@ -315,7 +315,7 @@ class LeakDetector(Stateful):
     ) -> None:
         """Initialise the detector for a nominal gauge pressure of the supply (Pa).
 
-        The first inflow variant must describe a chamber without a fault.
+        The first of the inflow variants must describe a chamber without a fault.
         """
         conductance, _, capacity = conductances(spec, CRITICAL_RATIO)
         self._chamber = spec.chamber
@@ -353,7 +353,7 @@ class LeakDetector(Stateful):
     def residuals(
         self, time: float, pressure: np.ndarray, filled: np.ndarray
     ) -> SupplyResidual:
-        """Return the residuals from which the supply pressure is estimated."""
+        """Return the inflow residuals for arguments that are described in `update`."""
         used = self._continues(time, pressure, filled) & self._is_informative()
         residual = self._residual().sound()
         return SupplyResidual(
@@ -375,11 +375,11 @@ class LeakDetector(Stateful):
 
         Args:
             time: current time, s.
-            pressure: gauge pressures of the chambers, shape (segments, 2), Pa. Missing
-                pressures are NaN.
+            pressure: gauge pressures of the chambers, or NaN for missing measurements,
+                shape (segments, 2), Pa.
             bend: estimated bend of each segment, rad.
-            filled: time for which each chamber has been filled, shape (segments, 2), s.
-                The filling time of a venting chamber is 0.
+            filled: time since each chamber began to fill, or 0 for a venting chamber,
+                shape (segments, 2), s.
             sound: probability that each segment has no fault, shape (segments,).
             supply: filter for the supply pressure.
 
@@ -389,14 +389,14 @@ class LeakDetector(Stateful):
         seen = ~np.isnan(pressure)
         continues = self._continues(time, pressure, filled)
         change = np.where(continues, supply.pressure - self._supply[..., _LAST], 0.0)
-        # The inflow of the stroke is corrected for the change of the estimated supply
-        # pressure.
+        # If the estimated supply pressure has changed, the expected inflow of the
+        # stroke is corrected.
         missed = (self._sums[..., _DERIVATIVE] * change)[..., None]
         self._sums[..., _INFLOWS] += np.where(self._fractions == 1.0, missed, 0.0)
         self._supply[seen, _LAST] = supply.pressure
         self._supply_sd = supply.sd
-        # A message is used only after the next message confirms that the valve is still
-        # open. A lost command may have closed the valve before the last message.
+        # A lost command may have closed the valve, so a message is used only after the
+        # next message confirms that the valve is still open.
         used = continues & self._is_informative()
         self._accumulate(used)
         added = self._log_likelihoods() - self._log_likelihood
@@ -434,8 +434,6 @@ class LeakDetector(Stateful):
         size, growth = _volume(
             chamber.dead_volume, chamber.displacement, bend.value[:, None], [0, 1]
         )
-        # The amount of air, pressure times volume, is expressed as a fraction of K
-        # times the nominal supply pressure.
         held = inside / self._unit
         held_sd = held * np.abs(growth) * bend.sd[:, None]
         reached = np.stack([held * size, held_sd], axis=-1)
@@ -445,15 +443,13 @@ class LeakDetector(Stateful):
         lines = np.append(self._fractions * line, [line + sd, line - sd])
         flows = self._conductance * _flow(lines + AMBIENT_PA, inside[..., None])
         flows[..., :-2] *= self._fractions > 0.0
-        # The derivative is computed by finite differences, because the exact derivative
-        # diverges at equal pressures.
+        # Finite differences are used, because the exact derivative becomes very large
+        # at equal pressures.
         derivative = (flows[..., -2:-1] - flows[..., -1:]) / (2 * sd)
         gauge = np.nan_to_num(pressure)[..., None] / self._nominal
         rates = np.concatenate([gauge, flows[..., :-2], derivative], axis=-1)
         begins = np.isnan(self._time)
         since = np.where(filling & ~begins, time - self._time, 0.0)
-        # The trapezoidal rule integrates all rates over the time since the last
-        # message.
         self._sums += since[..., None] * (self._rates + rates) / 2
         self._rates[filling] = rates[filling]
         begins &= filling
@@ -464,14 +460,15 @@ class LeakDetector(Stateful):
     def _residual(self) -> _Residual:
         inflow = self._sums[..., _INFLOWS]
         outflow = self._sums[..., [_OUTFLOW]]
-        # The balance is linear in c and λ₀. Without a leak, the amount of air increases
-        # by c · inflow − λ₀ · outflow. A leak λ reduces the increase by λ · outflow.
+        # Without a leak, the amount of air increases by c · inflow − λ₀ · outflow. A
+        # leak λ reduces this increase by λ · outflow.
         row = np.stack([inflow, np.broadcast_to(-outflow, inflow.shape)], axis=-1)
         gain = (self._reached - self._begun)[..., :1]
         residual = gain - (row @ self.fit[..., None])[..., 0] + self._leaks * outflow
         learnt = ((row @ np.linalg.inv(self._information)) * row).sum(axis=-1)
         read = self._reached[..., 1] ** 2 + self._begun[..., 1] ** 2 + AMOUNT_SD**2
-        # The time at which the supply pressure changed within the stroke is unknown.
+        # The supply pressure may have changed at any time within the stroke, so the
+        # change increases the variance.
         change = self._supply[..., _LAST] - self._supply[..., _FIRST]
         derivative = self.fit[..., 0] * self._sums[..., _DERIVATIVE]
         read += (change**2 + self._supply_sd**2) * derivative**2
@@ -493,14 +490,13 @@ class LeakDetector(Stateful):
         inflow = self._sums[..., _SOUND_INFLOW]
         pending = self._pending
         residual, variance, fit_variance = self._residual().sound()
-        # Message errors within a stroke are correlated, so only one message per stroke
-        # is used.
+        # The errors of messages within a stroke are correlated, so only the most
+        # informative message is used.
         weight = 1 / (variance - fit_variance)
         known = pending[..., _Message.WEIGHT] * pending[..., _Message.INFLOW] ** 2
         better = used & (weight * inflow**2 > known)
         message = [inflow, -self._sums[..., _OUTFLOW], residual, weight]
         pending[better, : _Message.EXCESS] = np.stack(message, axis=-1)[better]
-        # Residuals are limited, so that a single outlier cannot dominate the scatter.
         excess = np.minimum(residual**2, LIMIT**2 * variance) - variance
         pending[used, _Message.EXCESS] = excess[used] / inflow[used] ** 2
 
@@ -511,8 +507,8 @@ class LeakDetector(Stateful):
         weight = pending[:, [_Message.WEIGHT]]
         excess = pending[:, _Message.EXCESS]
         learnt = np.minimum(self.learnt[chambers] + 1, MOST_STROKES)
-        # Residuals of the first strokes include the error of the initial supply
-        # pressure.
+        # The first strokes do not affect the estimated variation, because their
+        # residuals include the error of the initial supply pressure.
         fraction = np.where(learnt > SCATTER_STROKES, 1 / learnt, 0.0)
         scatter = self.scatter[chambers] + fraction * excess
         self.learnt[chambers] = learnt

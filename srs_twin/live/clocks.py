@@ -1,10 +1,11 @@
-r"""Clock offsets of the senders, and a buffer that sorts messages by sending time.
+r"""Estimates of clock offsets, and a buffer that sorts messages by sending time.
 
 A message is sent at the time s on the sender's clock and received at the time a on the
-local clock. The difference a − s is the offset of the two clocks plus the transport
-delay, which is not negative. The offset is estimated as the minimum of a − s over the
-last ten seconds. The jitter of a message is the difference a − s minus the offset.
-Quartz clocks drift by about 5·10⁻⁵, which is half a millisecond in ten seconds.
+local clock. The difference a − s is the offset between the two clocks plus the
+transport delay, which cannot be negative. The offset is therefore estimated as the
+minimum of a − s over the last ten seconds. The jitter of a message is a − s minus the
+estimated offset. In ten seconds, quartz clocks drift by about half a millisecond, which
+corresponds to a relative drift of 5·10⁻⁵.
 """
 
 from __future__ import annotations
@@ -20,33 +21,33 @@ import numpy as np
 from srs_twin.live.messages import BENDS, COMMAND, VALVES, Message
 
 WINDOW_S = 10.0
-"""Duration of the interval over which the offset is estimated, s."""
+"""Duration of the interval over which the clock offset is estimated, s."""
 STEP_S = 1.0
-"""Maximum difference between delay and offset for a usable time stamp, s.
+"""Difference between delay and offset above which a time stamp is implausible, s.
 
-A time stamp with a larger difference is used only after other messages confirm it.
+An implausible time stamp is used only after other messages have confirmed it.
 """
 AGREEMENT_S = 0.05
 """Maximum difference between delay and offset in a message that confirms the offset, s.
 """
 CONFIRMING = 3
-"""Number of successive messages needed to confirm a new offset."""
+"""Number of successive messages that confirm a new clock offset."""
 CONFIRMING_S = 0.4
-"""Time without a confirming message after which the offset may increase, s."""
+"""Time without a confirming message after which the clock offset may increase, s."""
 MOST_DELAY_S = 15.0
-"""Maximum increase of the offset that is attributed to slower transport, s."""
+"""Maximum increase of the clock offset that may be due to slower transport, s."""
 KEPT = 5000
-"""Maximum number of messages from which the offset is estimated."""
+"""Maximum number of messages from which the clock offset is estimated."""
 MOST_HOLD_S = 0.1
-"""Maximum time for which a message is held, s."""
+"""Maximum time for which the buffer holds a message, s."""
 _IN_TIME = 0.97
 """Fraction of the messages that must arrive within the holding time."""
 _HOLD_UPDATES = 25
-"""Number of calls between adaptations of the holding time."""
+"""Number of `pop_until` calls between two adaptations of the holding time."""
 _RANKS = {COMMAND: 0, VALVES: 0, BENDS: 1}
-"""Processing order of messages with equal times. Kinds that are not listed come last.
+"""Rank of each message kind in the order of messages with equal sending times.
 
-Measurements that depend on bends must be processed after the bends.
+Other kinds come last, because some of these measurements depend on the bends.
 """
 
 
@@ -56,20 +57,20 @@ class _Arrival(NamedTuple):
 
 
 class SenderClock:
-    """Estimate of the clock offset of one sender.
+    """Estimator of the clock offset of one sender.
 
     A message confirms the offset if the delay of the message differs from the offset by
-    at most `AGREEMENT_S`. A single message with another delay may have a wrong time
-    stamp. The offset is decreased after `CONFIRMING` successive messages with lower
-    delays. The offset is increased if no message has confirmed it for `CONFIRMING_S`.
-    Either the sender's clock was set back, or the transport became slower. Because
-    these causes cannot be distinguished, the increase is added to the uncertainty of
-    message ages.
+    at most `AGREEMENT_S`. The offset decreases after `CONFIRMING` successive messages
+    with lower delays, and increases if no message has confirmed it for `CONFIRMING_S`.
+    An increase may be due either to slower transport or to a sender's clock that was
+    set back. Increases of less than `MOST_DELAY_S` are therefore added to
+    `uncertainty`, and later decreases are subtracted.
 
     Attributes:
-        offset: local clock minus the sender's clock, including the minimum delay, s.
-        jumps: number of times that the offset changed by more than `AGREEMENT_S`.
-        uncertainty: uncertainty of the age of messages due to changes of the offset, s.
+        offset: local clock minus the sender's clock, including the minimum transport
+            delay, s.
+        jumps: number of changes of the offset by more than `AGREEMENT_S`.
+        uncertainty: uncertainty in the age of messages due to offset changes, s.
     """
 
     def __init__(self) -> None:
@@ -83,7 +84,7 @@ class SenderClock:
         self._late: deque[_Arrival] = deque(maxlen=KEPT)
 
     def update(self, sent: float, arrived: float) -> float | None:
-        """Update the offset with the sending time and arrival time (s) of a message.
+        """Update the offset with the sending and arrival times (s) of a message.
 
         Returns:
             Sending time on the local clock, s, or None if the delay differs from the
@@ -112,8 +113,7 @@ class SenderClock:
                 self._accept(arrival)
         if abs(delay - self.offset) > STEP_S:
             return None
-        # The sending time must not be later than the arrival, even if the time stamp is
-        # wrong.
+        # A wrong time stamp must not cause a sending time after the arrival.
         return min(sent + self.offset, arrived)
 
     def _follow(self, arrivals: deque[_Arrival], *, confirmed: bool) -> None:
@@ -143,12 +143,10 @@ class SenderClock:
         self._least.append(arrival)
         while self._least[0].time < self._seen[0].time:
             self._least.popleft()
-        # Transport only adds delay, so the minimum delay in the window is closest to
-        # the true offset.
         self.offset = self._least[0].delay
 
     def delay_quantile(self, fraction: float) -> float:
-        """Return a quantile of the jitter, s."""
+        """Return the jitter (s) that a given fraction of messages do not exceed."""
         if self._seen:
             return float(np.quantile(self._excess(), fraction))
         return 0.0
@@ -179,21 +177,20 @@ class _Held(NamedTuple):
 
 
 class ReorderBuffer:
-    """Buffer that sorts messages of all senders by sending time on the local clock.
+    """Buffer that sorts messages from all senders by sending time on the local clock.
 
     Attributes:
-        clocks: clock estimate of each sender. The robot and the controller that
-            commands it have different clocks.
-        hold: time for which messages are held, s. The time increases with the jitter up
-            to `MOST_HOLD_S`.
-        counts: number of messages per source, kind and result. The results are "taken",
-            "duplicate", "late" and "off its clock". A message is late if a newer
-            message was already returned, and off its clock if the time stamp is
+        clocks: clock estimator of each sender. The sender of commands is the
+            controller, whose clock differs from the robot's clock.
+        hold: holding time of messages, which increases with the jitter from its initial
+            value up to `MOST_HOLD_S`, s.
+        counts: number of messages per source, kind and result, which is "taken",
+            "duplicate", "late" or "off its clock". A message is late if `pop_until` has
+            already passed its sending time, and off its clock if its time stamp is
             implausible.
     """
 
     def __init__(self, hold_s: float = 0.03) -> None:
-        """Create a buffer with an initial holding time (s)."""
         self.clocks: dict[str, SenderClock] = {}
         self.counts: Counter[tuple[str, str, str]] = Counter()
         self.hold = hold_s
@@ -213,8 +210,8 @@ class ReorderBuffer:
         jumps = clock.jumps
         time = clock.update(message.sent, message.arrived)
         if clock.jumps > jumps:
-            # After a clock has been set back, equal time stamps do not indicate
-            # duplicates.
+            # After the sender's clock has been set back, two different messages may
+            # have equal time stamps.
             self._known = {
                 key: sent
                 for key, sent in self._known.items()
@@ -250,7 +247,7 @@ class ReorderBuffer:
         ]
 
     def pop_until(self, now: float) -> list[TimedMessage]:
-        """Return the messages that are due at time `now` on the local clock (s)."""
+        """Return the messages whose holding time has ended at the time `now` (s)."""
         self._calls += 1
         if self._calls % _HOLD_UPDATES == 0 and self.clocks:
             longest = max(

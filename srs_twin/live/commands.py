@@ -1,4 +1,4 @@
-"""Valve duty cycles over time, and detection of periodic commands."""
+"""Valve duty cycles as a function of time, and detection of periodic commands."""
 
 from __future__ import annotations
 
@@ -13,21 +13,17 @@ import numpy as np
 from srs_twin.live.messages import COMMAND, Message
 
 DELAY_S = 0.01
-"""Delay from sending a command to its effect, s (half a tick of the robot)."""
+"""Delay between sending a command and its effect, s (half a tick of the robot)."""
 REPORTED_S = 0.02
-"""Default time for which reported valve states applied before the report, s (one tick).
-"""
+"""Default time from the start of a valve state to its report, s (one robot tick)."""
 SILENT_S = 0.2
-"""Maximum age of a command, s.
-
-If no newer command arrives, the robot vents all chambers.
-"""
+"""Age of the last command above which the robot vents all chambers, s."""
 KEPT_S = 1.0
-"""Time for which commands are kept, s."""
+"""Time for which past commands are stored, s."""
 _LEAST_INTERVAL_S = 1e-3
-"""Minimum interval between reports of different ticks, s."""
+"""Minimum interval between reports from different ticks, s."""
 _GAP_FACTOR = 1.5
-"""Ratio of a command interval to the median above which commands count as lost."""
+"""Multiple of the median command interval above which commands count as lost."""
 
 
 def are_states(values: np.ndarray) -> bool:
@@ -36,18 +32,18 @@ def are_states(values: np.ndarray) -> bool:
 
 
 def duty(values: np.ndarray) -> np.ndarray:
-    """Convert valve states or duties to duties from 0 to 1."""
+    """Convert valve states or duties to duties between 0 and 1."""
     if are_states(values):
         return np.asarray((values + 1) / 2)
     return np.asarray(np.clip(values, 0.0, 1.0))
 
 
 class LostCommands(NamedTuple):
-    """Change of the duty due to lost commands.
+    """Change of the valve duties that was noticed late because commands were lost.
 
     Attributes:
-        change: change of the duty, shape (segments, 2).
-        interval: duration of the interval in which the duty changed, s.
+        change: absolute change of each duty, shape (segments, 2).
+        interval: time since the previous command, within which the duties changed, s.
     """
 
     change: np.ndarray
@@ -55,9 +51,9 @@ class LostCommands(NamedTuple):
 
 
 class CommandHistory:
-    """Valve duties as a function of time.
+    """Valve duties as a piecewise constant function of time.
 
-    Each duty is held until the next duty. Initially all chambers vent.
+    Initially, all chambers vent.
     """
 
     def __init__(self, segments: int) -> None:
@@ -68,7 +64,7 @@ class CommandHistory:
         self._report_s = REPORTED_S
 
     def add(self, time: float, message: Message) -> LostCommands | None:
-        """Add a command or a report of valve states at a time (s).
+        """Add a command or a report of valve states that was sent at a time (s).
 
         Returns:
             Effect of lost commands, or None if no loss was detected.
@@ -77,12 +73,12 @@ class CommandHistory:
             self._carrier = not are_states(message.values)
             start = time + DELAY_S
         elif self._carrier:
-            # A single state of a pulse-width modulated valve does not determine the
-            # duty.
+            # The duty of a pulse-width modulated valve cannot be determined from a
+            # single valve state.
             return None
         else:
-            # The robot's tick is estimated as the shortest interval between reports,
-            # because longer intervals are due to lost reports.
+            # The shortest interval between reports is the robot's tick, because longer
+            # intervals are due to lost reports.
             if _LEAST_INTERVAL_S < message.sent - self._reported < self._report_s:
                 self._report_s = message.sent - self._reported
             self._reported = message.sent
@@ -107,15 +103,12 @@ class CommandHistory:
     def at(
         self, times: np.ndarray, waiting: Iterable[tuple[float, Message]] = ()
     ) -> np.ndarray:
-        """Return the duties at given times.
+        """Return the valve duties at given times, shape (times, segments, 2).
 
         Args:
             times: ascending times, shape (times,), s.
-            waiting: commands that are not in the history yet, each with its sending
-                time (s).
-
-        Returns:
-            Duty of each valve at each time, shape (times, segments, 2).
+            waiting: sending times (s) and messages of commands that have not been added
+                to the history yet.
         """
         starts = list(self._times)
         duties = list(self._duties)
@@ -129,24 +122,24 @@ class CommandHistory:
 
 
 SLOT_S = 0.02
-"""Sampling interval of the commands, s."""
+"""Duration of a time slot in which the commands are sampled, s."""
 _KEPT = 250
-"""Number of slots that are kept."""
+"""Number of stored time slots."""
 _LAGS = range(10, 126)
-"""Command periods that are considered, in slots."""
+"""Possible periods of the commands, in time slots."""
 _SAME = 0.1
-"""Mean absolute difference of duties below which commands count as equal."""
+"""Mean absolute difference between duties below which commands count as equal."""
 
 
 class CommandPeriod:
-    """Commands of the last seconds, sampled in slots of equal length."""
+    """Detector of periodic commands, which are sampled in time slots."""
 
     def __init__(self) -> None:
         self._slot = -1
         self._duties: deque[np.ndarray] = deque(maxlen=_KEPT)
 
     def add(self, time: float, duty: np.ndarray) -> None:
-        """Store the duty of the valves in the slot that contains a time (s)."""
+        """Store the valve duties for the time slot that contains a time (s)."""
         slot = math.floor(time / SLOT_S)
         if slot > self._slot + 1:  # A gap would change the lags of earlier commands.
             self._duties.clear()
@@ -155,9 +148,10 @@ class CommandPeriod:
             self._slot = slot
 
     def commands(self, slots: int) -> np.ndarray:
-        """Predict the duties of the next slots, shape (slots, segments, 2).
+        """Predict the duties in the next time slots, shape (slots, segments, 2).
 
-        Periodic commands are repeated, and other commands are held constant.
+        If the commands are periodic, the last period is repeated. Otherwise, the last
+        command is held.
         """
         past = np.array(self._duties)
         lag = self.period()
@@ -166,7 +160,7 @@ class CommandPeriod:
         return np.repeat(past[-1:], slots, axis=0)
 
     def period(self) -> int:
-        """Return the period in slots, or 0 if the commands are not periodic."""
+        """Return the period in time slots, or 0 if the commands are not periodic."""
         if not self._duties:
             return 0
         past = np.array(self._duties)

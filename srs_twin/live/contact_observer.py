@@ -1,31 +1,33 @@
-r"""Disturbance observer for a contact force, based on measured pressures and bends.
+r"""Disturbance observer that estimates a contact force from pressures and bends.
 
-The bend q_j of segment j is the sum of the rest bend b_j, the free bend φ_j due to the
-pressures, and the deflection due to the external moment M_j:
+The external moment M_j deflects segment j with the bending stiffness k. The bend q_j
+is the sum of the rest bend b_j, the free bend φ_j(p) due to the pressures p, and this
+deflection:
 
 $$ q_j = b_j + \varphi_j(p) + M_j/k . $$
 
-In a steady gait all terms are periodic. The observer learns the means of q_j and φ_j in
-each phase of the gait. Subtracting these means cancels sensor offsets, differences
-between modules, and the moments exerted by the floor. The deviation
+In a steady gait, all terms are periodic, and the observer learns the means of q_j and
+φ_j for each phase of the gait. Subtracting these means cancels sensor offsets,
+differences between modules, and the moments exerted by the floor. The deviation
 
 $$ e_j = (q_j - \bar q_j) - (\varphi_j - \bar\varphi_j) $$
 
-is the contact moment divided by the stiffness k. The free bends are computed from
-measured pressures, so neither supply pressure drift nor air compression due to a
-contact distorts the deviation.
+is the moment due to the contact divided by k. The free bends are computed from measured
+pressures, so supply pressure drift and air compression during a contact do not affect
+the deviation.
 
 **Detection.** At the beginning of a contact, the contact moments are proportional to
-the contact force F. For each position on a grid, F is fitted to the deviations in a
-time window by weighted least squares. The score of a position is the ratio of F to the
-standard deviation of F. A contact is detected if the maximum score exceeds a threshold.
+the contact force F. For each contact position on a grid, F is fitted to the deviations
+in a time window by weighted least squares. The score of a position is the magnitude of
+the fitted force divided by its standard deviation. A contact is detected if the maximum
+score exceeds a threshold.
 
-**Estimate.** A force comparable to the floor friction moves and turns the snake, which
-changes the friction forces and causes inertial forces. `PushedBody` predicts the motion
-of the pushed body for hypotheses about the position, the force and the start of the
-contact. The estimate is the posterior mean of the force at the most probable position.
-To account for model errors, the noise variance is multiplied by the mean squared
-residual of the best hypothesis. Learning is suspended while the score is high.
+**Estimation.** A contact force comparable to the floor friction moves and turns the
+snake, which changes the friction forces and causes inertial forces. `PushedBody`
+predicts this motion for hypotheses about the position, the force and the start of the
+contact. The estimated force is the posterior mean at the most probable position. To
+account for model errors, the noise variance is multiplied by the mean squared residual
+of the best hypothesis. While the score is high, the learnt means are not updated.
 
 **Limits.** A force along the body is not observable. Two simultaneous contacts are
 estimated as one contact. The force is assumed to be constant during a contact.
@@ -46,50 +48,44 @@ from srs_twin.live.pushed_body import PushedBody
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-# The following times are multiplied by the time unit of the robot (`robot.scale`).
+# The times below are multiplied by the time unit of the robot (`robot.scale`).
 WINDOW_S = 0.3
 """Duration of the time window from which the score is computed, s."""
 SETTLING_S = 2.0
-"""Duration of the transient after the start of a gait, s.
-
-Samples of the transient are not used for learning.
-"""
+"""Duration of the initial transient of a gait, which is excluded from learning, s."""
 LEARNING_S = 10.0
-"""Duration of contact-free crawling before the first estimate, s."""
+"""Duration of crawling without contact that precedes the first estimate, s."""
 THRESHOLD = 6.0
 """Score above which a contact is detected.
 
-The value was chosen with benchmarks/contact_estimate.py for robots with random seeds of
-1000 and above.
+The value was tuned with `benchmarks/contact_estimate.py` (random seeds above 999).
 """
 COVERAGE = 0.9
-"""Nominal coverage probability of the force and position intervals."""
+"""Nominal probability that a force or position interval contains the true value."""
 _LEARNING_SCORE = 4.0
-"""Score above which learning stops and hypotheses are compared."""
+"""Score above which contact hypotheses are compared and the means are not updated."""
 _MEMORY = 20
-"""Number of periods over which the means are computed."""
+"""Number of gait periods over which the bends and free bends are averaged."""
 _RESOLUTION = 1e-12
-"""Lower limit of the deviation variance, rad², because simulated readings may be exact.
-"""
+"""Lower limit of the deviation variance, which applies to exact readings, rad²."""
 _SAME_COMMAND = 0.1
-"""Difference between a duty and its learnt mean above which the gait has changed."""
+"""Minimum deviation of a duty from its mean that indicates a changed gait."""
 _STATIONS_PER_SEGMENT = 8
 _FILTER_S = 0.09
-"""Time constant of the low-pass filter that suppresses oscillations of the segments, s.
-"""
+"""Time constant of the low-pass filter that suppresses segment oscillations, s."""
 _ONSET_S = 0.3
-"""Maximum time from the start of a contact to the start of the comparison, s."""
+"""Maximum time between the start of a contact and the comparison of hypotheses, s."""
 _ONSET_STEP_S = 0.06
 """Difference between the contact start times of neighbouring hypotheses, s."""
 _LEAST_FORCE = 0.25
-"""Minimum force of a hypothesis as a multiple of the maximum floor friction."""
+"""Smallest hypothetical contact force as a multiple of the maximum floor friction."""
 _FORCE_RATIO = 1.3
-"""Ratio of the forces of neighbouring hypotheses."""
+"""Ratio between neighbouring values of the hypothetical contact force."""
 _POWERS = np.arange(12)
 _PRUNED = 25.0
-"""Excess over the minimum cost, in variances, above which a hypothesis is dropped."""
+"""Cost difference from the best hypothesis above which a hypothesis is dropped."""
 _CORRELATION = 2.0
-"""Factor on the variance that accounts for the correlation of model errors in time."""
+"""Factor on the noise variance that accounts for time-correlated model errors."""
 
 
 class CredibleInterval(NamedTuple):
@@ -108,10 +104,11 @@ class ContactEstimate:
     Attributes:
         touched: whether a contact is detected.
         score: maximum ratio of a fitted force to its standard deviation, dimensionless.
-        force: normal force, positive to the left of the body, N.
-        force_interval: credible interval for the force, N.
-        place: distance of the contact behind the first connector along the body, m.
-        place_interval: credible interval for the position, m.
+        force: contact force normal to the body, positive to the left, N.
+        force_interval: credible interval of the force, N.
+        place: distance from the first connector to the contact, measured backwards
+            along the body, m.
+        place_interval: credible interval of `place`, m.
     """
 
     touched: bool
@@ -124,13 +121,14 @@ class ContactEstimate:
 
 @dataclass(frozen=True)
 class Hypotheses:
-    """Hypothetical contacts with predictions and costs.
+    """Hypothetical contacts, with the predicted motion and the cost of each hypothesis.
 
     Attributes:
         station: index of the contact position in the grid, shape (hypotheses,).
         force: contact force, shape (hypotheses,), N.
-        velocity: velocities of the body as in `PushedBody`, shape (hypotheses, 3).
-        bend: filtered prediction of the deviation, shape (hypotheses, segments), rad.
+        velocity: body velocities as in `PushedBody`, shape (hypotheses, 3).
+        bend: low-pass filtered prediction of the bend deviation, shape (hypotheses,
+            segments), rad.
         cost: sum of squared residuals divided by the noise variance, shape
             (hypotheses,).
         compared: number of samples that contribute to the cost.
@@ -165,9 +163,11 @@ class Hypotheses:
     def inflation(self, independent: float) -> float:
         """Return the factor by which model errors increase the noise variance.
 
-        The factor is the mean square of the normalised residuals of the best
-        hypothesis, but at least 1. `independent` is the number of independent values
-        per sample.
+        The factor is the mean squared normalised residual of the best hypothesis, but
+        at least 1.
+
+        Args:
+            independent: number of independent values per sample.
         """
         return max(float(self.cost.min()) / max(self.compared * independent, 1.0), 1.0)
 
@@ -181,7 +181,7 @@ class Hypotheses:
 _OF_EACH = ("station", "force", "velocity", "bend", "cost")
 """Attributes of `Hypotheses` with one row per hypothesis."""
 
-# Each sample has rows for the bend, the free bend and the commands.
+# The rows of a sample contain the bends, the free bends and the commands.
 _BEND = 0
 _FREE = 1
 _COMMANDS = slice(2, None)
@@ -192,8 +192,6 @@ def _deviation(sample: np.ndarray, mean: np.ndarray) -> np.ndarray:
 
 
 class _Fit(NamedTuple):
-    """Terms of the least-squares fit of F to one sample, for each station."""
-
     moment: np.ndarray
     information: np.ndarray
 
@@ -205,12 +203,7 @@ class _Gait(NamedTuple):
 
 
 class ContactObserver(Stateful):
-    """Observer of the contact force on a snake in a periodic gait.
-
-    Attributes:
-        period: period of the commands in samples, or 0 if the commands are not
-            periodic.
-    """
+    """Observer of the contact force on a snake that crawls in a periodic gait."""
 
     state_attributes = (
         "period",
@@ -233,8 +226,7 @@ class ContactObserver(Stateful):
         Args:
             spec: robot specification.
             sample_s: time between samples, s.
-            period: period of the commands in samples, or 0 if the period is not known
-                yet.
+            period: period of the commands in samples, or 0 if the period is not known.
 
         Raises:
             InputError: the robot has fewer than two segments.
@@ -254,8 +246,8 @@ class ContactObserver(Stateful):
         self._past = max(round(_ONSET_S * in_samples), 1)
         self._onset_step = max(round(_ONSET_STEP_S * in_samples), 1)
         self._gain = 1 - math.exp(-1 / (_FILTER_S * in_samples))
-        # A first-order filter with gain g divides two quantities by (2 - g)/g: the
-        # variance of white noise and the number of independent values.
+        # A first-order filter with gain g reduces the number of independent values and
+        # the variance of white noise by the factor g/(2 - g).
         self._independent = spec.segments * self._gain / (2 - self._gain)
         self._friction = spec.friction.mu_n * spec.mass.total * GRAVITY
         self.set_period(period)
@@ -272,8 +264,8 @@ class ContactObserver(Stateful):
         self._variance = np.zeros(n)
         self._filtered = np.zeros(n)
         self._window: deque[_Fit] = deque(maxlen=self._length)
-        # A contact may have begun during the last samples, whose filtered deviations
-        # are kept.
+        # The last filtered deviations are stored, because a contact begins before the
+        # score increases.
         self._recent: deque[np.ndarray | None] = deque(maxlen=self._past + 1)
         self._shape = np.zeros((0, n))
         self._gait: _Gait | None = None
@@ -294,10 +286,12 @@ class ContactObserver(Stateful):
         Args:
             command: mean valve states since the last sample, shape (segments, 2).
             pressure: measured gauge pressures, shape (segments, 2), Pa.
-            measured_bend: bend readings, shape (segments,), rad. Missing readings are NaN.
+            measured_bend: bend readings, shape (segments,), rad, with NaN for missing
+                readings.
 
         Returns:
-            Contact estimate, or None until enough samples have been learnt.
+            Contact estimate, or None if too few samples have been learnt, a measurement
+            is missing, or the command differs from the learnt gait.
         """
         if not self.period:
             return None
@@ -320,7 +314,7 @@ class ContactObserver(Stateful):
             self._compare(None)
             return None
         sample = np.stack([measured_bend, free, *np.asarray(command, dtype=float).T])
-        # Samples may be missing, but half of them are needed to estimate the variance.
+        # Half of the samples are sufficient to estimate the variance.
         learnt = self._bins.all() and self._count >= (self._learnt - self._settled) / 2
         estimate = None
         if learnt and self._samples >= self._learnt:
@@ -335,7 +329,6 @@ class ContactObserver(Stateful):
         mean = self._sums[k]
         known = self._bins[k]
         if known:
-            # The mean of few samples is uncertain, which increases the deviation.
             error = _deviation(sample, mean) * math.sqrt(known / (known + 1))
             self._count += 1
             weight = 1 / min(self._count, self._learnt - self._settled)
@@ -367,8 +360,8 @@ class ContactObserver(Stateful):
 
     def _estimate(self, sample: np.ndarray, k: int) -> ContactEstimate:
         mean = self._sums[k]
-        # The mean of n samples is uncertain, so the variance of the deviation is larger
-        # by a factor of 1 + 1/n.
+        # A mean of n samples increases the variance of the deviation by a factor of
+        # 1 + 1/n.
         fraction = math.sqrt(self._bins[k] / (self._bins[k] + 1))
         error = _deviation(sample, mean)
         pattern = self._learnt_gait().patterns[k]
@@ -433,8 +426,8 @@ class ContactObserver(Stateful):
         return later.pruned(_PRUNED * later.inflation(self._independent))
 
     def _contact(self, score: float, now: Hypotheses) -> ContactEstimate:
-        # The weights are the likelihoods of the hypotheses. The likelihoods for the
-        # intervals are wider, because model errors are correlated in time.
+        # The likelihoods for the intervals are wider than the likelihoods for the mean,
+        # because model errors are correlated in time.
         variance = 2 * now.inflation(self._independent)
         weight = np.exp((now.cost.min() - now.cost) / variance)
         best = int(now.cost.argmin())

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from srs_twin.live.links import MqttLink
     from srs_twin.live.optitrack import NatNetServer
 
-PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105  # This is the name of a variable.
+PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105
+"""Name of the environment variable that contains the MQTT password."""
 
 
 _LONGEST_NAME = 200
@@ -44,7 +45,8 @@ def broker_link(
     """Connect to the topics of a robot on an MQTT broker.
 
     Raises:
-        InputError: the name cannot be part of a topic, or the broker does not answer.
+        InputError: the robot name cannot be part of a topic, or the broker does not
+            answer.
     """
     from srs_twin.live import links
 
@@ -72,13 +74,13 @@ class EmulationOptions:
 
     Options:
         seed: Seed of the random number generator for module properties, sensor noise,
-            and lost or delayed messages.
-        fault: Fault to inject, with its location and its time in seconds, for example
+            message loss and message delay.
+        fault: Fault to inject, with its location and start time in seconds, for example
             stuck_valve:2+@5, dead_sensor:1@8 or leak:3-=fast@2. Can be repeated.
-        spread: Relative standard deviation of the module gains.
-        noise: Standard deviation of the measured bends in rad.
-        chambers: Pneumatic model of the chambers: orifice (compressible flow) or lag
-            (first order). [default: orifice, or lag for spatial robots]
+        spread: Relative standard deviation of the bending gains of the modules.
+        noise: Standard deviation of the bend sensor noise in rad.
+        chambers: Pneumatic model, either orifice (compressible flow) or lag
+            (first-order lag). [default: orifice, or lag for spatial robots]
         start: Initial position in metres and initial heading in rad, for example
             --start=0.2,-0.1,0.5.
     """
@@ -92,7 +94,7 @@ class EmulationOptions:
     start: Annotated[str, option("--start X,Y,HEADING")] = "0,0,0"
 
     def emulated(self, robot: str) -> EmulatedRobot:
-        """Create the emulated robot with these options.
+        """Create an emulated robot with these options.
 
         Raises:
             InputError: the robot does not exist, or an option is invalid.
@@ -118,8 +120,8 @@ class MessageOptions:
     """Message options of an emulated robot.
 
     Options:
-        loss: Fraction of the messages that are lost.
-        jitter: Maximum random delay of a sent message in seconds.
+        loss: Probability that a message is lost.
+        jitter: Maximum random delay of a message in seconds.
         publish_supply: Also publish the supply pressure.
         duration: Stop after this many seconds. [default: run until Ctrl-C]
         user: User name for the MQTT broker.
@@ -147,15 +149,15 @@ def emulate(
 ) -> None:
     """Emulate a robot that communicates over MQTT and NatNet.
 
-    The emulated robot is a twin with unequal modules, compressible flow in the
-    chambers, sensor noise and faults. The emulated robot executes valve commands and
-    publishes bends, pressures, valve states and poses in real time. docs/live.md
-    describes the messages. The password of the MQTT user is read from the environment
-    variable SRS_TWIN_MQTT_PASSWORD.
+    The emulated robot is a MuJoCo simulation with unequal modules, sensor noise and
+    optional faults. The robot executes valve commands and publishes bends, pressures,
+    valve states and poses in real time. The messages are described in docs/live.md. The
+    password of the MQTT user is read from the environment variable
+    SRS_TWIN_MQTT_PASSWORD.
 
     Options:
         mqtt: Address of the MQTT broker.
-        natnet: Address of this machine at which the emulator serves NatNet frames.
+        natnet: Local address at which NatNet frames are served.
             [default: no motion capture]
         name: Name of the robot in the MQTT topics. [default: ROBOT]
     """

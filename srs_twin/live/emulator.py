@@ -1,10 +1,10 @@
-"""Emulated robot, which is a simulation with the interfaces of a real robot.
+"""Simulated robot with the communication interfaces of a real robot.
 
-The simulation is a twin with compressible flow in the chambers, random module
-properties and faults at given times. The emulated robot receives commands from an MQTT
-broker and publishes bends, pressures and valve states in real time. A NatNet server
-sends the poses of the connectors. Like the firmware of a real robot, the emulated robot
-vents all chambers 0.2 s after the last command.
+The MuJoCo simulation has random module properties, and faults begin at given times. The
+emulated robot receives commands from an MQTT broker and publishes bends, pressures and
+valve states in real time. A NatNet server sends the poses of the connectors. Like the
+firmware of a real robot, the emulated robot vents all chambers 0.2 s after the last
+command.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.scenario.scenario import Scenario
 
 CARRIER_HZ = 60.0
-"""Carrier frequency of the pulse-width modulation of valves, Hz."""
+"""Carrier frequency of the pulse-width modulated valves, Hz."""
 _LATE_S = 1.0
-"""Maximum delay behind real time, s. Beyond this delay, missed ticks are skipped."""
+"""Delay behind real time above which the emulator no longer catches up, s."""
 _SIDES = {"+": 0, "-": 1}
 _FAULT = re.compile(r"(\w+)(?::(\d+)([+-])?)?(?:=(\w+))?@([\d.]+)")
 _FORM = "KIND[:NUMBER[+|-]][=HOW]@SECONDS, such as stuck_valve:2+=closed@5"
 
 
 class FaultKind(NamedTuple):
-    """Kind of fault.
+    """Kind of fault with possible variants.
 
     Attributes:
-        part: kind of the affected part, or an empty string if the fault affects the
-            whole robot.
-        variants: value of each variant, keyed by name. The first variant is the
-            default. Values of leak variants are rates in 1/s.
+        part: kind of robot part that has the fault, for example "segment", or an empty
+            string if the fault affects the whole robot.
+        variants: severity or type of each variant, keyed by name. The first variant is
+            the default. For a leak, the value is the rate of pressure loss in 1/s.
     """
 
     part: str
@@ -68,16 +68,15 @@ KINDS = {
     "lost_marker": FaultKind("connector", {"gone": 1}),
 }
 _EXAMPLES = {"chamber": ":2+@5", "segment": ":2@5", "connector": ":2@5", "": "@5"}
-"""Example of the text that follows the fault kind, for each kind of affected part."""
+"""Example of the location and start time of a fault for each kind of robot part."""
 
 _DRIFT_RAD_PER_S = 0.1
-"""Drift rate of a drifting sensor, rad/s."""
 _CAMERA_NOISE_M = 0.0003
-"""Standard deviation of the measured coordinates of a marker, m."""
+"""Standard deviation of the noise in motion capture coordinates, m."""
 _MARKER_DISTANCE_M = 0.02
-"""Distance of the markers from the centre of their connector, m."""
+"""Distance between a marker and the centre of the connector, m."""
 _HEIGHT_M = 0.02
-"""Connector height of a planar robot, m."""
+"""Height of the connectors of a planar robot, m."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +86,9 @@ class Fault:
     Attributes:
         number: number of the segment or connector, counted from 1 at the head, or 0 if
             the fault affects the whole robot.
-        side: side of the chamber, 0 for + and 1 for −.
-        how: value of the variant, as listed in `KINDS`.
-        since: time from the start of the emulation to the fault, s.
+        side: side of a faulty chamber, 0 for + and 1 for −.
+        how: value of the variant from `KINDS`.
+        since: time from the start of the emulation to the start of the fault, s.
     """
 
     kind: str
@@ -103,9 +102,8 @@ class Fault:
         """Parse a fault such as ``stuck_valve:2+@5``.
 
         Raises:
-            InputError: the text is malformed, or the robot does not have the given
-                part.
-            UnknownNameError: the kind or variant is unknown.
+            InputError: the text is malformed, or the named part does not exist.
+            UnknownNameError: the kind or the variant is unknown.
         """
         match = _FAULT.fullmatch(text)
         if match is None:
@@ -146,12 +144,12 @@ class Simulation:
     Attributes:
         gain_spread: relative standard deviation of the bending gains of the modules.
         tick: control period of the robot, s.
-        pneumatics: model of the chambers, "orifice" or "lag". If None, the model is
-            "orifice" for planar robots and "lag" for spatial robots, which support only
-            "lag".
-        supply_kpa: gauge supply pressure, kPa. If None, the nominal pressure is used.
-        changes: fields of the robot file to change, as in the section `robot` of a
-            scenario.
+        pneumatics: pneumatic model, "orifice" or "lag". The default is "lag" for
+            spatial robots, which do not support "orifice", and "orifice" for planar
+            robots.
+        supply_kpa: gauge supply pressure, kPa, or None for the nominal pressure.
+        changes: changed fields of the robot file, in the format of the `robot` section
+            of a scenario.
     """
 
     gain_spread: float = 0.1
@@ -161,11 +159,7 @@ class Simulation:
     changes: Mapping[str, Any] = field(default_factory=dict)
 
     def scenario(self, robot: str, seed: int) -> Scenario:
-        """Build the scenario that simulates a robot with these settings.
-
-        Args:
-            robot: name of a shipped robot, or path of a robot file.
-            seed: random seed of the module properties.
+        """Build a scenario for a robot, which is given by a name or a file path.
 
         Raises:
             InputError: the robot does not exist, or a setting is invalid.
@@ -189,13 +183,13 @@ class Simulation:
 
 
 class EmulatedRobot:
-    """Simulated robot that advances in ticks and uses neither clocks nor links.
+    """Simulated robot that advances in ticks, independently of real time and network.
 
     Attributes:
-        twin: simulation of the robot.
         supply_pa: nominal gauge supply pressure, Pa.
-        supply_now_pa: current gauge pressure of the supply, Pa.
-        valves: commanded valve states at the end of the last tick.
+        supply_now_pa: current gauge supply pressure, Pa.
+        valves: commanded valve states at the end of the last tick, shape (segments,
+            chambers).
         spatial_chambers: number of chambers per segment of a spatial robot, or 0 for a
             planar robot.
     """
@@ -215,9 +209,9 @@ class EmulatedRobot:
         Args:
             robot: name of a shipped robot, or path of a robot file.
             simulation: settings of the simulation.
-            seed: random seed of the module properties and the noise.
+            seed: random seed of the module properties and the sensor noise.
             faults: faults in the format of `Fault.parse`.
-            noise_rad: standard deviation of bend readings, rad.
+            noise_rad: standard deviation of the bend sensor noise, rad.
             start: initial position x, y (m) and initial heading (rad).
 
         Raises:
@@ -274,7 +268,7 @@ class EmulatedRobot:
     def step(self, command: np.ndarray | None) -> SnakeState:
         """Advance by one tick with valve states or duties.
 
-        Without a command, all chambers vent.
+        If the command is None, all chambers vent.
         """
         now = float(self.state.time)
         for fault in [fault for fault in self._pending if fault.since <= now + 1e-9]:
@@ -287,8 +281,8 @@ class EmulatedRobot:
         wanted = np.full(self.valves.shape, -1.0)
         if command is not None:
             wanted = np.asarray(command, dtype=float)
-        # The carrier also advances if the command contains valve states, so that the
-        # phase of the carrier does not depend on the kind of command.
+        # The carrier also advances during commands with valve states, so that the
+        # carrier phase does not depend on the type of earlier commands.
         obeyed = self._pulses.step(duty(wanted))
         if are_states(wanted):
             obeyed = wanted.astype(np.int8)
@@ -299,14 +293,14 @@ class EmulatedRobot:
     def regulate(self, fraction: float) -> None:
         """Set the supply pressure to a fraction of the nominal pressure.
 
-        A fault of the supply reduces the pressure further.
+        A fault of the supply reduces the resulting pressure.
         """
         self._fraction = fraction
         self.supply_now_pa = fraction * self._left * self.supply_pa
         self._air.set_supply_pressure(self.supply_now_pa)
 
     def bends(self) -> np.ndarray:
-        """Return the bend readings, rad. Missing readings are NaN."""
+        """Return the bend readings (rad), with NaN for missing readings."""
         time = float(self.state.time)
         readings = self.state.bend + self._noise * self._rng.normal(
             size=self.state.bend.shape
@@ -327,8 +321,7 @@ class EmulatedRobot:
     def bodies(self) -> dict[int, RigidBody]:
         """Return the rigid bodies measured by motion capture.
 
-        The bodies are keyed by connector number, counted from 1 at the head. The y axis
-        points upwards.
+        The keys are connector numbers from 1 at the head. The y axis points upwards.
         """
         time = float(self.state.time)
         bodies = {}
@@ -340,8 +333,8 @@ class EmulatedRobot:
         noise = _CAMERA_NOISE_M * self._rng.normal(size=(len(self.state.position), 3))
         for i, (x, y) in enumerate(self.state.position):
             dx, dy, dz = noise[i].tolist()
-            # In Motive the y axis points upwards, so the y axis of the twin corresponds
-            # to the −z axis.
+            # The y axis of Motive points upwards, so the y axis of the simulation
+            # corresponds to the −z axis of Motive.
             if isinstance(self.state, SpatialState):
                 height = float(self.state.height[i]) + dz
                 w, a, b, c = map(float, self.state.orientation[i])
@@ -358,15 +351,14 @@ class EmulatedRobot:
 
 
 _GOODBYE_S = 1.0
-"""Maximum wait until the broker accepts the last status, s."""
+"""Maximum time to wait for the broker to accept the final status message, s."""
 _LETS_GO_S = 0.001
-"""Pause after each tick, s.
+"""Time for which the thread of the MQTT client can run after each tick, s.
 
-The pause lets the MQTT client's thread run, because compiled kernels hold the
-interpreter lock during a tick.
+During a tick, compiled kernels hold the interpreter lock.
 """
 _POLL_S = 0.002
-"""Maximum pause while messages are waiting to be sent, s."""
+"""Maximum interval between checks whether a queued message is due, s."""
 
 
 class _DelayedCall(NamedTuple):
@@ -376,10 +368,10 @@ class _DelayedCall(NamedTuple):
 
 
 class Transport:
-    """Queue of outgoing messages, which simulates loss and delay."""
+    """Queue of outgoing messages that simulates message loss and random delay."""
 
     def __init__(self, loss: float = 0.0, jitter: float = 0.0, seed: int = 0) -> None:
-        """Create an empty queue with the maximum random delay `jitter` (s)."""
+        """Create a queue with a loss probability and a maximum delay `jitter` (s)."""
         self._loss = loss
         self._jitter = jitter
         self._rng = np.random.default_rng((seed, 0xA1))
@@ -389,7 +381,7 @@ class Transport:
     def add(
         self, due: float, send: Callable[..., None], *values: object, **named: object
     ) -> None:
-        """Schedule a call of `send` at a local time (s), unless the message is lost."""
+        """Schedule a call of `send` at a local time (s) with random loss and delay."""
         if self._rng.random() >= self._loss:
             delayed = due + self._rng.random() * self._jitter
             call = partial(send, *values, **named)
@@ -397,7 +389,7 @@ class Transport:
             heapq.heappush(self._waiting, entry)
 
     def send_until(self, due: float) -> None:
-        """Wait until a local time (s), and send all messages that are due by then."""
+        """Wait until a local time (s) while sending the messages that become due."""
         while True:
             while self._waiting and self._waiting[0].due <= clock():
                 heapq.heappop(self._waiting).call()
@@ -423,17 +415,17 @@ def emulate(
 
     Args:
         robot: emulated robot.
-        link: link to the topics of the robot, which also delivers commands.
+        link: MQTT link that receives commands and publishes measurements.
         capture: motion capture server, or None if motion capture is not emulated.
-        transport: queue that simulates loss and delay. If None, all messages are sent
-            without delay.
+        transport: queue that simulates message loss and delay, or None for transport
+            without loss and delay.
         duration: duration of the run, s.
-        stop: function that is called in every tick and returns whether to end the run.
+        stop: function that is called once per tick and returns whether to end the run.
         publishes_supply: whether the supply pressure is also published.
 
     Returns:
-        Number of ticks (``ticks``) and number of late ticks (``late``), which ended
-        more than one tick behind real time.
+        Number of ticks (``ticks``), and number of ticks that ended more than one tick
+        behind real time (``late``).
     """
     transport = transport or Transport()
     begun = clock()
@@ -451,7 +443,6 @@ def emulate(
                     heard = message.arrived
             state = robot.step(command if clock() - heard <= SILENT_S else None)
             done += 1
-            # The state at the end of the tick is published when the tick ends.
             due = begun + done * tick
             messages = {
                 BENDS: robot.bends(),

@@ -1,21 +1,21 @@
 """Ensemble Kalman filter for the pose, bends and pressures of a robot.
 
-The state of each member contains a pose, velocities, bends, chamber pressures, and the
-gains and biases of the modules. A disturbance of each bend, modelled as a first-order
-Gauss–Markov process, represents the model error. The chambers and bodies are simulated
-with the `compliant` model (`member_dynamics`). The body motion is computed from the
-bend changes (`odometry`). The gains and biases are not corrected by the ensemble,
-because correlations in a small ensemble are partly spurious. Instead, the gains and
-biases are drawn from the estimates of the fault detector.
+The state of each ensemble member contains a pose, velocities, bends, chamber pressures,
+and the gains and biases of the modules. The model error is represented by a disturbance
+of each bend, which is modelled as a first-order Gauss–Markov process. The pressures and
+bends are predicted with the `compliant` model (`member_dynamics`), and the body motion
+is computed from the bend changes (`odometry`). Measurements do not correct the gains
+and biases, because correlations in a small ensemble are partly spurious. Instead, the
+gains and biases are drawn from the distributions that the fault detector estimates.
 
-Measurements are processed one after another by the ensemble square root filter
-(Whitaker and Hamill 2002):
+The ensemble square root filter (Whitaker and Hamill 2002) processes the measurements
+one after another:
 
-- Localisation: a bend or pressure sensor corrects only the states of its own segment.
-  Motion capture corrects the pose and all bends.
-- Outliers: if an innovation exceeds four standard deviations, the noise variance of the
+- With localisation, a bend sensor or a pressure sensor corrects only the states of its
+  own segment. Motion capture corrects the pose, all bends and all disturbances.
+- If an innovation exceeds four standard deviations, the noise variance of the
   measurement is increased.
-- Motion capture: the noise of the frames is estimated (Desroziers and others 2005).
+- The noise of motion capture frames is estimated (Desroziers and others 2005).
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ from srs_twin.robot.spec import RobotSpec
 _OUTLIER = 4.0
 """Innovation, in standard deviations, above which a measurement is an outlier."""
 _NOISE_FRAMES = 10
-"""Number of frames over which the estimated noise is averaged."""
+"""Number of motion capture frames over which the estimated noise is averaged."""
 _LEAST_NOISE = {"place": 0.4, "heading": 1.0}
-"""Lower limit of the estimated noise of frames, as a fraction of the assumed noise.
+"""Lower limit of the estimated frame noise, as a fraction of the assumed noise.
 
-The model assumes that segments are circular arcs. The resulting errors are nearly
-constant in time, so innovations underestimate the heading noise."""
+The errors due to the assumption of circular arcs are nearly constant in time, so the
+innovations underestimate the heading noise."""
 _LARGEST_NOISE = 10.0
-"""Upper limit of the estimated noise of frames, as a multiple of the assumed noise."""
+"""Upper limit of the estimated frame noise, as a multiple of the assumed noise."""
 _MOVED_SD = 6.0
 """Median innovation, in standard deviations, above which the robot may have been moved.
 """
 _MOVED_FRAMES = 5
 """Number of successive frames with large innovations that indicate a moved robot."""
 _PLACE_FACTOR = 5.0
-"""Initial standard deviation of the position, as a multiple of the frame noise."""
+"""Initial standard deviation of the position, as a multiple of the position noise."""
 _HEADING_FACTOR = 2.0
-"""Initial standard deviation of the heading, as a multiple of the frame noise."""
+"""Initial standard deviation of the heading, as a multiple of the heading noise."""
 _POSE = slice(0, 3)
 
 
@@ -66,12 +66,11 @@ class ModelError:
 
     Attributes:
         disturbance: standard deviation of the disturbance of each bend, rad.
-        disturbance_s: time constant of the disturbance, s.
-        pressure: initial random walk of the pressures, as a fraction of the nominal
-            supply pressure per √s.
-        position: random walk of the position, m/√s. The random walk of the heading
-            (rad/√s) is the random walk of the position divided by half the length of
-            the robot.
+        disturbance_s: time constant of the disturbances, s.
+        pressure: initial random walk of the pressures per √s, relative to the nominal
+            supply pressure.
+        position: random walk of the position, m/√s. Division by half the body length
+            yields the random walk of the heading, rad/√s.
     """
 
     disturbance: float = 0.05
@@ -82,14 +81,14 @@ class ModelError:
 
 @dataclass(frozen=True)
 class MeasurementNoise:
-    """Standard deviations of measurements.
+    """Standard deviations of the measurement noise.
 
     Attributes:
-        bend: standard deviation of a bend sensor, rad.
-        pressure: standard deviation of a pressure sensor, Pa.
-        place: standard deviation of a connector position, m, including the error due to
-            the assumption of circular arcs.
-        heading: standard deviation of a connector heading, rad.
+        bend: noise of a bend sensor, rad.
+        pressure: noise of a pressure sensor, Pa.
+        place: noise of a connector position, including the error due to the assumption
+            of circular arcs, m.
+        heading: noise of a connector heading, rad.
     """
 
     bend: float = 0.02
@@ -99,18 +98,16 @@ class MeasurementNoise:
 
 
 class EnsembleFilter:
-    """Ensemble Kalman filter. See the module docstring.
+    """Ensemble Kalman filter for the state of a robot.
 
     Attributes:
-        members: states of the members, one row per member.
+        members: states of the ensemble members, one row per member.
         columns: columns of `members`, keyed by name. The names are `x`, `y`, `heading`,
             `motion`, `bend`, `pressure`, `lagged`, `disturbance`, `gain` and `bias`.
-            The `motion` columns contain forward velocity, lateral velocity, yaw rate
-            and bend rates. The `lagged` columns contain the pressures after the lag of
-            the free bend.
-        rates: learnt corrections of the pressure rates.
-        odometry: model of the body motion due to bend changes.
-        placed: whether the position has been measured by motion capture.
+            The `motion` columns contain the forward velocity, the lateral velocity, the
+            yaw rate and the bend rates. The `lagged` columns contain the pressures
+            after the first-order lag that precedes the free bends.
+        placed: whether the poses have been initialised by motion capture.
     """
 
     placed: bool
@@ -123,14 +120,7 @@ class EnsembleFilter:
         seed: int = 0,
         error: ModelError = ModelError(),
     ) -> None:
-        """Initialise the members at rest with empty chambers and an unknown position.
-
-        Args:
-            spec: robot specification.
-            members: number of members.
-            seed: random seed.
-            error: standard deviations of the model errors.
-        """
+        """Initialise members at rest with empty chambers and an unknown position."""
         self.spec = spec
         self.error = error
         self.noise = MeasurementNoise()
@@ -169,11 +159,11 @@ class EnsembleFilter:
 
     @property
     def heading_noise_scale(self) -> float:
-        """Ratio of the estimated to the assumed heading noise of motion capture."""
+        """Estimated heading noise of motion capture, divided by the assumed noise."""
         return self._frame_noise["heading"] / self.noise.heading
 
     def set_modules(self, modules: Estimates) -> None:
-        """Set the gains and biases of the members from estimates.
+        """Set the gains and biases of the members to samples around estimated values.
 
         Each member keeps its deviation from the mean, measured in standard deviations.
 
@@ -191,7 +181,7 @@ class EnsembleFilter:
         """Advance the members in time.
 
         Args:
-            valves: input of the chambers.
+            valves: valve duties, supply pressures and leaks of the chambers.
             dt: duration, s.
             step: maximum time step, s.
         """
@@ -204,8 +194,8 @@ class EnsembleFilter:
         self._run(valves, dt, step)
         self.odometry.advance(dt)
         half = self.spec.geometry.body_length / 2
-        # The heading walk moves the ends of the body as far as the position walk moves
-        # the centre.
+        # The random walks of the heading and of the position displace the ends of the
+        # body by equal distances.
         walk = self._rng.normal(size=(len(self.members), 3)) * [1.0, 1.0, 1 / half]
         self.members[:, _POSE] += error.position * math.sqrt(dt) * walk
 
@@ -213,10 +203,10 @@ class EnsembleFilter:
         """Correct the members with bend readings.
 
         Args:
-            readings: bend readings, shape (segments,), rad. Missing readings are NaN.
+            readings: bend readings, or NaN if missing, shape (segments,), rad.
 
         Returns:
-            Innovations in standard deviations, which are NaN for missing readings.
+            Innovations in standard deviations, or NaN for missing readings.
         """
         variances = np.full(self._segments, self.noise.bend**2)
         predicted = self._of("bend").copy()
@@ -228,16 +218,15 @@ class EnsembleFilter:
         """Correct the members with measured pressures.
 
         Args:
-            pressure: gauge pressures, shape (segments, 2), Pa. Missing pressures are
-                NaN.
+            pressure: gauge pressures, or NaN if missing, shape (segments, 2), Pa.
 
         Returns:
-            Innovations in standard deviations, which are NaN for missing pressures.
+            Innovations in standard deviations, or NaN for missing pressures.
         """
         predicted = self._of("pressure").copy()
         innovation = pressure - predicted.mean(axis=0).reshape(-1, 2)
-        # The rates are learnt before the pressures are corrected, because the
-        # correction would hide the errors in the rates.
+        # The pressure rates are learnt first, because the correction of the pressures
+        # would hide errors in the rates.
         self.rates.update(innovation, self.noise.pressure)
         variances = np.full(pressure.size, self.noise.pressure**2)
         measured = pressure.ravel()
@@ -246,14 +235,14 @@ class EnsembleFilter:
         )
 
     def update_poses(self, poses: np.ndarray) -> np.ndarray:
-        """Correct the members with a frame of motion capture.
+        """Correct the members with a motion capture frame.
 
-        The first frame initialises the poses of the members. The poses are initialised
-        again if several frames show that the robot has been moved by hand.
+        The first frame initialises the poses of the members. If several frames show
+        that the robot has been moved by hand, the poses are initialised again.
 
         Args:
-            poses: position x, y (m) and heading (rad) of each connector, shape
-                (connectors, 3). Missing poses are NaN.
+            poses: position x, y (m) and heading (rad) of each connector, or NaN if
+                missing, shape (connectors, 3).
 
         Returns:
             Innovations in standard deviations, shape (3 connectors,).
@@ -289,21 +278,17 @@ class EnsembleFilter:
             self.odometry.interrupt()
         self.odometry.learn(pose, bend, self.members[:, _POSE], self._of("bend"))
         self._moved_frames = self._moved_frames + 1 if moved else 0
-        # Fewer frames with large innovations may be due to tracking errors.
         if self._moved_frames >= _MOVED_FRAMES:
             self.placed = False
             self._moved_frames = 0
         return innovation
 
     def apply_odometry(self) -> None:
-        """Move the members according to the changes of bends since the last call."""
+        """Move the members according to the bend changes since the last call."""
         self.odometry.apply(self.members[:, _POSE], self._of("bend"))
 
     def poses(self) -> np.ndarray:
-        """Return the poses of the connectors, shape (members, connectors, 3).
-
-        A pose consists of x, y (m) and heading (rad).
-        """
+        """Return the connector poses (m, m, rad), shape (members, connectors, 3)."""
         bend = self._of("bend")
         g = self.spec.geometry
         x, y, heading = self.members[:, _POSE].T[..., None]
@@ -320,20 +305,20 @@ class EnsembleFilter:
         )
 
     def mean(self, name: str) -> np.ndarray:
-        """Return the means of the columns with the given name."""
+        """Return the ensemble mean of the columns with the given name."""
         return np.asarray(self._of(name).mean(axis=0))
 
     def sd(self, name: str) -> np.ndarray:
-        """Return the standard deviations of the columns with the given name."""
+        """Return the ensemble standard deviation of the columns with the given name."""
         return np.asarray(self._of(name).std(axis=0, ddof=1))
 
     def copy(self, members: int | None = None) -> EnsembleFilter:
-        """Return a copy with some or all members for predictions in another thread."""
+        """Return a copy with at most `members` members, for use in another thread."""
         kept = self.members[:members]
         copied = kept.copy()
         if len(kept) < len(self.members):
-            # The kept members are rescaled to the mean and standard deviation of all
-            # members.
+            # The copied members are shifted and scaled to the mean and the standard
+            # deviation of all members.
             scale = self.members.std(axis=0) / np.maximum(kept.std(axis=0), 1e-300)
             deviation = kept - kept.mean(axis=0)
             copied = self.members.mean(axis=0) + scale * deviation
@@ -349,15 +334,15 @@ class EnsembleFilter:
         return other
 
     def forecast(self, inputs: Iterable[ValveInput], dt: float) -> np.ndarray:
-        """Advance the members over several intervals, and return their poses.
+        """Advance the members over several intervals, and return the predicted poses.
 
         Args:
-            inputs: valve states in successive intervals.
-            dt: duration of an interval, s.
+            inputs: chamber inputs in successive intervals.
+            dt: duration of each interval, s.
 
         Returns:
-            Position x, y (m) and heading (rad) at the end of each interval, shape
-            (intervals, members, 3).
+            Position x, y (m) and heading (rad) of each member at the end of each
+            interval, shape (intervals, members, 3).
         """
         poses = []
         for valves in inputs:
@@ -381,8 +366,8 @@ class EnsembleFilter:
         first = {name: columns.start for name, columns in self.columns.items()}
         for k in range(2 * n):
             j = k // 2
-            # A pressure sensor also corrects the bend, because a wrong pressure since
-            # the last message has caused a wrong bend.
+            # A pressure sensor also corrects the bend, because an error in the pressure
+            # causes an error in the bend.
             own = [first["bend"] + j, first["disturbance"] + j, first["motion"] + 3 + j]
             own += [first["pressure"] + k, first["lagged"] + k]
             bend[j, own] = 1.0
@@ -409,7 +394,7 @@ class EnsembleFilter:
             self.members, predicted, measured, variances, masks, correlated
         )
         # Gauge pressures may be negative, because a moving body can enlarge a closed
-        # chamber. Absolute pressures cannot be negative.
+        # chamber, but absolute pressures cannot be negative.
         pressure = self._of("pressure")
         np.maximum(pressure, -AMBIENT_PA, out=pressure)
         return np.asarray(normalised)
@@ -419,9 +404,9 @@ class EnsembleFilter:
             return
         usual = getattr(self.noise, name)
         variance = self._frame_noise[name] ** 2
-        # In a consistent filter, the expected product of the residuals before and after
-        # the correction equals the noise variance. The limits restrict the effect of a
-        # single frame.
+        # In a consistent filter, the product of the residuals before and after the
+        # correction has the noise variance as its expected value. The product is
+        # limited, so that a single outlier has little effect.
         product = min(max(float(np.nanmean(before * after)), 0.0), 4 * variance)
         estimate = math.sqrt(variance + (product - variance) / _NOISE_FRAMES)
         self._frame_noise[name] = min(
@@ -435,8 +420,8 @@ class EnsembleFilter:
         heading = self._of("heading")[:, 0]
         noise = self.noise
         turn = measured_bend(poses[seen, 2], self.poses()[:, seen, 2])
-        # Differences from the first angle are averaged, so that the mean is correct
-        # even if the angles are close to ±π.
+        # Differences from the first angle are averaged, because angles close to ±π
+        # cannot be averaged directly.
         heading += turn[0, 0] + measured_bend(turn, turn[0, 0]).mean(axis=1)
         shift = poses[seen, :2] - self.poses()[:, seen, :2]
         self.members[:, :2] += shift.mean(axis=1)
@@ -492,13 +477,13 @@ class _Innovation(NamedTuple):
 
 @allocating
 def measurement_update(members, predicted, measured, variances, masks, correlated):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Correct the members in place with one measurement after another.
+    """Correct the ensemble members in place, one measurement after another.
 
     Args:
         members: states of the members, shape (members, columns).
-        predicted: predicted measurements of each member, shape (members, measurements).
-            The predictions are corrected in place.
-        measured: measurements, shape (measurements,). Missing measurements are NaN.
+        predicted: measurements predicted by each member, shape (members, measurements),
+            which are corrected in place if `correlated` is true.
+        measured: measurements, or NaN if missing, shape (measurements,).
         variances: noise variance of each measurement, shape (measurements,).
         masks: localisation weights from 0 to 1, shape (measurements, columns).
         correlated: whether each measurement also corrects the predictions of the
@@ -525,12 +510,12 @@ def _innovation(predicted, measured, variance):  # type: ignore[no-untyped-def]
     mean = _mean(predicted)
     spread = _covariance(predicted, mean, predicted, mean)
     value = measured - mean
-    # The noise variance of an outlier is increased until the innovation equals
+    # The noise variance of an outlier is increased, so that the innovation equals
     # `_OUTLIER` standard deviations.
     noise = max(variance, (value / _OUTLIER) ** 2 - spread)
     total = spread + noise
-    # The square root filter reduces the gain for deviations from the mean, so that the
-    # ensemble has the correct variance although the measurements are not perturbed.
+    # The square root filter reduces the gain for deviations from the mean. The ensemble
+    # then has the correct variance without perturbed measurements.
     reduction = 1 / (1 + math.sqrt(noise / total))
     return _Innovation(value, mean, spread, total, reduction)
 
@@ -573,7 +558,6 @@ def _covariance(first, first_mean, second, second_mean):  # type: ignore[no-unty
 
 @compiled
 def _significant_covariance(values, predicted, innovation):  # type: ignore[no-untyped-def]
-    """Return the covariance of values and predictions, reduced for sampling errors."""
     middle = _mean(values)
     covariance = 0.0
     own = 0.0
@@ -582,7 +566,8 @@ def _significant_covariance(values, predicted, innovation):  # type: ignore[no-u
         deviation = values[m] - middle
         covariance += (predicted[m] - innovation.mean) * deviation / (count - 1)
         own += deviation**2 / (count - 1)
-    # In a small sample, the squared correlation is too large on average.
+    # The covariance is reduced, because the squared correlation of a small sample is
+    # too large on average.
     square = covariance**2 / max(own * innovation.spread, 1e-300)
     significant = max(1 - (1 - square) / ((count - 2) * max(square, 1e-12)), 0.0)
     return significant * covariance

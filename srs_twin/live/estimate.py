@@ -1,4 +1,4 @@
-"""Estimates and predictions of a live twin, and calibration of their intervals."""
+"""Estimates and predictions of a live twin, with calibrated uncertainty intervals."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class DetectedFault(NamedTuple):
     """Detected fault of one part of the robot.
 
     Attributes:
-        part: faulty part, for example "segment 2", "connector 1" or "supply".
-        name: name of the fault.
+        part: faulty part of the robot, for example "segment 2", "connector 1" or
+            "supply".
         probability: probability that the part has a fault.
     """
 
@@ -37,19 +37,18 @@ class Estimate:
     """Estimated state of a robot, with standard deviations.
 
     Attributes:
-        time: time of the estimate on the local clock, s. The state is predicted from
-            the last message to this time.
+        time: time on the local clock to which the state is predicted, s.
         bend: bend of each segment, rad.
-        bend_sd: standard deviation of the bends, rad.
-        pose: position x, y of the centre of mass (m) and mean heading (rad).
+        bend_sd: standard deviation of each bend, rad.
+        pose: position x, y (m) of the centre of mass, and mean heading (rad).
         pose_sd: standard deviation of the pose (m, m, rad).
-        velocity: velocity of the centre of mass in the world frame, m/s, and yaw rate,
-            rad/s.
+        velocity: velocity of the centre of mass in the world frame (m/s), and yaw rate
+            (rad/s).
         connectors: position x, y (m) and heading (rad) of each connector, shape
             (connectors, 3).
-        parameters: estimates of "gain" (gain of each chamber relative to the robot
-            file) and "bias_rad" (bend of each module without pressure).
-        faults: currently detected faults.
+        parameters: estimated module parameters, keyed by name. The parameter "gain" is
+            the gain of each chamber relative to the robot file, and "bias_rad" is the
+            bend (rad) of each module without pressure.
         off: RMS innovation of the last message of each kind, in standard deviations.
         lost: reason why the position is unknown, or an empty string if the position is
             known.
@@ -68,9 +67,10 @@ class Estimate:
     lost: str
 
     def state(self, time: float, pressure: np.ndarray) -> SnakeState:
-        """Return the state for a controller.
+        """Return the state for a controller at a time (s) on the controller's clock.
 
-        The time (s) refers to the controller's clock.
+        The state contains the given gauge pressures (Pa). Quantities that are not
+        estimated are 0.
         """
         n = len(self.connectors)
         still = np.zeros_like(self.bend)
@@ -99,17 +99,17 @@ class Estimate:
 _MEMORY = 8
 """Number of predictions over which the squared error is averaged."""
 _ADAPTATION_RATE = 5.0
-"""Rate r at which the scale of intervals adapts, 1/s."""
+"""Adaptation rate r of the interval scales, 1/s."""
 _LONGEST_COMPARED_S = 0.2
-"""Maximum weight of one comparison, expressed as a duration, s."""
+"""Maximum time step with which one comparison adapts an interval scale, s."""
 _LEAST_SQUARE = 0.1
-"""Lower limit of the squared scale of intervals."""
+"""Lower limit of the squared interval scales."""
 _LARGEST_SQUARE = 10.0
-"""Upper limit of the squared scale of intervals."""
+"""Upper limit of the squared interval scales."""
 _T95 = 2.1
-"""Half-width of a 95 % interval in standard deviations.
+"""Half-width of a 95 % prediction interval, in standard deviations.
 
-The factor exceeds 1.96, because the standard deviation is estimated from few
+The half-width exceeds 1.96, because the standard deviation is estimated from few
 predictions."""
 
 
@@ -122,8 +122,8 @@ class Prediction:
         heading: mean heading at the start, rad.
         time: times of the poses on the local clock, shape (times,), s.
         pose: position x, y (m) and mean heading (rad), shape (times, 3).
-        pose_sd: standard deviations of the position along and across the initial
-            heading (m) and of the heading (rad), shape (times, 3).
+        pose_sd: standard deviations along the initial heading (m), across the initial
+            heading (m) and in heading (rad), shape (times, 3).
     """
 
     begun: float
@@ -133,10 +133,9 @@ class Prediction:
     pose_sd: np.ndarray
 
     def error(self, poses: np.ndarray) -> np.ndarray:
-        """Return the measured minus the predicted poses, shape (times, 3).
+        """Return the measured minus the predicted poses, with columns as in `pose_sd`.
 
-        The columns contain the difference along the initial heading (m), across the
-        initial heading (m) and in heading (rad).
+        The measured poses have shape (times, 3), with x, y (m) and heading (rad).
         """
         c = math.cos(self.heading)
         s = math.sin(self.heading)
@@ -144,12 +143,12 @@ class Prediction:
         return np.column_stack([c * x + s * y, c * y - s * x, turn])
 
     def contains(self, poses: np.ndarray) -> np.ndarray:
-        """Return whether poses lie within the 95 % intervals, shape (times, 3)."""
+        """Return whether poses lie in the 95 % intervals, shape (times, 3)."""
         return np.asarray(np.abs(self.error(poses)) <= _T95 * self.pose_sd)
 
 
 class PredictionCalibration:
-    """Calibration of prediction intervals with the errors of earlier predictions."""
+    """Calibration of prediction intervals from the errors of earlier predictions."""
 
     def __init__(self) -> None:
         self._error = self._stated = np.zeros(3)
@@ -158,7 +157,7 @@ class PredictionCalibration:
         self._path: deque[np.ndarray] = deque(maxlen=200)
 
     def observe(self, time: float, pose: np.ndarray) -> None:
-        """Compare earlier predictions with a pose (m, m, rad) observed at a time (s)."""
+        """Compare earlier predictions with the pose (m, m, rad) at a given time (s)."""
         self._path.append(np.append(time, pose))
         while self._open and self._open[0].time[-1] <= time:
             past = self._open.popleft()
@@ -174,12 +173,15 @@ class PredictionCalibration:
         self._stated = self._stated + weight * (past.pose_sd**2 - self._stated)
 
     def inflate(self, raw: Prediction) -> Prediction:
-        """Return a prediction with widened intervals, and store it for `observe`."""
+        """Widen the intervals of a prediction according to earlier errors.
+
+        The method also stores the original prediction for `observe`.
+        """
         self._open.append(raw)
         if not self._count:
             return raw
-        # The intervals are widened further, because the mean square of few errors is
-        # uncertain.
+        # The intervals are further widened if the mean squared error is computed from
+        # few predictions.
         count = min(self._count, _MEMORY)
         factor = (count + 1) / max(count - 1, 1)
         excess = np.maximum(factor * self._error - self._stated, 0.0)
@@ -195,21 +197,20 @@ class _PredictedState(NamedTuple):
 class IntervalCalibration:
     r"""Calibration of the standard deviations of predicted states.
 
-    Each prediction is compared with a later estimate that uses the measurements made at
-    the predicted time. The scale s of each group of values is adapted until 95 % of the
-    later estimates lie within the predicted intervals:
+    Each prediction is compared with a later estimate that includes measurements from
+    the predicted time. Each group of values has a scale s, which is adapted until 95 %
+    of the later estimates lie within the predicted intervals:
 
     $$ \frac{d \ln s^2}{dt} = r \left(\mathrm{fraction}\left[
     (\hat x - x)^2 + \sigma_x^2 > 1.96^2 s^2 \hat\sigma^2\right] - 0.05\right) . $$
 
-    Here r is the adaptation rate, x̂ the prediction with standard deviation σ̂, and x
-    the later estimate with standard deviation σ_x. A scale based on the mean squared
-    error would depend on the message rate, because lost commands cause a few very large
-    errors.
+    Here r is the adaptation rate. The prediction x̂ has the standard deviation σ̂, and
+    the later estimate x has the standard deviation σ_x. The mean squared error is not
+    used, because a few very large errors due to lost commands would dominate it.
     """
 
     def __init__(self, groups: Sequence[int]) -> None:
-        """Initialise all scales to 1, with one scale for each group of values."""
+        """Initialise a scale of 1 for each group with the given numbers of values."""
         self._starts = np.cumsum([0, *groups[:-1]])
         self._counts = np.array(groups)
         self._square = np.ones(len(groups))
@@ -222,15 +223,15 @@ class IntervalCalibration:
         return np.repeat(np.sqrt(self._square), self._counts)
 
     def predict(self, time: float, state: Estimates) -> None:
-        """Add the unscaled prediction for a time (s)."""
+        """Store the unscaled prediction of the state at a time (s)."""
         self._open.append(_PredictedState(time, *state))
 
     def update(
         self, time: float, estimate: Estimates, measured: Sequence[bool]
     ) -> None:
-        """Compare a prediction with a later estimate for the same time (s).
+        """Compare the stored prediction for a time (s) with a later estimate.
 
-        `measured` states which groups of values have been corrected by measurements.
+        Only groups of values for which `measured` is true are compared.
         """
         while len(self._open) > 1 and self._open[1].time < time:
             self._open.popleft()
@@ -252,26 +253,25 @@ class IntervalCalibration:
 
 
 _NEEDED = {BENDS, PRESSURES, VALVES}
-"""Kinds of messages that are needed for one sample.
+"""Kinds of messages that are needed for one sample of the contact observer.
 
-Reported valve states are needed, because lost commands would otherwise look like
-contacts.
+Reported valve states are used instead of commands, because the effect of a lost command
+would resemble a contact.
 """
 
 _STEADY_S = 0.5
-"""Time for which the estimated period must be constant before the period is used, s."""
+"""Time for which the estimated command period must be constant before its use, s."""
 
 
 class LiveContact:
     """Contact estimator for a robot with periodic commands.
 
     Attributes:
-        estimate: latest contact estimate, or None until enough samples have been
-            learnt.
+        estimate: contact estimate from the last sample, or None as in
+            `ContactObserver.update`.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        """Create a contact estimator without learnt means."""
         self._observer = ContactObserver(spec, SLOT_S)
         self._sample: int | None = None
         self._period = 0
@@ -279,15 +279,15 @@ class LiveContact:
         self.estimate: ContactEstimate | None = None
 
     def update(self, messages: Iterable[Message], commands: CommandPeriod) -> None:
-        """Update the estimate with messages that have the same sending time."""
+        """Update the contact estimate with messages that have equal sending times."""
         found = {
             message.kind: message for message in messages if message.kind in _NEEDED
         }
         if found.keys() != _NEEDED:
             return
         self._update_period(commands.period())
-        # Samples are numbered according to the sending time, so that lost messages do
-        # not shift the phase of the gait.
+        # The number of a sample is computed from the sending time, so that lost
+        # messages do not shift the phase of the gait.
         sample = round(found[BENDS].sent / SLOT_S)
         if self._sample is not None and sample > self._sample:
             self._observer.skip(sample - self._sample - 1)

@@ -1,9 +1,10 @@
-r"""Interacting multiple model filter that detects the faults of each segment.
+r"""Interacting multiple model filter that detects faults of each segment.
 
-A hypothesis m describes the behaviour of the valves, chambers and sensor of a segment
-(`fault_hypotheses`). Under each hypothesis, the chamber pressures are computed with the
-first-order law of `pneumatics.lag` and determine the drives $A^\pm = G a^\pm$ (rad).
-The bend and the measurements of the bend are
+Each fault hypothesis m describes the behaviour of the valves, the chambers and the bend
+sensor of a segment (`fault_hypotheses`). Under each hypothesis, the chamber pressures
+follow the first-order model of `pneumatics.lag`. The lagged pressures determine the
+drives $A^\pm = G a^\pm$ (rad), which are scaled so that their difference is the free
+bend. The bend and its measurements are
 
 $$ q = b + g^+ A_m^+ - g^- A_m^- + d, \qquad y = (1 + e)\,q + s + n, \qquad y_{markers} = q + n'. $$
 
@@ -12,7 +13,7 @@ Symbols:
 - q: bend of the segment, rad
 - b: constant bias of the module, rad
 - g⁺, g⁻: gains of the + and − chambers, dimensionless
-- A⁺, A⁻: drives of the two chambers, rad
+- A⁺, A⁻: drives, which are the contributions of the two chambers to the free bend, rad
 - G: drive per pressure, rad/Pa
 - a⁺, a⁻: chamber pressures after the lag τ₂, Pa
 - d: disturbance due to load, inertia and model error, modelled as a first-order
@@ -22,21 +23,20 @@ Symbols:
 - e: scale error of the sensor, dimensionless
 - n, n': measurement noise, rad
 
-Each hypothesis has a Kalman filter for the state (b, g⁺, g⁻, d, s, e), in which the
-product e q is linearised. Under the hypothesis of a drifting sensor, the offset s has a
+For each hypothesis, a Kalman filter with a linearised product e q estimates the state
+(b, g⁺, g⁻, d, s, e). Under the hypothesis of a drifting sensor, the offset s has a
 large random walk. The filters are mixed as in Blom and Bar-Shalom (1988). Faults are
 assumed to be rare and permanent.
 
-While a segment has no fault, the detector learns the deviations of the pressures from
-the first-order law (`pressure_table`). Leaks are detected by means of air balances
+While a segment has no fault, the detector learns how the pressures deviate from the
+first-order model (`pressure_table`). Leaks are detected from air balances
 (`air_balance`).
 
-All pressures are relative to the estimated supply pressure (`air_balance`), so a slowly
-decreasing supply pressure is not reported as a fault of a segment. After a sudden loss
-of supply pressure, all segments appear to be weak or to leak at the same time. The
-detector then corrects the estimated supply pressure instead. The fault
-`low_supply_pressure` is reported if the supply pressure is below the fraction
-`LOW_SUPPLY_FRACTION` of the nominal pressure.
+All pressures are relative to the estimated supply pressure (`air_balance`), so a slow
+decrease of the supply pressure is not reported as a segment fault. If all segments
+suddenly appear to be weak or to leak, the detector corrects the estimated supply
+pressure instead. The detector reports the fault `low_supply_pressure` if the estimate
+is below the fraction `LOW_SUPPLY_FRACTION` of the nominal pressure.
 """
 
 from __future__ import annotations
@@ -75,64 +75,56 @@ from srs_twin.pneumatics.lag import lag_response, relax, relaxation_of
 from srs_twin.robot.spec import RobotSpec
 
 _FAULT_RATE = 1e-3
-"""Rate at which faults occur, 1/s."""
+"""Rate of transitions to each fault hypothesis, 1/s."""
 _NOISE_RAD = 0.02
-"""Standard deviation of bend readings, rad."""
+"""Standard deviation of the bend sensor noise, rad."""
 _MARKER_NOISE_RAD = 0.025
-"""Standard deviation of bends measured by motion capture, rad."""
+"""Standard deviation of the noise in bends measured by motion capture, rad."""
 _LOSS = 0.05
-"""Fraction of lost readings."""
+"""Probability that the reading of an intact bend sensor is missing."""
+# Prior standard deviations of the gains g, the biases b (rad), the sensor offsets s
+# (rad) and the scale errors e.
 _GAIN_SD = 0.15
-"""Prior standard deviation of the gains g, dimensionless."""
 _BIAS_SD_RAD = 0.05
-"""Prior standard deviation of the biases b, rad."""
 _OFFSET_SD_RAD = 0.06
-"""Prior standard deviation of the sensor offsets s, rad."""
 _SCALE_SD = 0.05
-"""Prior standard deviation of the sensor scale errors e, dimensionless."""
 _PRESSURE_SD = 0.12
-"""Initial standard deviation of a pressure residual, fraction of the supply pressure.
-"""
+"""Initial standard deviation of pressure residuals, relative to the supply pressure."""
 _LEAST_PRESSURE_SD = 0.02
-"""Minimum standard deviation of a pressure residual, fraction of the supply pressure.
-"""
+"""Minimum standard deviation of pressure residuals, relative to the supply pressure."""
 _LOAD_SD = 0.11
-"""Standard deviation of the disturbance d, fraction of the maximum bend."""
+"""Standard deviation of the disturbance d, relative to the maximum bend."""
 _LOAD_TIME_S = 0.15
 """Time constant of the disturbance d, s."""
 _PRESSURE_TIME_S = 0.08
-"""Correlation time of pressure residuals, s."""
+"""Correlation time of the pressure residuals, s."""
+# Random walks of the biases (rad/√s), of the gains (1/√s), and of the offsets of intact
+# and drifting sensors (rad/√s).
 _BIAS_WALK = 0.0014
-"""Random walk of the biases, rad/√s."""
 _GAIN_WALK = 0.0035
-"""Random walk of the gains, 1/√s."""
 _OFFSET_WALK = 0.002
-"""Random walk of a sound sensor's offset, rad/√s."""
 _DRIFT_WALK = 0.03
-"""Random walk of a drifting sensor's offset, rad/√s."""
 _FAILED_BELOW = 0.85
 """Ratio of measured to expected pressure below which the supply may have failed.
 
-Below this ratio, several suspected leaks are attributed to the supply."""
+If most segments appear to leak or to be weak, the supply is then held responsible."""
 _SETTLED_S = 0.1
 """Filling time after which the chamber pressure is close to the supply pressure, s."""
 _BALANCED_STROKES = 3
-"""Number of strokes after which leaks of a chamber are detected by the air balance."""
+"""Number of strokes from which the air balance of a chamber is used to detect leaks."""
 _TAILS = 4.0
-"""Degrees of freedom of Student's t distribution."""
+"""Degrees of freedom of Student's t distribution for normalised residuals."""
 _AT_REST_RAD = 1e-6
 _LEAST_PROBABILITY = 1e-12
 _FROZEN_NOISE = 0.1
-"""Standard deviation of changes in a frozen reading, relative to the sensor noise."""
+"""Standard deviation of changes in frozen readings, relative to the sensor noise."""
 _SUPPLY_EXPLAINS = (SUPPLY_FRACTIONS < 1.0) | np.isin(
     CHAMBERS, (ChamberBehaviour.LEAKS, ChamberBehaviour.VENTS)
 ).any(axis=1)
-"""Mask of the hypotheses whose pressures resemble a low supply pressure."""
+"""Mask of the hypotheses that a low supply pressure can explain."""
 
 
 class _State(IntEnum):
-    """Index of each state (b, g⁺, g⁻, d, s, e) of the Kalman filters."""
-
     BIAS = 0
     PLUS = 1
     MINUS = 2
@@ -145,15 +137,13 @@ _MODULE = [_State.PLUS, _State.MINUS, _State.BIAS]
 
 
 class FaultDetector(Stateful):
-    """Interacting multiple model filters of all segments.
+    """Fault detector with an interacting multiple model filter for each segment.
 
     Attributes:
         probability: probability of each hypothesis, shape (segments, hypotheses).
         mean: estimated states (b, g⁺, g⁻, d, s, e), shape (segments, hypotheses, 6).
-        supply: filter for the supply pressure.
-        leaks: leak detector based on air balances.
-        decision: detected faults.
-        time: time since the start of the robot, s.
+        decision: decision rule with the detected faults.
+        time: time since the last start of the robot, s.
     """
 
     state_attributes = (
@@ -167,10 +157,7 @@ class FaultDetector(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, *, supply_pa: float) -> None:
-        """Initialise the detector for a robot at rest with empty chambers.
-
-        `supply_pa` is the nominal gauge pressure of the supply.
-        """
+        """Initialise the detector for a nominal gauge pressure of the supply (Pa)."""
         self._spec = spec
         actuator = spec.actuator
         self._fill = actuator.tau_fill
@@ -180,8 +167,8 @@ class FaultDetector(Stateful):
         kinds = len(HYPOTHESES)
         self.supply = SupplyFilter(supply_pa)
         self._gain = chamber_gains(spec)
-        # The pressures of a robot that already moves or has restarted are unknown until
-        # several time constants have passed.
+        # If the robot is already moving or has restarted, its pressures are unknown
+        # until several time constants have passed.
         self._settling_s = 4 * (max(self._fill, self._vent) + self._tau)
         self._pressure = np.zeros((count, kinds, 2))
         self._delayed = np.zeros((count, kinds, 2))
@@ -201,7 +188,7 @@ class FaultDetector(Stateful):
         self._covariance = np.tile(np.diag(np.square(sd)), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
-        # The level is the median ratio of measured to expected pressures of filling
+        # The level is the median ratio of measured to expected pressures in filling
         # chambers, or NaN if no pressures have been measured.
         self._level = math.nan
         self._last = np.full(count, np.nan)
@@ -229,9 +216,9 @@ class FaultDetector(Stateful):
         self.leaks.drop_all()
 
     def inflate(self, switched: np.ndarray, dt: float) -> None:
-        """Increase the variance of the disturbance after unobserved duty changes.
+        """Increase the variance of the disturbances d after unobserved duty changes.
 
-        The duties changed by `switched` within the time `dt` (s).
+        The duties changed by `switched`, shape (segments, 2), within a time `dt` (s).
         """
         self.leaks.drop(switched > 0)
         reached = 1 - math.exp(-dt / self._fill)
@@ -239,11 +226,11 @@ class FaultDetector(Stateful):
         self._covariance[..., _State.LOAD, _State.LOAD] += change[:, None] ** 2
 
     def most_likely(self) -> np.ndarray:
-        """Return the most likely hypothesis of each segment, given detected faults."""
+        """Return the index of the most likely hypothesis for each segment."""
         return self.decision.most_likely(self.probability)
 
     def modules(self) -> Estimates:
-        """Return estimates of g⁺, g⁻ and b (rad) per module, shape (segments, 3)."""
+        """Return estimates of g⁺, g⁻ and b (rad), shape (segments, 3)."""
         values = self.mean[..., _MODULE]
         variances = np.einsum("smii->smi", self._covariance)[..., _MODULE]
         mean = np.einsum("sm,smi->si", self.probability, values)
@@ -252,7 +239,7 @@ class FaultDetector(Stateful):
         return Estimates(mean, np.sqrt(variance))
 
     def corrected(self, readings: np.ndarray) -> Estimates:
-        """Correct bend readings (rad) for estimated offsets and scale errors."""
+        """Correct bend readings (rad) for estimated sensor offsets and scale errors."""
         mean = np.einsum("sm,smk->sk", self.probability, self.mean)
         bends = (readings - mean[:, _State.OFFSET]) / (1 + mean[:, _State.SCALE])
         observation_matrix = np.zeros_like(mean)
@@ -268,7 +255,7 @@ class FaultDetector(Stateful):
         return Estimates(bends, np.sqrt(variance))
 
     def parameters(self) -> dict[str, Estimates]:
-        """Return the estimated gains and biases (rad), keyed by name."""
+        """Return the gains ("gain") and biases ("bias_rad", rad) of the modules."""
         mean, sd = self.modules()
         return {
             "gain": Estimates(mean[:, :2], sd[:, :2]),
@@ -296,15 +283,15 @@ class FaultDetector(Stateful):
         """Update all hypotheses with measurements made at the current time.
 
         Args:
-            readings: bends measured by the sensors, shape (segments,), rad, or None if
-                no message arrived. Missing readings are NaN.
-            markers: bends measured by motion capture, shape (segments,), rad, or None
-                if no frame arrived. Missing bends are NaN.
-            pressures: gauge pressures of the chambers, shape (segments, 2), Pa, or None
-                if no message arrived. Missing pressures are NaN.
+            readings: bends measured by the sensors, shape (segments,), rad, with NaN
+                for missing readings, or None if no message arrived.
+            markers: bends measured by motion capture, shape (segments,), rad, with NaN
+                for missing bends, or None if no frame arrived.
+            pressures: gauge pressures of the chambers, shape (segments, 2), Pa, with
+                NaN for missing pressures, or None if no message arrived.
             dt: time since the previous pressure message, s.
-            heading_noise_scale: ratio of the heading noise of motion capture to the
-                assumed heading noise.
+            heading_noise_scale: heading noise of motion capture, divided by the assumed
+                heading noise.
         """
         if self.time < self._settling_s:
             return
@@ -350,11 +337,10 @@ class FaultDetector(Stateful):
         self._pressure = relax(self._pressure, *relaxation, dt)
 
     def _observation_matrix(self) -> np.ndarray:
-        """Return the Jacobian of the bends with respect to the filter states."""
         drive = self._gain[:, None] * self._delayed
         linear = drive[..., 0] - drive[..., 1]
-        # At rest the ratio of the free bend to the linear bend is undefined. The ratio
-        # at a small linear bend is used instead.
+        # If both drives are equal, the scale factor of the drives is undefined and is
+        # computed for a small difference instead.
         linear = np.where(np.abs(linear) < _AT_REST_RAD, _AT_REST_RAD, linear)
         drive = drive * (free_bends(self._spec, linear) / linear)[..., None]
         observation_matrix = np.ones((*self.probability.shape, 6))
@@ -364,8 +350,8 @@ class FaultDetector(Stateful):
         return observation_matrix
 
     def _mix(self, dt: float) -> None:
-        # Faults are permanent. Transitions between faults are allowed, because the most
-        # likely fault may change with new measurements.
+        # Faults are permanent, but transitions between faults are possible, because
+        # new measurements may change the most likely fault.
         transition = np.full((len(HYPOTHESES),) * 2, _FAULT_RATE * dt)
         transition[1:, 0] = 0.0
         np.fill_diagonal(transition, 0.0)
@@ -380,9 +366,9 @@ class FaultDetector(Stateful):
         noise = np.tile(sound, (len(HYPOTHESES), 1, 1))
         drifts = SENSORS == SensorBehaviour.DRIFTS
         noise[drifts, _State.OFFSET, _State.OFFSET] = (_DRIFT_WALK * root) ** 2
-        # `joint` is the probability that hypothesis i was true before and hypothesis j
-        # is true now. `fraction` is the probability that i was true, given that j is
-        # true now.
+        # `joint` is the probability that hypothesis i was true before the step and
+        # hypothesis j is true after the step. `fraction` is the conditional probability
+        # of i, given j.
         joint = self.probability[:, :, None] * transition
         predicted = joint.sum(axis=1)
         fraction = joint / np.maximum(predicted[:, None, :], 1e-300)
@@ -400,8 +386,8 @@ class FaultDetector(Stateful):
         self, observation_matrix: np.ndarray, readings: np.ndarray
     ) -> np.ndarray:
         reading_matrix = observation_matrix.copy()
-        # The derivative of the reading (1 + e) q + s is 1 with respect to s, and q with
-        # respect to e.
+        # The reading is (1 + e) q + s, with the derivatives 1 with respect to s and q
+        # with respect to e.
         reading_matrix[..., _State.OFFSET] = 1.0
         reading_matrix[..., _State.SCALE] = np.einsum(
             "smk,smk->sm", observation_matrix, self.mean
@@ -417,12 +403,7 @@ class FaultDetector(Stateful):
         noise: float,
         used: np.ndarray | bool = True,
     ) -> np.ndarray:
-        """Correct the Kalman filters with one measurement per segment.
-
-        Returns:
-            Log-likelihood of each hypothesis. The log-likelihood of a missing
-            measurement is 0.
-        """
+        """Correct the Kalman filters, and return log-likelihoods of all hypotheses."""
         available = ~np.isnan(measured)[:, None] & used
         cross_covariance = np.einsum(
             "smkl,sml->smk", self._covariance, observation_matrix
@@ -441,8 +422,8 @@ class FaultDetector(Stateful):
             self._covariance
             - kalman_gain[..., :, None] * cross_covariance[..., None, :]
         )
-        # Model errors have heavy tails under every hypothesis, so Gaussian densities
-        # would cause false detections.
+        # The distribution of model errors has heavy tails under every hypothesis, so
+        # Gaussian densities would cause false detections.
         log = _log_student(innovation**2 / variance)
         log = log - np.log(variance * 2 * math.pi) / 2
         return np.where(available, log, 0.0)
@@ -469,14 +450,14 @@ class FaultDetector(Stateful):
         self._update_supply(pressures, Estimates(usual, sd + _LEAST_PRESSURE_SD))
         residual = pressures[:, None] - self._pressure
         residual = np.nan_to_num(residual / self.supply.pressure)
-        # The mean residuals were learnt while the valves obeyed the commands, so they
-        # apply only to hypotheses in which the valves obey.
+        # The mean residuals were learnt from valves that obeyed the commands, so the
+        # means apply only to hypotheses with such valves.
         residual = residual - np.where(self._obeys, usual[:, None], 0.0)
         spread = np.where(self._obeys, sd[:, None] + _LEAST_PRESSURE_SD, _PRESSURE_SD)
         log = _log_student((residual / spread) ** 2) - np.log(spread)
         log = np.where(np.isnan(pressures)[:, None], 0.0, log)
-        # After enough strokes, the air balance replaces the pressure residuals as
-        # evidence of leaks.
+        # After enough strokes, leaks are detected from the air balance instead of the
+        # pressure residuals.
         balanced = (self.leaks.learnt >= _BALANCED_STROKES)[:, None]
         replaced = balanced & (CHAMBERS == ChamberBehaviour.LEAKS)
         log = np.where(replaced, log.max(axis=1, keepdims=True), log)
@@ -496,8 +477,8 @@ class FaultDetector(Stateful):
         if settled.sum() * 2 >= len(pressures):
             expected = before * response[settled]
             self._level = float(np.median(pressures[settled] / expected))
-        # In the first strokes, most chambers may appear to have lost pressure, because the
-        # usual residuals are not yet known.
+        # Chambers whose mean residuals are still unknown are ignored, because most of
+        # these chambers may appear to have lost pressure.
         known = settled & self._levels.are_known()
         if self.supply.follow_sudden_change(
             residual[known], response[known], sd[known]
@@ -505,8 +486,8 @@ class FaultDetector(Stateful):
             self.leaks.drop_all()
             self._adopt_supply(before)
             return
-        # The air balance is not known before the first stroke, so the pressures of
-        # filled chambers are used instead.
+        # Before the first learnt stroke of a chamber, the pressure of the filled
+        # chamber is used instead of the air balance.
         balanced = self.leaks.learnt >= 1
         balance = self.leaks.residuals(self.time, pressures, filled)
         self.supply.update(
@@ -521,8 +502,8 @@ class FaultDetector(Stateful):
     def _adopt_supply(self, before: float) -> None:
         self._rescale(before)
         if before - self.supply.pressure > SUDDEN * self.supply.nominal:
-            # Before the loss of supply pressure was detected, chambers with a low
-            # pressure appeared to leak or not to fill.
+            # Until the loss of supply pressure is detected, chambers with low pressures
+            # appear to leak or not to fill.
             likely = np.where(_SUPPLY_EXPLAINS, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(_SUPPLY_EXPLAINS, likely)
 
@@ -539,8 +520,8 @@ class FaultDetector(Stateful):
             fraction = SUPPLY_FRACTIONS[kind]
             common = weak
         else:
-            # If pressures are low, a failure of the supply is more likely than several
-            # simultaneous leaks.
+            # A supply failure is more likely than simultaneous leaks in several
+            # segments.
             fraction = self._level
             common = weak_or_leaks
         suspect = self.probability[:, common].sum(axis=1) > 0.5
@@ -553,12 +534,12 @@ class FaultDetector(Stateful):
         if self.time < START_S:
             return
         if self.decision.low_supply_pressure:
-            # At a low supply pressure, segments appear to leak. False leaks that were
-            # not corrected would remain after the supply has recovered.
+            # The apparent leaks at a low supply pressure would otherwise remain after
+            # the supply has recovered.
             likely = np.where(weak_or_leaks, self.probability, 0.0).argmax(axis=1)
             self._attribute_to_supply(weak_or_leaks, likely)
-        # If no pressures are measured, the standard deviation of the supply pressure
-        # never decreases and is therefore ignored.
+        # If no pressures are measured, the standard deviation of the supply pressure is
+        # ignored, because it never decreases.
         sd = 0.0 if math.isnan(self._level) else self.supply.sd
         if self.supply.pressure + sd < LOW_SUPPLY_FRACTION * self.supply.nominal:
             self.decision.pairs[0, 0] = WEAK

@@ -1,7 +1,6 @@
 """Fault hypotheses for a segment, and the decision rule for detecting faults.
 
-`FaultDecision` detects a fault once its probability has exceeded a threshold for a
-given time.
+A fault is detected when its probability has exceeded a threshold for a given time.
 """
 
 from __future__ import annotations
@@ -14,11 +13,10 @@ import numpy as np
 from srs_twin.io.saved_state import Stateful
 
 LOW_SUPPLY_PRESSURE = "low_supply_pressure"
-"""Fault name for a supply pressure that is too low."""
 
 
 class ChamberBehaviour(IntEnum):
-    """Behaviour of a chamber."""
+    """Behaviour of a chamber, which obeys commands, only fills, only vents or leaks."""
 
     OBEYS = 0
     FILLS = 1
@@ -27,7 +25,7 @@ class ChamberBehaviour(IntEnum):
 
 
 class SensorBehaviour(IntEnum):
-    """Behaviour of a bend sensor."""
+    """Behaviour of a bend sensor, which is intact, silent, frozen or drifting."""
 
     READS = 0
     SILENT = 1
@@ -41,7 +39,7 @@ class Inflow(NamedTuple):
     Attributes:
         leak: relative rate of pressure loss of the chamber, 1/s.
         fraction: supply pressure of the chamber as a fraction of the robot's supply
-            pressure. If no air flows into the chamber, the fraction is 0.
+            pressure, or 0 if no air flows into the chamber.
     """
 
     leak: float
@@ -49,7 +47,7 @@ class Inflow(NamedTuple):
 
 
 class Hypothesis(NamedTuple):
-    """Behaviour of the chambers and the sensor of a segment.
+    """Hypothesis about the chambers and the bend sensor of a segment.
 
     Attributes:
         name: name of the fault, or an empty string for a segment without a fault.
@@ -67,7 +65,7 @@ class Hypothesis(NamedTuple):
 
     @property
     def chambers(self) -> tuple[ChamberBehaviour, ChamberBehaviour]:
-        """Behaviour of the + chamber and of the − chamber."""
+        """Behaviours of the + chamber and the − chamber."""
         return self.plus, self.minus
 
     def inflow(self, chamber: ChamberBehaviour) -> Inflow:
@@ -98,21 +96,21 @@ HYPOTHESES = (
 )
 
 NAMES = tuple(dict.fromkeys(hypothesis.name for hypothesis in HYPOTHESES))
-"""Names of the faults.
+"""Distinct names of the fault hypotheses.
 
-Hypotheses that differ only in the severity of a fault share one name.
+Hypotheses with different severities of the same fault share one name.
 """
 HAS_NAME = np.array(
     [[hypothesis.name == name for name in NAMES] for hypothesis in HYPOTHESES],
     dtype=float,
 )
-"""Matrix that is 1 where a hypothesis (row) has a name (column), and 0 elsewhere."""
+"""Matrix with the entry 1 if a hypothesis (row) has a name (column), otherwise 0."""
 WEAK = NAMES.index("weak")
 LEAK = np.array([name.startswith("leak") for name in NAMES])
 INDISTINGUISHABLE = ((1, 4), (2, 3))
-"""Pairs of indices into `NAMES` of faults that have equal effects on the bend.
+"""Pairs of `NAMES` indices whose faults have equal effects on the bend.
 
-The effects are equal only if the two chambers of the segment fill alternately.
+The effects are equal only if the two chambers of a segment fill alternately.
 """
 
 CHAMBERS = np.array([hypothesis.chambers for hypothesis in HYPOTHESES])
@@ -124,7 +122,7 @@ SUPPLY_FRACTIONS = np.array([hypothesis.weak for hypothesis in HYPOTHESES])
 def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
     """Return the actual duty of each valve for given commands and chamber behaviours.
 
-    The duty is the fraction of time in which a valve fills the chamber.
+    The duty is the fraction of time in which a valve fills its chamber.
     """
     duty = np.where(chambers == ChamberBehaviour.VENTS, 0.0, duty)
     return np.where(chambers == ChamberBehaviour.FILLS, 1.0, duty)
@@ -133,37 +131,37 @@ def valve_duty(duty: np.ndarray, chambers: np.ndarray) -> np.ndarray:
 _THRESHOLD = 0.97
 """Probability above which a fault is detected."""
 _PATIENCE_S = 0.16
-"""Time for which the probability of a fault must stay above the threshold, s."""
+"""Time for which the probability of a fault must stay above `_THRESHOLD`, s."""
 _LEAK_THRESHOLD = 0.99
 """Probability above which a leak is detected."""
 _LEAK_PATIENCE_S = 0.08
-"""Time for which the probability of a leak must stay above its threshold, s.
+"""Time for which the probability of a leak must stay above `_LEAK_THRESHOLD`, s.
 
 A short time is sufficient, because a single pressure reading can reveal a leak.
 """
 START_S = 2.0
 """Time after the start of the robot during which no fault is detected, s."""
 _DOUBT = 0.5
-"""Probability of no fault below which a segment is suspect."""
+"""Probability of no fault below which a segment is suspected of a fault."""
 _PATIENCE_FACTOR = 3.0
-"""Factor by which the required time increases if another segment is suspect."""
+"""Factor on the time before detection if another segment is suspected of a fault."""
 
 
 class FaultDecision(Stateful):
     """Detected faults of the segments and the supply.
 
     Attributes:
-        pairs: indices into `NAMES` of the detected fault, or of two faults that cannot
-            be distinguished, shape (segments + 1, 2). Row 0 belongs to the supply. The
-            index −1 means that no fault is detected.
+        pairs: indices into `NAMES` of the detected fault or of two indistinguishable
+            faults, shape (segments + 1, 2). Row 0 belongs to the supply. Unused entries
+            are −1.
     """
 
     state_attributes = ("pairs", "_since", "_either_since")
 
     def __init__(self, segments: int) -> None:
         self.pairs = np.full((segments + 1, 2), -1, dtype=int)
-        # Time since which the probability has exceeded the threshold, for each fault
-        # and each pair of indistinguishable faults.
+        # Times at which the probabilities of faults and pairs of indistinguishable
+        # faults exceeded the threshold, or infinity.
         self._since = np.full((segments, len(NAMES)), np.inf)
         self._either_since = np.full((segments, len(INDISTINGUISHABLE)), np.inf)
 
@@ -191,9 +189,10 @@ class FaultDecision(Stateful):
         self.pairs[number] = -1
 
     def most_likely(self, probability: np.ndarray) -> np.ndarray:
-        """Return the most likely hypothesis of each segment, given detected faults.
+        """Return the index of the most likely hypothesis for each segment.
 
-        For a segment without a detected fault, the method returns hypothesis 0.
+        The index is 0 for a segment without a detected fault. For other segments, only
+        hypotheses of the detected faults are considered.
         """
         likely = np.zeros(len(probability), dtype=int)
         for j in np.flatnonzero(self.faulty):
@@ -209,8 +208,8 @@ class FaultDecision(Stateful):
             self._either_since[:] = np.inf
             return
         likely = probability @ HAS_NAME
-        # Several segments rarely fail at the same time. If several segments are
-        # suspect, they may have a common cause, for example the supply.
+        # Segments rarely fail at the same time. If several segments are suspected of a
+        # fault, there may be a common cause, for example the supply.
         doubted = likely[:, 0] < _DOUBT
         factor = np.where(doubted.sum() - doubted > 0, _PATIENCE_FACTOR, 1.0)[:, None]
         threshold = np.where(LEAK, _LEAK_THRESHOLD, _THRESHOLD)

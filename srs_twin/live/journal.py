@@ -1,4 +1,4 @@
-"""Message journals in the MCAP format, and a link that replays a journal."""
+"""Journals of live messages in the MCAP format, and their playback."""
 
 from __future__ import annotations
 
@@ -34,30 +34,31 @@ from srs_twin.live.natnet import is_place
 from srs_twin.recordings.formats.bags import MCAP_MAGIC, stream_messages
 
 LONGEST_GAP_S = 60.0
-"""Maximum pause that is reproduced during playback, s. Longer pauses are skipped."""
+"""Longest pause that playback reproduces, s. Longer pauses are skipped."""
 _NOT_IN_ORDER = "a record is earlier than the record before it"
 _FULL_S = 0.01
-"""Interval at which playback checks whether a full queue has free space, s."""
+"""Interval between checks for free space in a full message queue, s."""
 _MOST_HEAD = 100_000
-"""Maximum number of messages that are buffered before the robot's first message."""
+"""Maximum number of messages to read in search of the robot's first message."""
 
 
 class Journal:
-    """MCAP file of all received and sent messages, encoded as JSON.
+    """MCAP file to which messages are written as JSON.
 
-    The file remains readable if the process is killed. A write error ends the journal,
-    but the live twin keeps running.
+    The file remains readable if the process is killed. After a write error, all further
+    messages are discarded without an exception.
 
     Attributes:
-        trouble: path and reason of the error that ended the journal, or an empty string
-            if there was no error.
+        trouble: description of the write error that ended the journal, or an empty
+            string if all messages were written.
     """
 
     def __init__(self, path: Path) -> None:
-        """Create the file.
+        """Create the file and its folder.
 
         Raises:
-            InputError: the file cannot be written, or mcap is not installed.
+            InputError: the file cannot be written, or the package mcap is not
+                installed.
         """
         try:
             from mcap.writer import CompressionType, Writer
@@ -73,8 +74,8 @@ class Journal:
             raise InputError(
                 f"{display_path(path)}: the file cannot be written ({error.strerror})"
             ) from error
-        # Chunking is disabled, so that only the messages after the last `flush` are
-        # lost if the process is killed.
+        # Without chunks, a killed process loses only the messages that were written
+        # after the last `flush`.
         self._writer = Writer(
             self._file, use_chunking=False, compression=CompressionType.NONE
         )
@@ -91,11 +92,11 @@ class Journal:
         self._attempt(lambda: self._write(message))
 
     def flush(self) -> None:
-        """Write buffered messages to the disk."""
+        """Write buffered messages to the file."""
         self._attempt(self._file.flush)
 
     def close(self) -> None:
-        """Finish the file."""
+        """Write the end of the MCAP file and close the file."""
         self._attempt(self._writer.finish)
         self._attempt(self._file.close)
 
@@ -116,8 +117,8 @@ class Journal:
     def _write(self, message: Message) -> None:
         key = message.source, message.kind
         if key not in self._channels:
-            # Each source and kind has its own channel, so that other tools can plot the
-            # messages separately.
+            # Each combination of source and kind has its own channel, so that other
+            # tools can plot each channel separately.
             self._channels[key] = self._writer.register_channel(
                 topic=topic(message.source, message.kind),
                 message_encoding="json",
@@ -157,20 +158,17 @@ def journal_messages(
     refuse: Callable[[BadMessageError], None] | None = None,
     others: set[str] | None = None,
 ) -> Iterator[Message]:
-    """Yield the messages of a robot and of motion capture in the order of arrival.
+    """Yield the messages of a robot and of motion capture in the order of the file.
 
-    The function `refuse` is called with the error of each invalid message. The names of
-    other robots in the journal are added to `others`.
-
-    Reading stops at the first damaged record.
+    Reading stops at the first damaged record. Each invalid message is reported to
+    `refuse`, and the names of other robots in the journal are added to `others`.
 
     Raises:
         InputError: the file does not exist or is not an MCAP file.
     """
     skip = refuse or (lambda _: None)
     with opened_journal(path) as file:
-        # The file is memory-mapped, because a journal of several hours may exceed the
-        # memory.
+        # The file is memory-mapped, because a long journal may not fit into memory.
         whole = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
         for topic, log_time, data in _records(whole, skip):
             try:
@@ -189,7 +187,7 @@ def _records(
 ) -> Iterator[Any]:
     try:
         yield from stream_messages(whole)
-    except Exception as error:  # A damaged file can cause many kinds of errors.
+    except Exception as error:  # A damaged file can raise any exception.
         skip(
             BadMessageError(
                 f"the rest of the file is damaged or missing: {type(error).__name__}"
@@ -245,13 +243,13 @@ def _message(
 def in_order(
     messages: Iterable[Message], refuse: Callable[[BadMessageError], None]
 ) -> Iterator[Message]:
-    """Yield messages with increasing arrival times, and refuse the remaining messages.
+    """Yield the messages with plausible arrival times, and refuse the other messages.
 
-    A jump of the arrival time by more than `LONGEST_GAP_S` counts as a pause only if
-    the next message confirms it. Otherwise the message after the jump is refused.
+    A message is plausible if it arrives within `LONGEST_GAP_S` of the previous message.
+    After a longer pause, a message is plausible only if the next message arrives within
+    `LONGEST_GAP_S` of it.
     """
     last = -math.inf
-    # The message after a jump in time is held until the next message confirms the jump.
     odd: Message | None = None
     for message in messages:
         if odd is not None:
@@ -274,7 +272,7 @@ def in_order(
 
 
 class McapLink(Link):
-    """Link that replays a journal in real time or at another speed."""
+    """Link that replays the messages of a journal at a chosen speed."""
 
     def __init__(
         self, path: Path, robot: str, segments: int, *, speed: float = 1.0
@@ -282,11 +280,11 @@ class McapLink(Link):
         """Start the playback.
 
         Args:
-            path: file written by `Journal`.
+            path: MCAP file written by `Journal`.
             robot: name of the robot.
             segments: number of segments of the robot.
-            speed: playback speed as a multiple of real time. If the speed is infinite,
-                all messages are replayed without waiting.
+            speed: playback speed as a multiple of real time. At infinite speed, all
+                messages are replayed without waiting.
 
         Raises:
             InputError: the file does not exist, is not an MCAP file, or contains no
@@ -302,9 +300,9 @@ class McapLink(Link):
         self._thread.start()
 
     def clock(self) -> float:
-        """Return the current time in the recording, s, or NaN before the first message.
+        """Return the current time of the playback (s), or NaN before the first message.
 
-        The clock stops at the time of the next message until that message is replayed.
+        The returned time never exceeds the arrival time of the next message.
         """
         return min(self._first + (clock() - self._begun) * self._speed, self._next)
 
@@ -340,13 +338,12 @@ class McapLink(Link):
                 self._next = message.arrived
                 played = (clock() - self._begun) * self._speed
                 ahead = message.arrived - self._first - played
-                # The condition is also true for the first message, where `ahead` is NaN.
+                # The condition also holds for the first message, where `ahead` is NaN.
                 if not ahead <= LONGEST_GAP_S:
                     self._first = message.arrived
                     self._begun = clock()
                 elif ahead > 0 and self._over.wait(ahead / self._speed):
                     return
-                # The receiver may process messages more slowly than they are played.
                 while self._queue.full():
                     if self._over.wait(_FULL_S):
                         return

@@ -1,7 +1,7 @@
-"""Links to message sources such as an MQTT broker, and input from the terminal.
+"""Links to message sources such as an MQTT broker, and control words from the terminal.
 
-Each link receives messages in its own thread, which records the times of arrival. A
-link reconnects after a lost connection, and counts invalid messages.
+Each link receives messages in its own thread and records their arrival times. Invalid
+messages are counted and discarded.
 """
 
 from __future__ import annotations
@@ -52,9 +52,9 @@ if TYPE_CHECKING:
 LOOPBACK = "127.0.0.1"
 _MOST_WAITING = 100_000
 _MOST_REASONS = 200
-"""Maximum number of distinct reasons for which refused messages are counted.
+"""Maximum number of separately counted reasons for refusing messages.
 
-Without a limit, malicious messages could exhaust the memory.
+Without this limit, malicious messages could exhaust the memory.
 """
 
 
@@ -64,11 +64,11 @@ def clock() -> float:
 
 
 class Link(ABC):
-    """Source of messages.
+    """Abstract base class of message sources.
 
     Attributes:
-        counts: number of messages per kind. The number of refused messages is stored
-            under "bad: REASON".
+        counts: number of received messages, keyed by message kind. Refused messages are
+            counted under the key "bad: REASON".
     """
 
     def __init__(self) -> None:
@@ -85,11 +85,11 @@ class Link(ABC):
 
     @property
     def over(self) -> bool:
-        """Whether the source has ended and all its messages have been received."""
+        """Whether the source has ended and `received` has returned all messages."""
         return self.counts["over"] > 0 and self._queue.empty()
 
     def clock(self) -> float:
-        """Return the current time (s) on the clock that determines arrival times."""
+        """Return the current time (s) on the clock that stamps arriving messages."""
         return clock()
 
     def _take(self, message: Message) -> None:
@@ -124,11 +124,12 @@ _LABEL = re.compile(r"[^\W_]([\w-]{0,61}[^\W_])?")
 
 
 def address(given: str, port: int) -> tuple[str, int]:
-    """Parse a network address.
+    """Split a network address into its host and port.
 
     Args:
-        given: text ``HOST`` or ``HOST:PORT``, where HOST is a name or an IPv4 address.
-        port: port number that is used if the text contains no port.
+        given: address in the form ``HOST`` or ``HOST:PORT``, where HOST is a name or an
+            IPv4 address.
+        port: default port number.
 
     Raises:
         InputError: the text is not a valid address.
@@ -160,7 +161,7 @@ def resolved(host: str) -> str:
     """Return the IPv4 address of a host.
 
     Raises:
-        InputError: there is no host with the given name.
+        InputError: the host cannot be found.
     """
     try:
         return socket.gethostbyname(host)
@@ -170,9 +171,9 @@ def resolved(host: str) -> str:
 
 PORT = 1883
 _ANSWER_S = 5.0
-"""Maximum waiting time for the first answer of the broker, s."""
+"""Maximum time to wait for the first answer of the broker, s."""
 LOST = "lost"
-"""Status that the broker publishes after a connection is lost (MQTT last will)."""
+"""Status that the broker publishes when a connection breaks (MQTT last will)."""
 
 
 @dataclass(frozen=True)
@@ -183,9 +184,9 @@ class BrokerAccess:
         host: host name or IPv4 address.
         port: port number.
         user: user name, or None for an anonymous login.
-        password: password of the user, or None if the login needs no password.
-        ca: file with the CA certificate of the broker, or None if the connection does
-            not use TLS.
+        password: password of the user, or None if the broker requires no password.
+        ca: PEM file with the CA certificate of the broker, or None to connect without
+            TLS.
     """
 
     host: str = LOOPBACK
@@ -198,8 +199,10 @@ class BrokerAccess:
 class MqttLink(Link):
     """Link to the topics of one robot on an MQTT broker.
 
+    The link reconnects automatically after a lost connection.
+
     Attributes:
-        connected: whether the connection to the broker is established.
+        connected: whether the link is connected to the broker.
     """
 
     def __init__(
@@ -215,12 +218,12 @@ class MqttLink(Link):
         """Connect to a broker and subscribe to the topics of a robot.
 
         Args:
-            robot: name of the robot, which is part of the topics.
+            robot: name of the robot in the MQTT topics.
             segments: number of segments of the robot.
             broker: address and login of the broker.
             kinds: message kinds to which the link subscribes.
-            speaks: name of the robot whose status is set to `LOST` if the connection is
-                lost. If None, no status is published.
+            speaks: name of the robot for which the broker publishes the status `LOST`
+                if this connection breaks, or None to publish no status.
             chambers: number of chambers per segment of a spatial robot, or 0 for a
                 planar robot.
 
@@ -279,11 +282,11 @@ class MqttLink(Link):
     ) -> None:
         """Send a message.
 
-        Without a connection to the broker, the message is discarded.
+        The message is discarded if the link is not connected to the broker.
 
         Args:
             kind: kind of the message, one of `KINDS`.
-            values: content of the message, as in `encode`.
+            values: content of the message, as described in `encode`.
             at: time stamp on the local clock, s. If None, the current time is used.
             wait_s: maximum time to wait until the message has been sent, s.
         """
@@ -292,13 +295,13 @@ class MqttLink(Link):
             topic(self._robot, kind), encode(kind, time, values)
         )
         if wait_s:
-            # Publishing raises RuntimeError without a broker, and ValueError if the
-            # queue is full.
+            # `wait_for_publish` raises RuntimeError without a connection, and
+            # ValueError if the queue is full.
             with suppress(RuntimeError, ValueError):
                 sent.wait_for_publish(wait_s)
 
     def send_contact(self, contact: ContactEstimate) -> None:
-        """Send a contact estimate with the current time as time stamp."""
+        """Send a contact estimate, stamped with the current time."""
         self._client.publish(
             topic(self._robot, CONTACT), encode_contact(clock(), contact)
         )
@@ -338,14 +341,14 @@ class MqttLink(Link):
             if message.retain and kind != STATUS:
                 raise BadMessageError("an old message that the broker retained")
             self._take(self._decode(kind, message.payload, arrived=arrived))
-        except Exception as error:  # An exception would end the thread of the client.
+        except Exception as error:  # An exception would end the client's thread.
             self._refuse(error)
 
 
 def _trust(client: mqtt.Client, ca: Path) -> None:
     place = require_file(
         ca, suffix=".pem"
-    )  # The check excludes pipes, because opening a pipe would block.
+    )  # Pipes are rejected, because opening a pipe would block.
     try:
         client.tls_set(str(place))
     except (OSError, ValueError) as error:
@@ -360,10 +363,10 @@ KEYS = {"p": PAUSE, "g": GO, "v": VENT, "s": STOP}
 
 @contextmanager
 def typed_words(terminal: TextIO | None = None) -> Iterator[Callable[[], list[str]]]:
-    """Yield a function that returns the control words typed since the last call.
+    """Yield a function that returns the control words typed since its last call.
 
-    Keys are read without Enter until the context ends. No keys are read if the process
-    runs in the background or has no terminal.
+    The user types a control word by pressing a key of `KEYS` without Enter. No keys are
+    read if the process runs in the background or has no terminal.
     """
     stream = sys.stdin if terminal is None else terminal
     if stream is None or stream.closed or not stream.isatty():

@@ -1,4 +1,4 @@
-"""Dynamics of the ensemble members, based on the `compliant` model."""
+"""Simulation of the ensemble members with the `compliant` model."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ from srs_twin.pneumatics.lag import lag_response, relax, relaxation_of
 from srs_twin.robot.spec import RobotSpec
 
 STEP_S = 0.0025
-"""Maximum time step of the members, s."""
+"""Default maximum time step of the ensemble members, s."""
 _SLIP_SPEED = 0.001
-"""Speed below which friction is viscous, m/s, for a time unit of 1 s (`robot.scale`).
+"""Slip speed below which friction is viscous, at a time unit of 1 (`robot.scale`), m/s.
 """
 _LARGEST_VELOCITY = 20.0, 20.0, 1000.0
-"""Maximum forward and lateral velocity (m/s) and yaw rate (rad/s) of a valid member.
+"""Maximum forward velocity, lateral velocity (m/s) and yaw rate (rad/s) of a member.
 
-The limit of the yaw rate is large, because the yaw rate of generation 2 reaches 50
-rad/s during oscillations after a valve has switched.
+The maximum yaw rate is high, because generation 2 reaches 50 rad/s in oscillations
+after a valve switches.
 """
 
 
 class ValveInput(NamedTuple):
-    """Input of the chambers, including detected faults.
+    """Valve duties, supply pressures and leak rates of the chambers.
 
     Attributes:
-        duty: fraction of time in which each valve fills its chamber, for slots of equal
-            duration, shape (slots, segments, 2).
-        supply: gauge supply pressure of each segment, Pa.
-        leak: relative rate of pressure loss of each chamber, 1/s, shape (segments, 2).
+        duty: fraction of each time slot for which each valve fills its chamber, shape
+            (slots, segments, 2). All slots have the same duration.
+        supply: gauge supply pressure of each segment, shape (segments,), Pa.
+        leak: rate at which each chamber loses pressure, relative to its pressure, shape
+            (segments, 2), 1/s.
     """
 
     duty: np.ndarray
@@ -46,14 +47,14 @@ class ValveInput(NamedTuple):
 
 
 class Air(NamedTuple):
-    """Chamber state of all members.
+    """State of the chambers of all members.
 
     All arrays have shape (members, segments, 2).
 
     Attributes:
         pressure: gauge pressures p, Pa.
-        lagged: pressures p̂ after the lag between pressure and free bend, Pa.
-        gain: bending gains g relative to the nominal gain, dimensionless.
+        lagged: pressures p̂ after the first-order lag of the free bend, Pa.
+        gain: chamber gains g relative to the nominal gain, dimensionless.
         noise: standard normal random numbers for the random walk of the pressures.
     """
 
@@ -64,11 +65,11 @@ class Air(NamedTuple):
 
 
 class Drive(NamedTuple):
-    """Linear bends due to the pressures, at the start and at two stages per step.
+    """Inputs of the bend law φ at the start of a period and at two stages of each step.
 
     Attributes:
-        bend: linear bends, shape (1 + 2 steps, members, segments), rad.
-        rate: time derivatives of the linear bends, same shape as `bend`, rad/s.
+        bend: inputs of the bend law, shape (1 + 2 steps, members, segments), rad.
+        rate: time derivatives of `bend`, with the same shape, rad/s.
         step: time step, s.
     """
 
@@ -78,20 +79,21 @@ class Drive(NamedTuple):
 
 
 class MemberDynamics:
-    r"""Model of the chambers and bodies of all members.
+    r"""Simulation model for the chambers and bodies of all members.
 
     The free bend of segment j is
 
     $$ q_{f,j} = b_j + \varphi(G\,(g_j^+ \hat p_j^+ - g_j^- \hat p_j^-)) + d_j , $$
 
-    where p̂ is the pressure after a first-order lag with time constant τ₂, g is the
-    gain of a chamber, b is the rest bend and d is a disturbance. The pressures are
-    computed with the first-order law of `pneumatics.lag` and corrected by the learnt
-    rates of `pressure_table`.
+    where p̂ is the chamber pressure after a first-order lag with time constant τ₂, and
+    φ is the bend law. G is the nominal gain (rad/Pa), g is the relative gain of a
+    chamber, b is the rest bend, and d is a disturbance. The pressures are computed with
+    the first-order model of `pneumatics.lag`, corrected by the learnt rates of
+    `pressure_table`.
 
     Attributes:
-        mass: lumped mass of each connector, including parts of the adjacent segments,
-            kg.
+        mass: lumped mass of each connector, including the adjacent parts of its
+            segments, shape (connectors,), kg.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
@@ -123,15 +125,15 @@ class MemberDynamics:
         air: Air,
         rates: PressureRates,
     ) -> Drive:
-        """Advance `air` in place by the time `dt` (s), and return the linear bends."""
+        """Advance the chambers in place by `dt` (s), and return the bend law inputs."""
         actuator = self._spec.actuator
         slots = len(valves.duty)
         steps = math.ceil(dt / slots / step - 1e-6)
         h = dt / slots / steps
         stages = (np.arange(steps)[:, None] + [kernels.GAMMA, 1.0]).ravel() * h
         after = stages[:, None, None, None]
-        # The random walk is distributed over the steps, because a random step at the
-        # end of the period would not affect the bends.
+        # The random walk is spread over all steps, because a single random change at
+        # the end of the period would not affect the bends.
         noise = air.noise / math.sqrt(dt)
         pressures = [air.pressure[None].copy()]
         lags = [air.lagged[None].copy()]
@@ -166,18 +168,19 @@ class MemberDynamics:
         drive: Drive,
         bias: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Advance the poses and velocities of the bodies in place.
+        """Advance the bends and velocities of the bodies by one period.
 
         Args:
-            pose: poses x, y (m) and heading (rad), shape (members, 3).
-            bend: bends at the start, shape (members, segments), rad.
+            pose: position x, y (m) and heading (rad) at the start of the period, shape
+                (members, 3).
+            bend: bends at the start of the period, shape (members, segments), rad.
             velocity: forward and lateral velocity (m/s), yaw rate and bend rates
-                (rad/s), shape (members, 3 + segments).
-            drive: linear bends due to the pressures.
-            bias: rest bends including disturbances, shape (members, segments), rad.
+                (rad/s), shape (members, 3 + segments). The array is updated in place.
+            drive: inputs of the bend law, as returned by the method `drive`.
+            bias: rest bends plus disturbances, shape (members, segments), rad.
 
         Returns:
-            Bends at the end of the period, and whether each member is valid.
+            Bends at the end of the period (rad), and a mask of the valid members.
         """
         members, n = bend.shape
         states = np.zeros((members, kernels.STATES + 2 * n))
@@ -194,8 +197,6 @@ class MemberDynamics:
         )
         steps = np.full(len(drive.bend) // 2, drive.step)
         complete = _advance(states, velocity, steps, free, self._model, workspace)
-        # Members with implausible velocities are reported as invalid, because they
-        # would distort the ensemble mean.
         slow = (np.abs(velocity[:, :3]) <= _LARGEST_VELOCITY).all(axis=1)
         return bends, complete & slow & np.isfinite(states).all(axis=1)
 
@@ -236,7 +237,7 @@ def _set_momenta(states, velocities, model, workspace):  # type: ignore[no-untyp
     segments = workspace.bend.shape[0]
     ahead = compliant_kernels.BENDS
     momentum = workspace.momentum
-    # Moments due to air do not affect the momenta, so their values are arbitrary.
+    # The pneumatic moments do not affect the momenta, so any values can be passed.
     moment = workspace.bend
     for m in range(states.shape[0]):
         state = states[m]

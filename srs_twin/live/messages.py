@@ -1,8 +1,6 @@
 """Messages of a robot and its controller, encoded as JSON for MQTT.
 
-Topics and keys are described in docs/live.md. Lists begin at the head of the robot, and
-the key ``t`` is the time on the sender's clock. Messages of a spatial robot contain one
-list per chamber, and upward bends in addition to leftward bends.
+The topics and keys are described in docs/live.md.
 """
 
 from __future__ import annotations
@@ -29,21 +27,21 @@ POSES = "poses"
 SUPPLY = "supply"
 CONTACT = "contact"
 KINDS = (COMMAND, VALVES, PRESSURES, BENDS, STATUS, CONTROL, SUPPLY)
-"""Kinds of messages that a link receives over MQTT."""
+"""Message kinds that can be received over MQTT."""
 PAUSE = "pause"
 GO = "go"
 STOP = "stop"
 VENT = "vent"
 WORDS = (PAUSE, GO, STOP, VENT)
-"""Control words, which are the allowed texts of `control` messages."""
+"""Control words that are allowed as texts of `control` messages."""
 PREFIX = "srs"
 LATEST_S = 9e9
-"""Maximum accepted time of a sender's clock, s (the year 2255 in Unix time).
+"""Latest accepted time stamp, s (the year 2255 in Unix time).
 
-With this limit, the time in nanoseconds fits into the 64 bits of a journal entry.
+Up to this limit, a time in nanoseconds fits into the 64-bit field of a journal entry.
 """
 _SI = {PRESSURES: 1000.0, SUPPLY: 1000.0}
-"""Factor to SI units for each message kind that uses other units, Pa/kPa."""
+"""Factors that convert message values to SI units, keyed by message kind, Pa/kPa."""
 _BOUNDS = {
     COMMAND: (-1.0, 1.0),
     VALVES: (-1.0, 1.0),
@@ -51,7 +49,7 @@ _BOUNDS = {
     SUPPLY: (0.0, 1000.0),
     BENDS: (-2 * math.pi, 2 * math.pi),
 }
-"""Minimum and maximum value for each kind of message."""
+"""Allowed range of the values in a message, keyed by message kind."""
 _SIDES = ("plus", "minus")
 _BEND_KEYS = ("rad", "pitch_rad")
 _PLAIN_WORDS = tuple(word.encode() for word in WORDS)
@@ -59,7 +57,7 @@ _LONGEST_TEXT = 1000
 
 
 class BadMessageError(ValueError):
-    """Error due to an invalid message."""
+    """Exception raised for an invalid message."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,23 +66,24 @@ class Message:
 
     The values depend on the kind of the message:
 
-    - Commands and valve states have shape (segments, 2), or (segments, chambers)
-      for a spatial robot. Pressures (Pa) have the same shape.
+    - Commands, valve states and pressures (Pa) have shape (segments, 2), or
+      (segments, chambers) for a spatial robot.
     - The supply pressure (Pa) is a scalar.
-    - Bends (rad) have shape (segments,), or (segments, 2) for a spatial robot with
-      bends to the left and upwards. Missing bends are NaN.
-    - Poses have shape (bodies, 4) and contain x, y, z (m) and heading (rad). The z
-      axis points upwards. Unknown headings are NaN.
+    - Bends (rad) have shape (segments,). The bends of a spatial robot have shape
+      (segments, 2), where the second axis contains leftward and upward bends. Missing
+      bends are NaN.
+    - Poses have shape (bodies, 4) and contain x, y, z (m) and heading (rad), where
+      z points upwards. Unknown headings are NaN.
     - Messages of other kinds have no values.
 
     Attributes:
         kind: kind of the message, one of `KINDS` or `POSES`.
-        source: name of the sender, which is the robot or the motion capture system.
+        source: name of the robot or the motion capture system that sent the message.
         sent: sending time on the sender's clock, s.
         arrived: time of arrival on the local monotonic clock, s.
         values: values of the message, as described above.
-        names: names of the bodies in a message with poses, or the text of a `status` or
-            `control` message.
+        names: names of the bodies in a `poses` message, or the single text of a
+            `status` or `control` message.
     """
 
     kind: str
@@ -96,7 +95,7 @@ class Message:
 
 
 def topic(robot: str, kind: str) -> str:
-    """Return the MQTT topic for one kind of message."""
+    """Return the MQTT topic for one message kind of a robot."""
     return f"{PREFIX}/{robot}/{kind}"
 
 
@@ -105,8 +104,9 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
 
     Args:
         kind: kind of the message, one of `KINDS`.
-        time: time on the local clock, s.
-        values: values as in `Message`, or the text of a `status` or `control` message.
+        time: time stamp on the local clock, s.
+        values: values as described in `Message`, or the text of a `status` or `control`
+            message.
     """
     content: dict[str, object]
     if isinstance(values, str):
@@ -126,7 +126,7 @@ def encode(kind: str, time: float, values: np.ndarray | str) -> bytes:
 
 
 def strict_json(document: Mapping[str, object]) -> bytes:
-    """Encode a document as JSON, with null for numbers that are not finite."""
+    """Encode a document as JSON, with null in place of NaN and infinity."""
     return to_json(document, inf_nan_mode="null")
 
 
@@ -135,9 +135,9 @@ def _chamber_keys(chambers: int) -> tuple[str, ...]:
 
 
 def encode_contact(time: float, contact: ContactEstimate) -> bytes:
-    """Encode a contact estimate at a local time (s) as JSON.
+    """Encode a contact estimate and its time stamp (s) as JSON.
 
-    If no contact is detected, force and position are null.
+    The force and position are null if no contact is detected.
     """
     keys: dict[str, object] = {
         "t": time,
@@ -174,7 +174,7 @@ def decode(
     """Decode a received message.
 
     Args:
-        kind: kind of the message, which is part of the topic.
+        kind: kind of the message, as stated in its topic.
         payload: received bytes.
         source: name of the sender.
         arrived: time of arrival on the local clock, s.
@@ -183,7 +183,8 @@ def decode(
             robot.
 
     Raises:
-        BadMessageError: the payload is invalid or has a wrong number of segments.
+        BadMessageError: the kind or the payload is invalid, or the number of segments
+            is wrong.
     """
     if kind not in KINDS:
         raise BadMessageError(f"{kind!r} is not a kind of message")
@@ -212,8 +213,8 @@ def _document(payload: bytes) -> Mapping[str, Any]:
     try:
         document = json.loads(payload)
     except (ValueError, RecursionError) as error:
-        # The position of the error is omitted, because the number of distinct reasons
-        # is limited.
+        # The position of the error is omitted, so that errors of one type are counted
+        # together.
         reason = getattr(error, "msg", type(error).__name__)
         raise BadMessageError(f"the message is not JSON: {reason}") from None
     if not isinstance(document, Mapping):

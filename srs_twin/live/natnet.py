@@ -1,8 +1,9 @@
-"""Reader and writer of NatNet packets, which motion capture systems send over UDP.
+"""Reader and writer for NatNet packets, which motion capture systems send over UDP.
 
-The reader supports the NatNet versions 2.6 to 4.2. The writer, which the emulator uses,
-supports version 4.1. Only rigid bodies are read. Lengths are in m. Coordinates refer to
-Motive's axes, and `rotate` converts them to a frame whose z axis points upwards.
+The reader supports NatNet 2.6 to 4.2 and extracts only rigid bodies. The writer is used
+by the emulator and supports NatNet 4.1. Positions (m) refer to the coordinate frame of
+the Motive software. The function `rotate` converts them to a frame whose z axis points
+upwards.
 """
 
 from __future__ import annotations
@@ -34,16 +35,13 @@ VERSIONS = (
 )
 """NatNet versions that the reader supports."""
 _MOST = 10_000
-"""Maximum number of entries in each list of a frame."""
+"""Maximum number of entries in each list of a packet."""
 _TRACKED = 0x01
 _NAME = 256
 _FURTHEST_M = 1000.0
-"""Maximum plausible coordinate, m."""
+"""Maximum absolute value of a plausible coordinate, m."""
 _LENGTH_TOLERANCE = 0.1
-"""Maximum deviation of a quaternion norm from 1.
-
-Smaller deviations can be due to rounding and averaging by the sender.
-"""
+"""Maximum difference between 1 and the norm of a valid quaternion."""
 
 Version = tuple[int, int]
 _WRITTEN: Version = (4, 1)
@@ -51,7 +49,7 @@ _WRITTEN: Version = (4, 1)
 
 
 class Packet(IntEnum):
-    """Kind of a packet."""
+    """Kind of a NatNet packet."""
 
     CONNECT = 0
     SERVER_INFO = 1
@@ -69,10 +67,10 @@ class RigidBody:
     """Pose of a rigid body in one motion capture frame.
 
     Attributes:
-        place: position with respect to the axes of Motive, m.
-        turn: orientation as a quaternion x, y, z, w.
+        place: position x, y, z in Motive's coordinate frame, m.
+        turn: orientation as a quaternion with components x, y, z, w.
         error: mean residual of the body's markers, m.
-        tracked: whether the body was visible and its pose is valid.
+        tracked: whether the body was tracked in this frame and has a valid pose.
     """
 
     place: tuple[float, ...]
@@ -83,11 +81,12 @@ class RigidBody:
 
 @dataclass(frozen=True)
 class Frame:
-    """Frame of motion capture.
+    """Single frame of motion capture data.
 
     Attributes:
         number: frame number assigned by the sender.
         time: time stamp on the sender's clock, s.
+        bodies: rigid bodies, keyed by id.
     """
 
     number: int
@@ -103,7 +102,7 @@ class Group(NamedTuple):
 
 
 class Server(NamedTuple):
-    """NatNet version and multicast group of a server."""
+    """NatNet version and multicast group of a motion capture server."""
 
     version: Version
     group: Group | None = None
@@ -131,22 +130,22 @@ class _Reader:
         return int(count)
 
     def listed(self, version: Version) -> tuple[int, int | None]:
-        """Read the length of a list and, from version 4.1 on, the end of the list."""
+        """Read the length of a list and, from NatNet 4.1 on, its end position."""
         count = self.count()
         if version < (4, 1):
             return count, None
         return count, self.end()
 
     def end(self) -> int:
-        """Read the size of a list in bytes, and return the position of its end."""
+        """Read the size of a list in bytes, and return the end position of the list."""
         (size,) = self.read("i")
         if not 0 <= size <= len(self._data) - self.at:
             raise BadMessageError("a list is longer than the packet")
         return self.at + int(size)
 
     def text(self) -> str:
-        # The length is limited, so that a damaged packet is not read as a single long
-        # name.
+        # The length of a name is limited, so that a damaged packet is not read as one
+        # long name.
         rest = bytes(self._data[self.at : self.at + _NAME + 1])
         end = rest.find(b"\0")
         if end < 0:
@@ -175,10 +174,10 @@ def closed(kind: int, content: bytes = b"") -> bytes:
 
 
 def read_server(content: bytes) -> Server:
-    """Read the version and the multicast group of a server from its answer.
+    """Read the NatNet version and multicast group of a server from its answer.
 
     Raises:
-        BadMessageError: the content is invalid.
+        BadMessageError: the content is invalid, or the version is not supported.
     """
     packet = _Reader(content)
     packet.at = _NAME + 4
@@ -191,7 +190,7 @@ def read_server(content: bytes) -> Server:
             f"the NatNet version is not supported; it must be between {first} and"
             f" {last}"
         )
-    # Servers before 3.0 do not state their multicast group.
+    # Servers before NatNet 3.0 do not state their multicast group.
     if version < (3, 0) or len(content) - packet.at < 15:
         return Server(version)
     _, port, multicast, *group = packet.read("QH?4B")
@@ -201,7 +200,7 @@ def read_server(content: bytes) -> Server:
 
 
 def write_server() -> bytes:
-    """Build the answer of a server to `Packet.CONNECT`, without a multicast group."""
+    """Build the answer of a unicast server to `Packet.CONNECT`."""
     name = b"srs_twin".ljust(_NAME, b"\0")
     versions = bytes([1, 0, 0, 0, *_WRITTEN, 0, 0])
     connection = struct.pack("<QH?4B", 10**9, _DATA_PORT, False, 0, 0, 0, 0)
@@ -215,8 +214,8 @@ _RIGID_BODY = 1
 def read_models(content: bytes, version: Version) -> dict[int, str]:
     """Read the names of the rigid bodies, keyed by id.
 
-    Before version 4.1, reading ends at the first description of an unknown type,
-    because the packet does not state the length of descriptions.
+    Before NatNet 4.1, packets do not state the length of a description. Reading then
+    ends at the first description of an unknown type.
 
     Raises:
         BadMessageError: the content is invalid.
@@ -233,7 +232,6 @@ def read_models(content: bytes, version: Version) -> dict[int, str]:
         elif kind == _RIGID_BODY:
             number, name = _model(packet, version)
             names[number] = name
-        # The end of an unknown description cannot be found without its length.
         elif end is None:
             break
         if end is not None:
@@ -254,7 +252,7 @@ def _model(packet: _Reader, version: Version) -> tuple[int, str]:
 
 
 def write_models(names: Mapping[int, str]) -> bytes:
-    """Build the packet that describes rigid bodies without markers."""
+    """Build a packet that describes rigid bodies without markers, given their names."""
     content = struct.pack("<i", len(names))
     for number, name in names.items():
         body = name.encode() + b"\0" + struct.pack("<ii3fi", number, -1, 0, 0, 0, 0)
@@ -318,8 +316,8 @@ def _body(packet: _Reader, version: Version) -> tuple[int, RigidBody]:
     error, params = packet.read("fH")
     place = tuple(rest[:3])
     turn = tuple(rest[3:])
-    # The flag alone is not sufficient, because some senders mark a body as tracked
-    # although the orientation is invalid.
+    # The tracking flag alone is not sufficient, because some senders mark a body as
+    # tracked although its orientation is invalid.
     has_pose = is_place(place) and unit_quaternion(turn) is not None
     tracked = has_pose and bool(params & _TRACKED)
     return number, RigidBody(place, turn, error, tracked)
@@ -332,8 +330,7 @@ def _skeleton(packet: _Reader, version: Version) -> None:
 
 
 def _asset(packet: _Reader, version: Version) -> None:
-    # Lists of assets exist only from version 4.1 on, in which all lists state their
-    # length.
+    # Asset lists exist only from NatNet 4.1 on, where all lists state their length.
     raise BadMessageError("the list of assets does not state its length")
 
 
@@ -354,13 +351,14 @@ _AFTER_BODIES: Sequence[tuple[Callable[[_Reader, Version], object], Version]] = 
     (_channels, (2, 9)),  # force plates
     (_channels, (2, 11)),  # devices
 )
-"""Readers of the lists that follow the rigid bodies, each with the first NatNet version
-that contains the list.
+"""Readers of the lists that follow the rigid bodies.
+
+Each reader is paired with the first NatNet version that contains the list.
 """
 
 
 def write_frame(frame: Frame) -> bytes:
-    """Build the packet of a frame."""
+    """Build a packet that contains a frame."""
 
     def listed(*entries: bytes) -> bytes:
         content = b"".join(entries)
@@ -372,16 +370,15 @@ def write_frame(frame: Frame) -> bytes:
         )
         for key, body in frame.bodies.items()
     )
-    # The bodies are preceded by empty lists of marker sets and unlabelled markers, and
-    # followed by empty lists of skeletons, assets, labelled markers, force plates and
-    # devices.
+    # Empty lists of marker sets and unlabelled markers precede the bodies. Empty lists
+    # of skeletons, assets, labelled markers, force plates and devices follow them.
     lists = 2 * listed() + listed(*bodies) + 5 * listed()
     end = struct.pack("<IId3QIIHi", 0, 0, frame.time, *7 * [0])
     return closed(Packet.FRAME, struct.pack("<i", frame.number) + lists + end)
 
 
 def is_place(place: Sequence[float]) -> bool:
-    """Return whether coordinates (m) are finite and plausible."""
+    """Return whether all coordinates of a position (m) are finite and plausible."""
     return all(abs(coordinate) <= _FURTHEST_M for coordinate in place)
 
 
@@ -389,7 +386,7 @@ def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
     """Normalise a quaternion, or return None if the quaternion is invalid.
 
     A quaternion is invalid if its norm differs from 1 by more than 0.1. Some senders
-    represent an unknown orientation by NaN or zeros.
+    use NaN or zeros for an unknown orientation.
     """
     length = math.hypot(*turn)
     if not abs(length - 1) <= _LENGTH_TOLERANCE:
@@ -400,12 +397,12 @@ def unit_quaternion(turn: Sequence[float]) -> tuple[float, ...] | None:
 def rotate(body: RigidBody, up: str) -> np.ndarray:
     """Return the position x, y, z (m) and the heading (rad) of a body.
 
-    The x axis of the body points forwards, and the z axis points upwards. If the
-    orientation is unknown, all values are NaN.
+    The z axis of the returned position points upwards. The heading is the direction of
+    the body's x axis. If the orientation is unknown, all values are NaN.
 
     Args:
-        body: rigid body with respect to the axes of Motive.
-        up: axis of Motive that points upwards, "y" or "z".
+        body: rigid body in Motive's coordinate frame.
+        up: upward axis of Motive's coordinate frame, "y" or "z".
     """
     turn = unit_quaternion(body.turn)
     if turn is None:

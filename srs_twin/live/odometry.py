@@ -1,16 +1,16 @@
-r"""Motion of a wheeled snake due to changes of its bends.
+r"""Body motion of a wheeled snake as a function of its bend changes.
 
 If inertia is negligible, the motion depends on the sequence of body shapes, but not on
-how fast the shape changes (Kelly and Murray 1995):
+the speed at which the shape changes (Kelly and Murray 1995):
 
 $$ ξ = A(q) \, \dot q , \qquad A = A_w(q) + \sum_k W_k \, φ_k(\tanh(q / q_0)) , \quad
 φ(x) = (1, x_i, x_i x_j, x_i x_j x_k) , $$
 
 where q contains the bends, and ξ contains the forward velocity, the lateral velocity
-and the yaw rate. The matrix A_w minimises the dissipation of wheels whose friction is
-proportional to the speed. The weights W describe how the robot's motion deviates from
-the prediction of A_w. The weights are fitted to successive frames of motion capture by
-regularised least squares. Cubic features φ are needed, for example, to describe that a
+and the yaw rate. The matrix A_w gives the motion that minimises the dissipation in
+wheels with viscous friction. The weights W describe how the motion of the robot differs
+from the prediction of A_w. These weights are fitted to successive motion capture
+frames by regularised least squares. Cubic features φ are needed, for example, because a
 turning gait is slower than a straight gait.
 """
 
@@ -30,42 +30,43 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import RobotSpec
 
 PRIOR = 0.1
-"""Prior standard deviation of the entries of W, rad/rad."""
+"""Prior standard deviation of the weights W, rad/rad."""
 _MODEL_ERROR_RANGE = 0.01, 0.05
-"""Lower and upper limit of the uncertainty of A, rad/rad.
+"""Lower and upper limits on the standard deviation of A, rad/rad.
 
-The uncertainty has a lower limit, because cubic features do not describe every robot
-exactly."""
+The lower limit is needed, because cubic features do not describe every robot exactly.
+"""
 _SATURATION_RAD = 0.7
-"""Bend q₀ at which the features saturate, rad.
+"""Bend q₀ at which the features φ saturate, rad.
 
 Without saturation, a fit to small bends would be extrapolated to large bends."""
 _BLOCK = 30
-"""Number of frames between two fits of W."""
+"""Number of motion capture frames between two fits of W."""
 _KEPT_BLOCKS = 10
-"""Number of blocks over which the scatter of the displacements is averaged."""
+"""Number of blocks over which the variance of the displacements is averaged."""
 _FORGETTING_FRAMES = 3000
-"""Number of frames after which the weight of a frame has decreased to 1/e."""
+"""Number of frames after which the influence of a frame on the fit falls to 1/e."""
 _NOISE_RAD = 0.02
 """Prior standard deviation of a measured heading, rad."""
 _SCATTER = 0.001, 0.001, 0.02
-"""Prior standard deviation of the forward, lateral (m) and yaw (rad) motion per frame.
+"""Prior standard deviations of the errors in forward motion (m), lateral motion (m)
+and yaw (rad) per frame.
 """
 _ERROR_INFLATION = 1.3
-"""Factor by which the standard deviation of W is increased.
+"""Factor by which the standard deviation of W is multiplied.
 
-The errors in the cubic features recur in each gait period and are therefore
+The factor accounts for errors that recur in each gait period and are therefore
 correlated."""
 _DIFFERENCE_RAD = 1e-4
-"""Bend step for numerical differentiation, rad."""
+"""Step of the bends for numerical differentiation, rad."""
 
 
 class LocalConnection(Stateful):
-    """Local connection A(q) of a robot. See the module docstring.
+    """Local connection A(q) of a robot, as defined in the module docstring.
 
     Attributes:
-        weights: weights W. Each row belongs to the product of a feature and a bend
-            change. The columns are forward motion (m), lateral motion (m) and yaw
+        weights: weights W, with one row for each product of a feature and a bend
+            change. The columns contain forward motion (m), lateral motion (m) and yaw
             (rad).
     """
 
@@ -80,11 +81,7 @@ class LocalConnection(Stateful):
     )
 
     def __init__(self, spec: RobotSpec, mass: Array) -> None:
-        """Initialise the weights W to 0.
-
-        `mass` is the lumped mass of each connector, including parts of the adjacent
-        segments (kg).
-        """
+        """Initialise the weights W to 0, given the lumped connector masses (kg)."""
         n = spec.segments
         self._spec = spec
         self._mass = mass
@@ -105,13 +102,13 @@ class LocalConnection(Stateful):
     def snapshot(self) -> LocalConnection:
         """Return a copy for predictions in another thread."""
         made = object.__new__(LocalConnection)
-        # The copy shares the arrays, because the arrays are never changed in place.
+        # The copy can share these arrays, because they are never changed in place.
         for name in ("_spec", "_mass", "_powers", "weights", "_root", "_scatter"):
             setattr(made, name, getattr(self, name))
         return made
 
     def features(self, before: Array, after: Array) -> Array:
-        """Return φ ⊗ dq for a change of the bends (rad), shape (rows of W,)."""
+        """Return the products φ ⊗ dq for a bend change (rad), shape (rows of W,)."""
         return np.outer(self._features((before + after) / 2), after - before).ravel()
 
     def matrix(self, bends: Array) -> Array:
@@ -128,7 +125,7 @@ class LocalConnection(Stateful):
         return matrix
 
     def kinematic_matrix(self, bends: Array) -> Array:
-        """Return the matrix A_w, with the same rows and columns as `matrix`."""
+        """Return the matrix A_w for given bends (rad), with the shape of `matrix`."""
         g = self._spec.geometry
         mu = self._spec.friction
         n = self._spec.segments
@@ -139,8 +136,8 @@ class LocalConnection(Stateful):
         heading = relative_headings(bends)
         forward = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
         lateral = forward[:, ::-1] * [-1.0, 1.0]
-        # Scaling by the square roots of the friction coefficients converts the
-        # minimisation of the dissipation to a least-squares problem.
+        # Rows scaled by the square roots of the friction coefficients turn the
+        # minimisation of the dissipation into a least-squares problem.
         directions = np.stack(
             [math.sqrt(mu.mu_t) * forward, math.sqrt(mu.mu_n) * lateral]
         )
@@ -154,7 +151,7 @@ class LocalConnection(Stateful):
         """Return random displacements due to the uncertainty of W, shape (members, 3).
 
         Args:
-            features: products φ ⊗ dq, as in `features`.
+            features: products φ ⊗ dq, as returned by the method `features`.
             draws: standard normal random numbers, shape (members, rows of W, 3).
         """
         spread = _ERROR_INFLATION * features @ self._root
@@ -168,9 +165,10 @@ class LocalConnection(Stateful):
         )
 
     def learn(self, features: Array, residual: Array) -> None:
-        """Update the fit with the features φ ⊗ dq of the motion between two frames.
+        """Update the fit with the products φ ⊗ dq of the motion between two frames.
 
-        The residual is the measured displacement minus the prediction A_w dq.
+        The residual (m, m, rad) is the measured displacement minus the prediction
+        A_w dq.
         """
         remembered = 1 - 1 / _FORGETTING_FRAMES
         self._gram *= remembered
@@ -183,16 +181,16 @@ class LocalConnection(Stateful):
         self._frames += 1
         if self._frames % _BLOCK:
             return
-        # The noise of a frame has opposite signs in successive displacements and
-        # cancels in sums over a block. The scatter is therefore computed from sums over
-        # blocks.
+        # The noise of a frame enters two successive displacements with opposite signs,
+        # so it cancels in the sum over a block. The variance of the displacements is
+        # therefore computed from these sums.
         kept = max(min(self._frames // _BLOCK, _KEPT_BLOCKS), 2)
         self._scatter = self._scatter + (self._block**2 / _BLOCK - self._scatter) / kept
         self._block = np.zeros(3)
         self.weights = np.asarray(np.linalg.solve(self._normal(), self._sums))
 
     def load_state_dict(self, memory: Mapping[str, Any]) -> None:
-        """Restore the saved values."""
+        """Restore saved values."""
         super().load_state_dict(memory)
         if self._frames >= _BLOCK:
             self._normal()
@@ -210,15 +208,15 @@ class LocalConnection(Stateful):
 
 
 _LONGEST_FRAME_INTERVAL_S = 0.2
-"""Maximum interval between frames that are used for the fit, s."""
+"""Maximum interval between two frames that are used for the fit, s."""
 
 
 class Odometry:
-    """Motion of the ensemble members, computed with the local connection of the robot.
+    """Body motion of the ensemble members, computed with the local connection.
 
-    All members move according to the change of the mean bends, because bend
-    fluctuations of individual members would rotate the bodies randomly. A random
-    displacement represents the uncertainty of the connection.
+    All members move according to the change of the mean bends, because the bend
+    fluctuations of a single member would rotate its body randomly. Random displacements
+    represent the uncertainty of the local connection.
 
     Attributes:
         twist: mean forward velocity, lateral velocity (m/s) and yaw rate (rad/s) in the
@@ -228,7 +226,7 @@ class Odometry:
     def __init__(
         self, connection: LocalConnection, bends: Array, rng: np.random.Generator
     ) -> None:
-        """Initialise the odometry of an ensemble with given bends (rad)."""
+        """Initialise the odometry of ensemble members with given bends (rad)."""
         self.connection = connection
         self.twist = np.zeros(3)
         self._features = np.zeros(len(connection.weights))
@@ -241,12 +239,12 @@ class Odometry:
         self._frame_age = math.inf
 
     def advance(self, dt: float) -> None:
-        """Increase the elapsed time by a time step (s) without moving the bodies."""
+        """Add a time step (s) to the elapsed time without moving the bodies."""
         self._elapsed += dt
         self._frame_age += dt
 
     def apply(self, pose: Array, bends: Array) -> None:
-        """Move the bodies according to the changes of the bends since the last call."""
+        """Update the poses in place for the bend changes since the last call."""
         if not self._elapsed:
             return
         before = self._bends.mean(axis=0)
@@ -257,7 +255,7 @@ class Odometry:
             change = bends - self._bends
         step = change @ self.connection.matrix((before + after) / 2).T
         step = step + self.connection.sample_model_error(features, self._draws)
-        # Using the heading in the middle of the step makes the integration second-order
+        # The heading in the middle of the step makes the integration second-order
         # accurate.
         heading = pose[:, 2] + step[:, 2] / 2
         c = np.cos(heading)
@@ -271,12 +269,12 @@ class Odometry:
         self._elapsed = 0.0
 
     def learn(self, pose: Array, bend: Array, poses: Array, bends: Array) -> None:
-        """Update the fit of the connection with a frame of motion capture.
+        """Update the fit of the local connection with a motion capture frame.
 
         Args:
-            pose: mean pose before the correction by the frame.
+            pose: mean pose (m, m, rad) before the correction by the frame.
             bend: mean bends before the correction, rad.
-            poses: corrected poses of the ensemble members.
+            poses: corrected poses (m, m, rad) of the ensemble members.
             bends: corrected bends of the ensemble members, rad.
         """
         connection = self.connection
@@ -286,9 +284,8 @@ class Odometry:
             c = math.cos(pose[2])
             s = math.sin(pose[2])
             residual = np.array([c * x + s * y, c * y - s * x, turn])
-            # The predicted pose already contains the learnt part of the motion. The
-            # learnt part is added to the residual, because W is fitted to the whole
-            # deviation from A_w.
+            # The predicted pose already contains the motion due to W. This motion is
+            # added back, because W is fitted to the whole deviation from A_w.
             residual += self._features @ connection.weights
             residual -= connection.kinematic_matrix((bend + now) / 2) @ (now - bend)
             connection.learn(self._features + connection.features(bend, now), residual)
@@ -306,7 +303,10 @@ class Odometry:
         self.interrupt()
 
     def forecaster(self, before: Array, bends: Array) -> Odometry:
-        """Return a copy for predictions, in which the members move independently."""
+        """Return a copy for predictions, in which each member follows its own bends.
+
+        The bends (rad) of the copied members are changed from `before` to `bends`.
+        """
         other = copy.copy(self)
         vars(other).update(
             connection=self.connection.snapshot(),

@@ -21,15 +21,15 @@ _ASKS_EVERY_S = 1.0
 _ASKS_NAMES_EVERY_S = 10.0
 """Interval between requests for the names of rigid bodies, s.
 
-The server does not report changed names, so the names are requested repeatedly.
+The names are requested repeatedly, because the server does not report changed names.
 """
 _WINDOW = 1000
-"""Minimum difference of successive frame numbers that indicates a restart."""
+"""Minimum jump in frame numbers that indicates a restart of the server."""
 _LISTENS_S = 0.1
 
 
 class _UdpLink(Link):
-    """Link that listens on each UDP socket in a separate thread."""
+    """Link that listens to each of its UDP sockets in a separate thread."""
 
     def __init__(self, sockets: Iterable[socket.socket]) -> None:
         super().__init__()
@@ -43,7 +43,7 @@ class _UdpLink(Link):
         ]
 
     def _start(self) -> None:
-        # An answer that the first thread receives may add another thread to the list.
+        # The first thread may add another thread to the list during this loop.
         for thread in tuple(self._threads):
             thread.start()
 
@@ -67,20 +67,17 @@ class _UdpLink(Link):
         try:
             kind, content = natnet.opened(packet)
             self._packet(kind, content, sender, arrived)
-        except Exception as error:  # An exception would end the thread.
+        except Exception as error:  # An exception would end this thread.
             self._refuse(error)
 
     def _idle(self) -> None:
-        """Send the requests that are due.
-
-        The link calls this method before each wait for a packet.
-        """
+        """Send due requests before the link waits for the next packet."""
 
     @abstractmethod
     def _packet(
         self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
     ) -> None:
-        """Process a packet that arrived at a time on the local clock (s)."""
+        """Process a packet that arrived at a given time on the local clock (s)."""
 
     def close(self) -> None:
         """See `Link.close`."""
@@ -92,16 +89,16 @@ class _UdpLink(Link):
 
 
 class FrameNumbers:
-    """Counter of lost, late and repeated frames, based on the frame numbers."""
+    """Counter of lost, reordered and repeated motion capture frames."""
 
     def __init__(self) -> None:
         self._newest: int | None = None
         self._missing: set[int] = set()
 
     def count(self, number: int, counts: Counter[str]) -> None:
-        """Count a frame.
+        """Update `counts` with the number of a received frame.
 
-        A late frame no longer counts as lost.
+        A late frame is no longer counted as lost.
         """
         newest = self._newest
         if newest is None or not -_WINDOW < number - newest < _WINDOW:
@@ -124,12 +121,13 @@ class FrameNumbers:
 
 
 class NatNetLink(_UdpLink):
-    """Link to a motion capture system.
+    """Link that receives frames from a motion capture system.
 
-    The link converts the poses of the tracked bodies to messages of kind `POSES`.
+    The poses of the tracked bodies in each frame become a message of kind `POSES`.
 
     Attributes:
         version: NatNet version of the server, or None until the server has answered.
+        names: names of the rigid bodies, keyed by id.
     """
 
     def __init__(
@@ -140,20 +138,20 @@ class NatNetLink(_UdpLink):
         local: str = LOOPBACK,
         up: str = "y",
     ) -> None:
-        """Request frames from a server until the server answers.
+        """Start requesting frames from a server.
 
         Args:
             host: name or address of the server.
             port: command port of the server.
-            local: address of this machine at which frames arrive.
-            up: axis of the frames that points upwards, "y" or "z".
+            local: address of this machine to which the server sends frames.
+            up: upward axis of the motion capture system, "y" or "z".
 
         Raises:
             InputError: the host of the server is unknown, or `local` is not an address
                 of this machine.
         """
-        # The host name is resolved, because the senders of packets have numeric
-        # addresses.
+        # The host name is resolved, because packets contain the numeric address of
+        # their sender.
         host = resolved(host)
         local = resolved(local)
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -185,8 +183,7 @@ class NatNetLink(_UdpLink):
             return
         self._asked = now
         silent = self.version is None or now - self._last > 2 * _ASKS_EVERY_S
-        # After a restart, the server does not know its clients, so the request is
-        # repeated.
+        # A restarted server does not know its clients, so the link connects again.
         if silent:
             self._ask(natnet.Packet.CONNECT, b"Ping\0")
         else:
@@ -203,7 +200,7 @@ class NatNetLink(_UdpLink):
     def _packet(
         self, kind: int, content: bytes, sender: tuple[str, int], arrived: float
     ) -> None:
-        # The server uses different ports for frames and for answers.
+        # The server sends frames and answers from different ports.
         expected = self._server
         if kind == natnet.Packet.FRAME:
             expected = (self._server[0], sender[1])
@@ -239,7 +236,6 @@ class NatNetLink(_UdpLink):
                 ) from error
 
     def _message(self, frame: natnet.Frame, arrived: float) -> Message:
-        # A body that is not tracked has no measured pose in this frame.
         seen = {key: body for key, body in frame.bodies.items() if body.tracked}
         poses = [natnet.rotate(body, self._up) for body in seen.values()]
         values = np.array(poses).reshape(-1, 4)
@@ -282,7 +278,7 @@ class NatNetLink(_UdpLink):
 
 
 class NatNetServer(_UdpLink):
-    """Emulated motion capture server, which sends frames to each client."""
+    """Emulated motion capture server that sends frames to its clients."""
 
     def __init__(
         self, names: Mapping[int, str], *, host: str = LOOPBACK, port: int = 0
@@ -295,7 +291,7 @@ class NatNetServer(_UdpLink):
             port: command port, or 0 for any free port.
 
         Raises:
-            InputError: the address is in use, or does not belong to this machine.
+            InputError: the address is in use or does not belong to this machine.
         """
         own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -313,7 +309,7 @@ class NatNetServer(_UdpLink):
         self._start()
 
     def send(self, time: float, bodies: Mapping[int, natnet.RigidBody]) -> None:
-        """Send a frame with a local time stamp (s) to all clients."""
+        """Send a frame with its time on the local clock (s) to all active clients."""
         packet = natnet.write_frame(natnet.Frame(self._number, time, bodies))
         now = clock()
         self._number += 1

@@ -1,8 +1,8 @@
-"""Tables of pressure residuals of a first-order chamber model.
+"""Learnt tables of the differences between measured and modelled chamber pressures.
 
-Whenever a valve switches, the pressure of a chamber with compressible flow deviates
-from the first-order model in a similar way. The tables are therefore indexed by
-chamber, valve state and time since switching.
+The model assumes first-order chamber dynamics. After each valve event, the pressure of
+a chamber with compressible flow differs from this model in a similar way. The tables
+are therefore indexed by chamber, valve state and time since the valve last switched.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from srs_twin.io.saved_state import Stateful
 from srs_twin.live.uncertain import Estimates
 
 BinIndex = tuple[np.ndarray, ...]
-"""Index of the current bin of each chamber."""
+"""Index arrays that select the current bin of each chamber in a table."""
 
 
 class ValveAges(Stateful):
     """Time since each valve last switched.
 
     Attributes:
-        filling: 1 for each filling valve and 0 for each venting valve, shape (segments,
-            2).
-        age: time from switching to the start of the last step, shape (segments, 2), s.
+        filling: array that is 1 for filling valves and 0 for venting valves, shape
+            (segments, 2).
+        age: time between the last switching of each valve and the start of the latest
+            time step, shape (segments, 2), s.
     """
 
     state_attributes = ("filling", "age", "_dt")
@@ -30,7 +31,7 @@ class ValveAges(Stateful):
     def __init__(self, segments: int, bins: int, width_s: float) -> None:
         """Initialise all valves as venting.
 
-        `width_s` is the width of the time bins, s.
+        A table has `bins` time bins with a width of `width_s` (s).
         """
         self.filling = np.zeros((segments, 2), dtype=int)
         self.age = np.zeros((segments, 2))
@@ -41,12 +42,12 @@ class ValveAges(Stateful):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of a table (segments, sides, valve states, bins)."""
+        """Shape (segments, sides, valve states, time bins) of a table."""
         return *self.age.shape, 2, self._bins
 
     @property
     def filled_s(self) -> np.ndarray:
-        """Filling time of each chamber, s, which is 0 for a venting chamber."""
+        """Time for which each chamber has been filling, or 0 if it vents, s."""
         return np.where(self.filling == 1, self.age, 0.0)
 
     def index(self) -> BinIndex:
@@ -58,10 +59,10 @@ class ValveAges(Stateful):
         )
 
     def advance(self, duty: np.ndarray, dt: float) -> None:
-        """Advance the times since switching by one time step."""
+        """Advance the times since switching by a time step `dt` (s)."""
         filling = (duty > 0.5).astype(int)
-        # The time since switching refers to the start of the step, so the previous time
-        # step is added.
+        # The ages refer to the start of this step, so the duration of the previous step
+        # is added.
         self.age = np.where(filling == self.filling, self.age + self._dt, 0.0)
         self.filling = filling
         self._dt = dt
@@ -73,28 +74,27 @@ class PressureRates:
     Attributes:
         rate: measured minus modelled pressure rate, shape (segments, 2, states, bins),
             Pa/s.
-        wander: variance per time of the random walk of the pressures, shape (segments,
-            2, states, bins), Pa²/s.
+        wander: variance of the pressure random walk per unit time, shape (segments, 2,
+            states, bins), Pa²/s.
     """
 
     _BINS = 50
     _WIDTH_S = 0.01
-    """Width of a bin, s (half a tick of the robot)."""
+    """Width of a time bin, s (half a control tick of the robot)."""
     _GAIN = 0.2
-    """Fraction of an innovation that is added to the rates in the corresponding bins.
-    """
+    """Fraction of an innovation that is attributed to errors in the learnt rates."""
     _MEMORY = 8.0
     """Number of innovations over which the variance is averaged."""
     _LEAST_WANDER = 0.03
-    """Lower limit of the random walk, fraction of the nominal pressure per √s."""
+    """Minimum random walk, as a fraction of the nominal supply pressure per √s."""
     _LONGEST_S = 0.1
-    """Maximum interval between pressures that are used for learning, s."""
+    """Maximum interval between two pressures that are used for learning, s."""
 
     def __init__(self, segments: int, supply: float, wander: float) -> None:
         """Initialise the rates to 0.
 
-        `wander` is the initial random walk per √s, as a fraction of the nominal supply
-        pressure `supply` (Pa).
+        The initial random walk `wander` is a fraction of the nominal supply pressure
+        `supply` (Pa) per √s.
         """
         self.ages = ValveAges(segments, self._BINS, self._WIDTH_S)
         self.rate = np.zeros(self.ages.shape)
@@ -106,7 +106,8 @@ class PressureRates:
         """Advance the times since switching by one time step.
 
         Args:
-            duty: fraction of time in which each valve fills, shape (segments, 2).
+            duty: fraction of time for which each valve fills its chamber, shape
+                (segments, 2).
             dt: time step, s.
 
         Returns:
@@ -118,7 +119,7 @@ class PressureRates:
         return index
 
     def update(self, innovation: np.ndarray, noise: float) -> None:
-        """Learn from the innovations (Pa) of measured pressures.
+        """Correct the learnt rates with measured minus predicted pressures (Pa).
 
         Missing innovations are NaN.
         """
@@ -140,20 +141,24 @@ class PressureRates:
         self.rate = self.rate + np.where(
             fraction > 0, self._GAIN * known * times / squares, 0.0
         )
-        # If a measurement is missing, the time accumulates until the next measurement.
+        # The times in the bins accumulate until the pressure is measured again.
         self._time_in_bin = np.where(measured, 0.0, times)
 
 
 class PressureLevels(Stateful):
-    """Means and variances of pressure residuals relative to the supply pressure."""
+    """Learnt means and variances of pressure residuals.
+
+    A residual is the measured minus the modelled pressure, as a fraction of the supply
+    pressure.
+    """
 
     state_attributes = ("ages", "_count", "_mean", "_variance")
     _BINS = 25
     _WIDTH_S = 0.02
     _MOST_COUNTED = 40
-    """Number of pressures over which a mean is computed."""
+    """Maximum number of pressures that contribute to a mean."""
     _LEAST_COUNTED = 4
-    """Number of pressures from which a mean is known."""
+    """Number of learnt pressures after which a mean is considered known."""
 
     def __init__(self, segments: int, sd: float) -> None:
         """Initialise the means to 0 and the standard deviations to `sd`."""
@@ -163,19 +168,16 @@ class PressureLevels(Stateful):
         self._variance = np.full(self.ages.shape, sd**2)
 
     def read(self) -> Estimates:
-        """Return mean and standard deviation in current bins, shape (segments, 2)."""
+        """Return means and standard deviations in current bins, shape (segments, 2)."""
         index = self.ages.index()
         return Estimates(self._mean[index], np.sqrt(self._variance[index]))
 
     def are_known(self) -> np.ndarray:
-        """Return whether enough pressures were learnt in current bins, shape (segments, 2)."""
+        """Return a mask of chambers whose mean is known, shape (segments, 2)."""
         return np.asarray(self._count[self.ages.index()] > self._LEAST_COUNTED)
 
     def update(self, residual: np.ndarray, learns: np.ndarray) -> None:
-        """Learn from the pressure residuals of the chambers selected by `learns`.
-
-        The residuals are fractions of the supply pressure.
-        """
+        """Update the current bins of the chambers in the mask `learns`."""
         index = self.ages.index()
         count = np.minimum(self._count[index] + 1, self._MOST_COUNTED)
         self._count[index] = np.where(learns, count, self._count[index])

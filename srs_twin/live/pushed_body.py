@@ -1,23 +1,25 @@
 r"""Motion and segment moments of a crawling snake under a lateral contact force.
 
-The bends q(t) are periodic and known, so three velocities u describe the motion of the
-body. They are the velocity components of the centre of mass in the frame of the mean
-heading, and the yaw rate ω. With the wheel Jacobians J_c(q), two per connector, and the
-floor friction forces f (`robot.friction`), the equations of motion are
+The bends q(t) are periodic and known, so the motion of the body is described by a
+vector u of three velocities. The vector u contains the velocity of the centre of mass
+in the frame of the mean heading, and the yaw rate ω. Each connector has two wheels with
+Jacobians J_c(q) and floor friction forces f_c (`robot.friction`). The equations of
+motion are
 
-$$ M \dot v = \sum f_c + F n, \qquad \frac{d}{dt}(I(q)\,\omega + h(q, \dot q)) = \sum r_c \times f_c +
-   r_s \times F n, \qquad v_c = J_c u + b_c . $$
+$$ M \dot v = \sum f_c + F n, \qquad
+\frac{d}{dt}(I(q)\,\omega + h(q, \dot q)) = \sum r_c \times f_c + r_s \times F n,
+\qquad v_c = J_c u + b_c . $$
 
-The inertia I and the angular momentum h due to the bend rates are defined in
-`plants.analytical.kernels`. The contact force F acts along the body normal n, at the
-distance s behind the first connector. Because the friction is stiff, the time steps are
-linearly implicit with respect to friction.
+The module `plants.analytical.kernels` defines the inertia I and the angular momentum h
+due to the bend rates. The contact force F acts along the body normal n at a distance s
+behind the first connector. The stiff friction forces are integrated with the linearly
+implicit Euler method.
 
-**Moments.** The moment on segment j is the total moment of all loads in front of the
-segment. It is taken about the midpoint of the segment's chord. The loads are friction
-forces, inertial forces of the connectors, and F. If F acts on segment j, the moment of
-F is averaged over the arc of the segment. Inertial forces due to the bend rates are not
-included, because they cancel in the difference from the motion without contact.
+**Moments.** The moment on segment j is the sum of the moments of all loads in front of
+the segment about the midpoint of its chord. The loads are the friction forces, the
+inertial forces of the connectors and the contact force F. If F acts on segment j
+itself, the moment of F is averaged over the arc of the segment. Inertial forces due to
+the bend rates are omitted, because they are equal with and without contact.
 """
 
 from __future__ import annotations
@@ -32,22 +34,20 @@ from srs_twin.robot.geometry import body_shape, relative_headings
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 SUBSTEP_S = 0.01
-"""Maximum time step, s, for a time unit of 1 s.
+"""Maximum time step of the simulation, at a time unit of 1 (`robot.scale`), s.
 
-With 4 ms instead, the median error of the estimated force changes by less than 1 %
+A time step of 4 ms changes the median error of the estimated force by less than 1 %
 (docs/objects.md).
 """
 SLIP_SPEED_M_S = 0.005
-"""Speed below which friction is viscous, m/s, for a time unit of 1 s."""
-_SETTLING_S = 3.0
-"""Simulated time until the motion without contact is periodic, s.
-
-The time is multiplied by the time unit of the robot.
+"""Slip speed below which friction is viscous, at a time unit of 1 (`robot.scale`), m/s.
 """
+_SETTLING_S = 3.0
+"""Time after which the motion without contact is periodic, at a time unit of 1, s."""
 
 
 class _Motion(NamedTuple):
-    """Motion of the N connectors relative to the centre of mass over one period.
+    """Motion of the N connectors relative to the centre of mass during one period.
 
     Vectors refer to the frame of the mean heading and have shape (steps, N, 2).
 
@@ -79,25 +79,26 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 class PushedBody:
-    """Body with periodic bends and a contact force at one of several positions.
+    """Snake with periodic bends and a contact force at one of several positions.
 
     Attributes:
-        free_velocity: velocities u of the motion without a contact force, shape
-            (period, 3), m/s and rad/s.
-        free_moment: segment moments due to friction and inertia in the motion without a
-            contact force, shape (period, segments), N·m.
+        free_velocity: velocities u without a contact force, shape (period, 3), m/s and
+            rad/s.
+        free_moment: segment moments without a contact force, shape (period, segments),
+            N·m.
     """
 
     def __init__(
         self, spec: RobotSpec, bends: np.ndarray, sample_s: float, stations: np.ndarray
     ) -> None:
-        """Compute the Jacobians over one period, and simulate the contact-free motion.
+        """Compute the Jacobians of one period, and simulate the motion without contact.
 
         Args:
             spec: robot specification.
-            bends: bends at the samples of a period, shape (period, segments), rad.
+            bends: bends at the samples of one period, shape (period, segments), rad.
             sample_s: time between samples, s.
-            stations: distances of the possible contacts behind the first connector, m.
+            stations: distances from the first connector to the possible contact
+                positions, shape (stations,), m.
         """
         self._spec = spec
         g = spec.geometry
@@ -177,8 +178,8 @@ class PushedBody:
         self._on_square = (self._mass * _cross(arms, place)).sum(-1)
         speeds = (arms * motion.rate[:, None]).sum(-1)
         self._on_rate = 2 * (self._mass * speeds).sum(-1)
-        # The Jacobian contains the moment of a unit wheel force about the centre of
-        # mass. It is converted to the moment about the midpoint of the chord.
+        # The Jacobian contains the moments of unit wheel forces about the centre of
+        # mass, which are converted to moments about the midpoints of the chords.
         jacobian = self._jacobian[:: self._steps, :, None]
         moved = jacobian[..., 2] - _cross(motion.middle[:, None], jacobian[..., :2])
         self._on_friction = np.tile(front.T, (4, 1)) * moved
@@ -216,13 +217,14 @@ class PushedBody:
 
         Args:
             k: index of the sample at the end of the step.
-            u: velocities at sample k − 1, shape (bodies, 3).
+            u: velocities u at sample k − 1, shape (bodies, 3), m/s and rad/s.
             force: contact force F on each body, positive to the left, shape (bodies,),
                 N.
-            station: index of the station at which the force acts, shape (bodies,).
+            station: index of the contact position at which the force acts, shape
+                (bodies,).
 
         Returns:
-            Velocities at sample k, shape (bodies, 3), and moments on the segments,
+            Velocities u at sample k, shape (bodies, 3), and moments on the segments,
             shape (bodies, segments), N·m.
         """
         total = self._mass.sum()
@@ -231,7 +233,7 @@ class PushedBody:
         for i in range(self._steps):
             g = ((k - 1) * self._steps + i + 1) % len(inertia)
             # Without forces, the velocity in the world frame and the angular momentum
-            # are constant. The frame of the mean heading turns by `turned`.
+            # are constant, while the frame of the mean heading turns by `turned`.
             forward, lateral, yaw = u.T
             spin = inertia[g - 1] * yaw + self._relative[g - 1] - self._relative[g]
             turned = h * yaw
@@ -263,9 +265,9 @@ class PushedBody:
         return u, moment
 
     def _friction(self, g: int, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return wheel forces, shape (bodies, 4N), and the Jacobian of their resultant.
+        """Return the wheel forces, and the derivative of their resultant.
 
-        The Jacobian with respect to the velocities u has shape (bodies, 3, 3).
+        The shapes are (bodies, 4N) and (bodies, 3, 3).
         """
         spec = self._spec
         mu = spec.friction

@@ -1,7 +1,7 @@
 """Session of a live twin in real time.
 
-In each tick, the messages of the links are passed to the live twin, and commands are
-sent to the robot. The journal of all messages and the results are written to a folder.
+In each tick, the session passes the received messages to the live twin and can send a
+command to the robot.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ STATE = "state.npz"
 SUMMARY = "shadow.json"
 ESTIMATE = "estimate.parquet"
 KEPT = (SUMMARY, ESTIMATE, STATE)
-"""Files in the output folder that are replaced by the next session.
+"""Files in the output folder that the next session replaces.
 
-Journals and recordings have numbered names and are therefore kept.
+Journals and recordings are kept, because their names are numbered.
 """
 _MOST_ROWS = 1_000_000
 
 
 class EstimateTable:
-    """Table of estimates with their standard deviations."""
+    """Time series of estimates with standard deviations."""
 
     def __init__(self, spec: RobotSpec) -> None:
         self._spec = spec
@@ -103,10 +103,10 @@ class EstimateTable:
 def summary(
     shadow: Shadow, links: Sequence[Link], e: Estimate | None
 ) -> dict[str, object]:
-    """Return message counts, clock offsets and the last estimate, as JSON values."""
+    """Return message counts, clock offsets and an estimate as JSON values."""
     counts: Counter[str] = Counter()
     for link in links:
-        # A copy is used, because another thread changes the counts.
+        # The counts are copied, because another thread changes them.
         counts.update(dict(link.counts))
     dropped: Counter[str] = Counter()
     for (_, kind, what), count in shadow.buffer.counts.items():
@@ -163,15 +163,16 @@ def _quantiles_ms(durations: Collection[float]) -> dict[str, float | None]:
 
 
 INTERVALS_S = {"predict": 0.5, "view": 0.12, "flush": 0.5, "save": 5.0, "watch": 1.0}
-"""Intervals of predictions, view updates, journal writes, saves and speed checks, s."""
+"""Interval at which each periodic task is repeated, s."""
 _MOST_OVERRUNS = 0.5
 """Fraction of slow ticks above which a warning is issued."""
 _WATCHED_TICKS = 50
 """Number of recent ticks among which slow ticks are counted."""
 _WORK_S = 0.05
-"""Computing time per tick after which the remaining messages wait for the next tick, s.
+"""Maximum time for processing messages in each tick, s.
 
-Because of this limit, a slow machine still sends commands and obeys control words.
+The remaining messages wait for the next tick, so that even a slow machine sends
+commands and obeys control words.
 """
 STALE_S = 0.2
 """Age of an estimate above which the chambers of a steered robot are vented, s."""
@@ -180,16 +181,16 @@ TOO_SLOW_S = 1.0
 JOURNALS = "journal-{}.mcap"
 RECORDINGS = "recording-{}.rrd"
 _RESTART_S = 1.0
-"""Maximum delay behind real time, s. Beyond this delay, missed ticks are skipped."""
+"""Delay behind real time above which missed ticks are skipped, s."""
 _KEPT = 1_000_000
 """Maximum number of ticks whose durations are kept."""
 _MOST_PROBLEMS = 100
 _GOODBYE_S = 1.0
-"""Maximum waiting time until the broker accepts the last message, s."""
+"""Maximum time to wait until the last message has been sent, s."""
 _WARM_UP_S = 0.6
-"""Simulated duration of `warm_up`, s."""
+"""Duration of the artificial messages in `warm_up`, s."""
 _STROKE_S = 0.16
-"""Half the command period in `warm_up`, s."""
+"""Half the period of the commands in `warm_up`, s."""
 
 View = Callable[[Estimate, Prediction | None], None]
 Keys = Callable[[], Iterable[str]]
@@ -198,7 +199,7 @@ Keys = Callable[[], Iterable[str]]
 def warm_up(spec: RobotSpec) -> None:
     """Load and compile all code that a live twin needs.
 
-    Without a warm-up, the first messages of the robot would wait for the compiler.
+    Without this call, the first messages of the robot would wait for the compiler.
     """
     shadow = Shadow(spec, members=8)
     n = spec.segments
@@ -222,7 +223,7 @@ def warm_up(spec: RobotSpec) -> None:
 
 
 class PeriodicTimer:
-    """Timer for periodic work."""
+    """Timer that shows when periodic work is due."""
 
     def __init__(self, seconds: float) -> None:
         """Create a timer that starts at the first call of `is_over`."""
@@ -230,10 +231,7 @@ class PeriodicTimer:
         self._next = math.inf
 
     def is_over(self, now: float) -> bool:
-        """Return whether the work is due at a time (s).
-
-        If the work is due, the timer is restarted.
-        """
+        """Return whether the work is due at a time (s), and restart the timer if so."""
         over = now >= self._next
         if over or math.isinf(self._next):
             self._next = now + self._seconds
@@ -253,18 +251,18 @@ def _restore(shadow: Shadow, path: Path) -> bool:
 
 
 class Session:
-    """Session of a live twin with links, views and files.
+    """Session that runs a live twin in real time.
 
     Attributes:
-        estimate: latest estimate, or None before the first message of the robot has
-            arrived.
-        faults: time from the start of the session to the first detection of each fault,
-            s, keyed by part and fault.
-        problems: descriptions of the errors that did not end the session.
+        estimate: latest estimate, or None before the first measurement.
+        faults: time of the first detection of each fault, counted from the start of the
+            session, s, keyed by part and fault.
+        problems: descriptions of problems that did not end the session.
         ticks: durations of the ticks, s.
-        lag: maximum age of an estimate when the command is sent, s.
-        latency: times from the arrival of a reading to the estimate that uses it, s.
-        resumed: whether the state of an earlier session has been restored from the
+        lag: maximum age of an estimate at the time when its command is sent, s.
+        latency: times between the arrival of bend readings and the estimates that use
+            them, s.
+        resumed: whether the state of an earlier session was restored from the output
             folder.
     """
 
@@ -279,21 +277,23 @@ class Session:
         views: Iterable[View] = (),
         keys: Keys = tuple,
     ) -> None:
-        """Prepare a session, and restore an earlier state from the folder.
+        """Prepare a session, and restore the state of an earlier session if it exists.
 
         Args:
             shadow: live twin that has not processed any messages.
             links: sources of messages.
-            out: folder for the journal and the results. If None, no files are written.
-            steering: steering of the robot, or None if the robot is not steered.
-            commands: link over which commands and control messages are sent.
-            views: functions that show estimates and predictions about eight times per
-                second.
-            keys: function that returns the control words typed since the last call.
+            out: output folder for the journal and the results, or None to write no
+                files.
+            steering: steering that computes the commands, or None to send no commands.
+            commands: link for sending commands, contact estimates and the final status,
+                or None to send nothing and ignore control words.
+            views: functions that are called with the latest estimate and prediction
+                about eight times per second.
+            keys: function that returns the control words typed since its last call.
 
         Raises:
-            InputError: the folder cannot be written, or contains the state of another
-                robot.
+            InputError: the output folder cannot be written, or contains the state of
+                another robot.
         """
         self.shadow = shadow
         self._links = list(links)
@@ -325,8 +325,8 @@ class Session:
         self._skipped = 0.0
         self._behind = 0.0
         self._uncertain: set[str] = set()
-        # The second thread ensures that predictions are not delayed by a slow task such
-        # as planning.
+        # Two threads are used, so that a slow task such as planning does not delay the
+        # predictions.
         self._pool = ThreadPoolExecutor(2)
         self._predicting: Future[Prediction] | None = None
         self._saving: Future[None] | None = None
@@ -337,13 +337,13 @@ class Session:
     ) -> dict[str, object]:
         """Run the session and return its summary.
 
-        The session ends when it is stopped, when a replayed journal ends, or when the
-        steering ends. At the end, a steered robot is vented and the files are written,
-        even after an error.
+        The session ends after a stop request, at the end of a replayed journal, or at
+        the end of the steering. A steered robot is then vented and the files are
+        written, even after an error.
 
         Args:
             duration: maximum duration, s.
-            stop: function that is called in every tick and returns whether to end the
+            stop: function that is called in each tick and returns whether to end the
                 session.
         """
         self._start = time.monotonic()
@@ -378,13 +378,11 @@ class Session:
             if left > 0:
                 time.sleep(left)
             elif left < -_RESTART_S:
-                # The missed ticks are skipped, for example after the machine was
-                # suspended.
                 start = time.monotonic() - done * TICK_S
 
     def _submit(self, now: float) -> None:
         intervals = self._intervals
-        # While messages are processed too slowly, no predictions are computed.
+        # No predictions are computed while the machine is too slow for all messages.
         can_predict = (
             self.estimate is not None and self._predicting is None and not self._behind
         )
@@ -396,8 +394,7 @@ class Session:
             return
         is_first = not self.ticks
         if intervals["save"].is_over(now) or is_first:
-            # The state is copied in this thread, and the file is written in another
-            # thread.
+            # This thread copies the state, and another thread writes the file.
             save = self.shadow.save().write
             self._saving = self._pool.submit(save, self._out / STATE)
 
@@ -410,8 +407,6 @@ class Session:
                 "this machine is too slow for all messages, so some are skipped, and"
                 " the position is unknown until the next motion capture frame"
             )
-        # Only the recent ticks are copied, because the number of ticks increases during
-        # a session.
         durations = list(itertools.islice(reversed(self.ticks), _WATCHED_TICKS))
         slow = float(np.mean(np.array(durations) > TICK_S)) > _MOST_OVERRUNS
         if slow and self._commands is not None and not self._slow:
@@ -488,20 +483,20 @@ class Session:
         if math.isnan(now):
             return
         messages = self._receive()
-        if self._commands is not None:  # Control words in a journal are not obeyed.
+        if self._commands is not None:  # Control words in journals are ignored.
             sent = [message.names[0] for message in messages if message.kind == CONTROL]
             for word in [*self._keys(), *sent]:
                 self._obey(word)
         self._record(messages)
         if self._stopped:
             return
-        # All messages of a journal are processed, even if the playback speed is too
-        # high.
+        # All messages of a replayed journal are processed, even if the playback is
+        # faster than the machine.
         work_s = math.inf if self._commands is None else _WORK_S
         estimate = self.shadow.update(now, messages, work_s=work_s)
         self.estimate = estimate
         hold = self.shadow.buffer.hold
-        # The latency includes the time for which a message is held in the buffer.
+        # The latency includes the time for which the buffer holds a message.
         self.latency.extend(
             now - message.arrived + hold
             for message in messages
@@ -557,8 +552,8 @@ class Session:
         with ExitStack() as steps:
             steps.callback(self._write)
             steps.callback(self._close_journal)
-            # The summary is created before the journal is closed, so that the journal
-            # contains every message counted in the summary.
+            # The summary is created before the journal is closed, so that every message
+            # counted in the summary is also in the journal.
             steps.callback(self._summarise, seconds, error)
             steps.callback(self._pool.shutdown, cancel_futures=True)
             steps.callback(self._say_goodbye, error)
@@ -573,7 +568,6 @@ class Session:
 
     def _close_journal(self) -> None:
         if self._journal is not None:
-            # Messages that arrived after the last tick are also recorded.
             self._record(self._receive())
             self._journal.close()
 

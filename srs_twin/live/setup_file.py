@@ -1,7 +1,7 @@
-"""Set-up file of a lab for `srs-twin shadow --setup lab.yaml`.
+"""Set-up file that describes a lab for `srs-twin shadow --setup lab.yaml`.
 
 Each key sets an option of `srs-twin shadow`. Options on the command line override the
-file. Relative paths are looked up first in the folder of the set-up file, and then in
+file. A relative path is looked up first in the folder of the set-up file, and then in
 the current folder.
 """
 
@@ -36,45 +36,44 @@ def _address_with(port: int) -> AfterValidator:
 
 
 class BrokerFile(Section):
-    """MQTT broker.
+    """Connection to an MQTT broker.
 
-    The environment variable SRS_TWIN_MQTT_PASSWORD contains the password.
+    The password is read from the environment variable SRS_TWIN_MQTT_PASSWORD.
     """
 
     address: Annotated[Line, _address_with(links.PORT)]
-    """Address of the broker, HOST or HOST:PORT."""
+    """Address of the broker in the form HOST or HOST:PORT."""
     user: Line | None = None
     """User name (default: anonymous login)."""
     ca: FilePath | None = None
-    """CA certificate file (PEM), which enables TLS (default: no TLS)."""
+    """PEM file with the CA certificate that enables TLS (default: no TLS)."""
 
 
 class MotionCaptureFile(Section):
-    """NatNet server, such as Motive."""
+    """Connection to a NatNet server, such as Motive."""
 
     address: Annotated[Line, _address_with(natnet.COMMAND_PORT)]
-    """Address of the command port of the server, HOST or HOST:PORT."""
+    """Address of the server's command port in the form HOST or HOST:PORT."""
     local: Line = "127.0.0.1"
-    """Address of this machine on which frames arrive."""
+    """Address of this machine to which the server sends frames."""
     up: Literal["y", "z"] = "y"
-    """Axis of the motion capture that points upwards."""
+    """Upward axis of the motion capture system."""
     bodies: dict[Line, Connector] = {}
     """Connector number of each rigid body, counted from 1 at the head (default: the
     number at the end of a name such as connector_1)."""
 
 
 class LimitsFile(Section):
-    """Limits at which a session ends."""
+    """Limits of a session."""
 
     duration_s: float | None = quantity(0.02, 1e7, None)
-    """Maximum duration of a session (default: until it is stopped)."""
+    """Maximum duration of a session (default: no limit)."""
     allow_zero_margin: bool = False
-    """Whether the robot continues without any margin to obstacles instead of stopping.
-    """
+    """Whether the robot continues without a margin to obstacles instead of stopping."""
 
 
 class SetupFile(Section):
-    """Robot and equipment of a lab, and limits of its sessions."""
+    """Robot, equipment and session limits of a lab."""
 
     robot: PathOrName
     """Name of a shipped robot, or path of a robot file."""
@@ -83,7 +82,7 @@ class SetupFile(Section):
     file).
     """
     supply_kpa: float | None = quantity(0.0, 1000.0, None)
-    """Gauge pressure of the supply (default: nominal pressure of the robot)."""
+    """Gauge supply pressure (default: nominal supply pressure of the robot)."""
     broker: BrokerFile | None = None
     """MQTT broker (default: 127.0.0.1:1883)."""
     motion_capture: MotionCaptureFile | None = None
@@ -102,7 +101,7 @@ class SetupFile(Section):
         return given
 
     def options(self) -> dict[str, Any]:
-        """Return the values in the file, keyed by the option of `srs-twin shadow`."""
+        """Return the values in the file, keyed by option of `srs-twin shadow`."""
         broker = self.broker
         capture = self.motion_capture
         values = {
@@ -126,16 +125,16 @@ class SetupFile(Section):
 
 
 _PATHS: dict[Loc, str] = {("robot",): "robot", ("broker", "ca"): ""}
-"""Keys whose values are paths of files."""
+"""Keys of file paths, with the kind of shipped files that are also allowed by name."""
 
 
 def load_setup(path: Path, overridden: Container[str] = ()) -> SetupFile:
     """Load and check a set-up file.
 
     Args:
-        path: path of the file.
-        overridden: keys that are overridden on the command line. The files of
-            overridden keys need not exist.
+        path: path of the set-up file.
+        overridden: keys that the command line overrides. Files that are named by these
+            keys need not exist.
 
     Raises:
         InputError: the file cannot be read.

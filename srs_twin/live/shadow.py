@@ -1,10 +1,9 @@
-"""Live twin of one robot.
+"""Live twin that estimates the state of a robot and detects its faults.
 
-Messages are sorted by sending time (`clocks.ReorderBuffer`). Each message updates an
-ensemble filter (`ensemble`) and a fault detector (`fault_detector`). The ensemble
-filter simulates detected stuck valves, and ignores the readings of sensors with a
-detected fault. The live twin reads neither links nor clocks, because messages and time
-are arguments of `update`.
+Messages are sorted by sending time (`clocks.ReorderBuffer`). Each measurement updates
+an ensemble filter (`ensemble`) and a fault detector (`fault_detector`). The ensemble
+filter simulates the most likely valve faults and leaks, and ignores the readings of
+bend sensors that are probably faulty.
 """
 
 from __future__ import annotations
@@ -55,32 +54,31 @@ from srs_twin.robot.geometry import measured_bend
 from srs_twin.robot.spec import RobotSpec
 
 TRANSPORT_DELAY_S = 0.002
-"""Assumed minimum transport delay of messages, s. The delay cannot be observed."""
+"""Assumed minimum transport delay of messages, s."""
 LOST_AFTER_S = 1.0
-"""Time without a message after which the state is considered unknown, s."""
+"""Time without a message after which the state of the robot is unknown, s."""
 LARGEST_SD_M = 0.05
-"""Maximum standard deviation of a known position, m."""
+"""Standard deviation above which the position of the robot is unknown, m."""
 MISSING_FRAMES = 8
-"""Number of successive frames after which a missing body counts as lost."""
+"""Number of successive frames without a body after which the body counts as lost."""
 HORIZON_S = 1.0
 """Horizon of predictions, s."""
 MOST_BEHIND_S = 0.3
-"""Maximum age of a message that waits for processing, s. Older messages are skipped."""
+"""Age of the oldest waiting message above which all waiting messages are skipped, s."""
 _PREDICTION_STEP_S = 0.1
 """Interval between the predicted poses, s."""
 _PREDICTION_MEMBERS = 16
-"""Number of ensemble members that are used for a prediction."""
 _SUBSLOTS = 2
-"""Number of time steps of a prediction per command slot."""
+"""Number of prediction steps per command slot."""
 _EXTRAPOLATE_AFTER_S = 0.05
 """Time without a message after which the filters are advanced to the current time, s.
 """
 _LEAST_STEP_S = 5e-4
 """Minimum time step of the filters, s."""
 _LEAST_INTERVAL_S = 0.018
-"""Minimum interval between measurements of one sender that are used, s.
+"""Minimum interval between used measurements from the same sender, s.
 
-Measurements at more than 50 Hz provide little additional information.
+More than 50 measurements per second provide little additional information.
 """
 _PRESENT_STEP_S = 0.005
 """Time step of the prediction from the last message to the current time, s."""
@@ -89,17 +87,18 @@ _MEASURED = (BENDS, PRESSURES, POSES, SUPPLY)
 
 
 class Shadow:
-    """Live twin of one robot. See the module docstring.
+    """Live twin of one robot, as described in the module docstring.
 
     Attributes:
-        ensemble: filter for pose, bends and pressures.
-        command_period: detector for the period of the commands.
+        ensemble: ensemble filter for the pose, bends and pressures.
+        faults: fault detector.
+        command_period: detector for periodic commands.
         contact: estimator of the contact force.
-        prediction_calibration: correction of the prediction intervals, based on earlier
-            errors.
+        prediction_calibration: calibration of the prediction intervals with the errors
+            of earlier predictions.
         buffer: buffer that sorts messages by sending time.
-        time: time to which the filters have advanced, on the local clock, s, or NaN
-            before the first message.
+        time: time on the local clock to which the filters have advanced, s, or NaN
+            before the first measurement.
         skipped: total time for which messages were skipped because the machine was too
             slow, s.
         interruptions: number of times that the robot restarted or sent no message for
@@ -115,17 +114,20 @@ class Shadow:
         seed: int = 0,
         frames: Mapping[str, int] | None = None,
     ) -> None:
-        """Initialise the live twin with the values of the robot file.
+        """Initialise the live twin with the nominal values of a robot.
 
         Args:
             spec: robot specification.
-            supply_pa: nominal gauge supply pressure, Pa. If None, the pressure is taken
-                from `spec`.
+            supply_pa: nominal gauge supply pressure, Pa, or None to use the pressure in
+                `spec`.
             members: number of ensemble members.
             seed: random seed.
-            frames: connector number of each body in motion capture, counted from 1 at
-                the head. If None, the bodies must be named "connector_1", "connector_2"
-                and so on.
+            frames: connector number of each motion capture body, counted from 1 at the
+                head and keyed by body name. If None, the bodies must be named
+                "connector_1", "connector_2" and so on.
+
+        Raises:
+            InputError: the robot is spatial.
         """
         spec.require_planar("the live twin")
         n = spec.segments
@@ -159,11 +161,12 @@ class Shadow:
         Args:
             now: current time on the local clock, s.
             messages: messages that have arrived since the last call.
-            work_s: maximum computing time, s. The remaining messages wait for the next
-                call. Messages that are older than `MOST_BEHIND_S` are skipped.
+            work_s: maximum time for processing messages, s. The remaining messages wait
+                for the next call, but are skipped if they become older than
+                `MOST_BEHIND_S`.
 
         Returns:
-            Estimate for the time `now`, or None before the first message of the robot.
+            Estimate for the time `now`, or None before the first measurement.
         """
         if not self.receive(now, messages, work_s=work_s):
             return None
@@ -174,10 +177,10 @@ class Shadow:
     def receive(
         self, now: float, messages: Iterable[Message], *, work_s: float = math.inf
     ) -> bool:
-        """Advance the filters as `update` does, but do not compute an estimate.
+        """Process new messages as in `update`, but do not compute an estimate.
 
         Returns:
-            Whether the robot has sent a message.
+            Whether any measurement has been processed so far.
         """
         for message in messages:
             if message.kind in _KINDS:
@@ -186,8 +189,8 @@ class Shadow:
         self._due.extend(timed for timed in due if self._needed(timed.message))
         deadline = monotonic() + work_s
         while self._due and monotonic() < deadline:
-            # Messages with equal times are processed together, because the order of the
-            # corrections matters.
+            # Messages with equal times are processed together, because the result
+            # depends on the order of the corrections.
             at = self._due[0].time
             simultaneous = []
             while self._due and self._due[0].time == at:
@@ -195,24 +198,24 @@ class Shadow:
             self._use(at, simultaneous)
         if self._due and now - self._due[0].time > MOST_BEHIND_S:
             self._skip_due()
-        # The filters lag behind the current time by the holding time, because earlier
-        # messages may still arrive.
+        # The filters lag behind the current time by the holding time of the buffer,
+        # because earlier messages may still arrive.
         elif now - self.buffer.hold - self.time > _EXTRAPOLATE_AFTER_S:
             self._advance(now - self.buffer.hold)
         return not math.isnan(self.time)
 
     @property
     def waits(self) -> bool:
-        """Whether any received message has not been processed yet."""
+        """Whether any received message is waiting to be processed."""
         return self.buffer.waits or bool(self._due)
 
     def predict(self) -> Prediction:
-        """Predict the path of the next second for periodic or constant commands."""
+        """Predict the path over the next second from the current commands."""
         return self.prediction_calibration.inflate(self.prediction_task()())
 
     def prediction_task(self) -> Callable[[], Prediction]:
-        """Return a function that computes a prediction in another thread."""
-        # All inputs are copied here, because the filter changes while the other thread
+        """Return a function that another thread can call to compute a prediction."""
+        # All inputs are copied here, because the filters change while another thread
         # computes the prediction.
         per_step = round(_PREDICTION_STEP_S / SLOT_S)
         slots = round(HORIZON_S / SLOT_S)
@@ -286,8 +289,7 @@ class Shadow:
             return False
         self._used[message.source] = message.sent
         if message.kind != POSES and abs(interval) > LOST_AFTER_S:
-            # Decreasing time stamps show that the robot has restarted. The chambers are
-            # then empty.
+            # After a restart or a long silence of the robot, the pressures are unknown.
             self.faults.restart()
             self.interruptions += math.isfinite(interval)
         return True
@@ -309,14 +311,13 @@ class Shadow:
         for message in measured:
             self._update_faults(time, message)
         self.ensemble.set_modules(self.faults.modules())
-        # The fault detector must process bends before pressures. The ensemble is most
-        # accurate if the bends are processed last.
+        # The fault detector must process bends before pressures, but the ensemble is
+        # most accurate if the bends are processed last.
         for message in reversed(measured):
             self._correct_ensemble(message)
         self.ensemble.apply_odometry()
         kinds = {message.kind for message in measured}
-        # Only frames of motion capture contain information about the position and the
-        # heading.
+        # Only motion capture frames contain information about the position and heading.
         bends_corrected = not kinds.isdisjoint((BENDS, PRESSURES))
         corrected = [bends_corrected, POSES in kinds, POSES in kinds]
         self._intervals.update(time, _state(self.ensemble), corrected)
@@ -349,7 +350,6 @@ class Shadow:
         poses = np.full((self.spec.segments + 1, 3), np.nan)
         for name, row in zip(message.names, message.values, strict=True):
             if name in self._frames:
-                # The robot moves on a plane, so the height z is ignored.
                 poses[self._frames[name] - 1] = row[[0, 1, 3]]
         seen = ~np.isnan(poses[:, :2]).any(axis=1)
         if not seen.any():
@@ -373,7 +373,7 @@ class Shadow:
             return
         if time - self.time > LOST_AFTER_S:
             # The motion during a long pause is unknown, so the position is initialised
-            # with the next frame.
+            # again with the next motion capture frame.
             self.ensemble.placed = False
             self.time = time - LOST_AFTER_S
         slots = math.ceil((time - self.time) / SLOT_S - 1e-6)
@@ -384,8 +384,6 @@ class Shadow:
             duties = self._commands.at(
                 self.time + (np.arange(steps) + 0.5) * dt / steps
             )
-            # One sample per slot is sufficient, because periods are whole numbers of
-            # slots.
             self.command_period.add(self.time + dt / 2, duties[0])
             self.faults.predict(duties.mean(axis=0), dt)
             self.ensemble.predict(self._valve_input(duties), dt)
@@ -399,8 +397,8 @@ class Shadow:
         steps = math.ceil(dt / _PRESENT_STEP_S - 1e-6)
         times = now - dt + (np.arange(steps) + 0.5) * dt / steps
         duties = self._commands.at(times, self.buffer.waiting(COMMAND))
-        # A copy of the filter is predicted, because messages for that time may still
-        # arrive.
+        # Only a copy of the filter is advanced, because messages for this time may
+        # still arrive.
         present = self.ensemble.copy(_PREDICTION_MEMBERS)
         present.predict(self._valve_input(duties), dt, _PRESENT_STEP_S)
         present.apply_odometry()
@@ -445,8 +443,8 @@ class Shadow:
         pose = state.value[n:]
         sd = state.sd * self._intervals.scale
         pose_sd = sd[n:]
-        # The spread of the ensemble does not include constant errors in sensors and
-        # transport delays, so these errors are added.
+        # The ensemble does not represent constant errors of sensors and transport
+        # delays, so their variances are added.
         sensor_sd = self.faults.corrected(bend).sd
         delay_sd = TRANSPORT_DELAY_S * ensemble.mean("motion")[3:]
         x, y, turn = ensemble.odometry.twist
@@ -476,7 +474,7 @@ def _state(ensemble: EnsembleFilter) -> Estimates:
 
 
 def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
-    """Parse texts ``BODY=CONNECTOR`` and return the connector number of each body.
+    """Parse texts of the form ``BODY=CONNECTOR`` into connector numbers by body name.
 
     Raises:
         InputError: a pair is malformed, or a connector is unknown.

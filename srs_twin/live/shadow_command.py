@@ -40,21 +40,18 @@ class LabOptions:
     Options:
         robot: Name of a shipped robot, or path of a robot file. [default: from --setup]
         mqtt: Address of the MQTT broker. [default: 127.0.0.1:1883, or none with --mcap]
-        natnet: Address of the NatNet server of the motion capture system. [default:
-            none]
+        natnet: Address of the motion capture server (NatNet). [default: none]
         name: Name of the robot in the MQTT topics. [default: ROBOT]
-        body: Name of a rigid body in the motion capture data, and number of the
-            connector that carries it (1 is the head). Can be repeated. [default:
+        body: Name of a rigid body in motion capture, and number of its connector,
+            counted from 1 at the head. Can be repeated. [default:
             connector_1=1 and so on]
-        local: Network address of this machine at which the motion capture frames
-            arrive.
-        up: Axis of the motion capture frames that points upwards: y or z.
-        allow_zero_margin: If there is no path with a margin to the obstacles, continue
-            without a margin instead of stopping (see docs/live.md#steering).
+        local: Address of this machine to which the motion capture server sends frames.
+        up: Upward axis of the motion capture system (y or z).
+        allow_zero_margin: Continue without a margin to the obstacles, instead of
+            stopping, if no path has a margin (see docs/live.md#steering).
         duration: Stop after this many seconds. [default: run until Ctrl-C]
         user: User name for the MQTT broker.
-        ca: PEM file with the CA certificate of the MQTT broker. This option enables
-            TLS.
+        ca: PEM file with the CA certificate of the MQTT broker, which enables TLS.
     """
 
     robot: Annotated[str | None, argument("ROBOT", shipped=["robot"])] = None
@@ -71,7 +68,9 @@ class LabOptions:
     ca: Annotated[Path | None, option("--ca FILE")] = None
 
     def with_setup(self, path: Path, context: typer.Context) -> LabOptions:
-        """Read options from a set-up file, unless they are given on the command line.
+        """Return these options with values from a set-up file.
+
+        Options on the command line override the file.
 
         Raises:
             InputError: the file cannot be read or has errors.
@@ -86,26 +85,25 @@ class LabOptions:
 
     @property
     def topic_name(self) -> str:
-        """Name of the robot in MQTT topics."""
+        """Name of the robot in the MQTT topics."""
         return self.name or Path(str(self.robot)).stem
 
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """Options of a session of `srs-twin shadow`.
+    """Session options of `srs-twin shadow`.
 
     Options:
         setup: YAML file with the options of your lab (see `srs-twin schema setup`).
-            Options on the command line replace the options in this file. [default:
-            none]
-        mcap: Journal of an earlier session, which is processed instead of live
-            messages.
+            Options on the command line override the file. [default: none]
+        mcap: Journal of an earlier session, which is replayed instead of receiving
+            live messages.
         speed: Playback speed of the journal relative to real time.
-        out: Output folder. If an earlier live twin saved its state in this folder, the
+        out: Output folder. If an earlier session saved its state in this folder, the
             state is restored.
         follow: Scenario whose planned path the robot follows (name of a shipped
             scenario, or path of a file).
-        members: Number of members in the ensemble of the state estimator.
+        members: Number of ensemble members in the state estimator.
         seed: Seed of the random number generator.
         window: Show the live view in a Rerun window.
         web: Show the live view in a browser on this machine.
@@ -123,7 +121,7 @@ class SessionOptions:
 
     @property
     def keys(self) -> str:
-        """Description of the keys that control the session."""
+        """Text that describes the keys for controlling the session."""
         if self.mcap is not None:
             return ""
         if self.follow is not None:
@@ -140,13 +138,13 @@ def shadow(
 ) -> None:
     """Estimate the state of a running robot and detect faults.
 
-    The live twin also predicts the motion. It receives commands, bends and pressures
-    over MQTT and motion capture frames over NatNet, or reads them from a journal. With
-    --follow, it also steers the robot along a path. The keys p (pause), g (go), v
-    (vent) and s (stop) control the session. Messages on the topic srs/NAME/control with
-    the text pause, go, vent or stop do the same. docs/live.md describes the messages.
-    The password of the MQTT user is read from the environment variable
-    SRS_TWIN_MQTT_PASSWORD.
+    The live twin receives commands, bends and pressures over MQTT, and motion capture
+    frames over NatNet. With --mcap, it reads these messages from a journal instead. The
+    live twin also predicts the motion and, with --follow, steers the robot along a
+    path. The session is controlled with the keys p (pause), g (go), v (vent) and s
+    (stop), or with the words pause, go, vent and stop on the topic srs/NAME/control.
+    The messages are described in docs/live.md. The MQTT password is read from the
+    environment variable SRS_TWIN_MQTT_PASSWORD.
     """
     from threadpoolctl import threadpool_limits
 
@@ -154,7 +152,7 @@ def shadow(
     from srs_twin.robot.file import load_robot
 
     lab = _checked(lab, options, context)
-    # A single thread is used, because the matrices are too small for several threads.
+    # BLAS uses a single thread, because the matrices are too small for several threads.
     threadpool_limits(limits=1, user_api="blas")
     twin, steering = _twin(load_robot(str(lab.robot)), lab, options)
     over = interruption()

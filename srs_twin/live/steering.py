@@ -1,4 +1,4 @@
-"""Steering of a robot based on the state estimate of its live twin."""
+"""Steering of a robot with the state estimate of its live twin."""
 
 from __future__ import annotations
 
@@ -20,15 +20,14 @@ from srs_twin.robot.world import Pose
 from srs_twin.scenario.scenario import Scenario
 
 PATIENCE_S = 3.0
-"""Time without an estimate or without supply pressure after which the steering ends, s.
-"""
+"""Time without a valid estimate or supply pressure after which the steering ends, s."""
 PAUSE_LIMIT_S = 30.0
 """Maximum duration of a pause, s.
 
-After this time the chambers are vented, so that a forgotten robot does not remain
+After a longer pause, the chambers are vented, so that a forgotten robot does not remain
 pressurised.
 """
-# Reasons for the end of the steering, in addition to the follower's reasons.
+# Reasons for ending the steering, in addition to the reasons of the path follower.
 LOST = "estimate_lost"
 EMPTY = "supply_empty"
 STOPPED = "stopped"  # The session ended before the end of the path.
@@ -36,24 +35,22 @@ TOO_SLOW = "estimate_too_old"
 LEAST_MARGIN = 0.25
 """Minimum margin of a new plan, as a fraction of the scenario's margin.
 
-If there is no plan with this margin, the robot is stopped. The value is based on 100
-simulated runs of 3.5 m for each shipped footprint. Without a margin, 98 to 100 % of the
-runs leave the planned footprint, so contact is almost certain. With a quarter of an 80
-mm margin, 52 to 93 % leave it, and with half of that margin, 1 to 19 %.
+The robot is stopped if no plan has this margin. The value is based on 100 simulated
+runs of 3.5 m for each shipped footprint. Without a margin, 98 to 100 % of the runs
+leave the planned footprint, so contact is almost certain. With a
+quarter of an 80 mm margin, 52 to 93 % of the runs leave the footprint. With half of an
+80 mm margin, 1 to 19 % of the runs leave the footprint.
 """
 _LARGEST_SD_M = 0.0125
-"""Maximum standard deviation of the position for steering, m.
-
-The value is half the usual margin to obstacles.
-"""
+"""Standard deviation of the position above which the robot is not steered, m."""
 _UNCERTAIN_S = 0.2
-"""Time with too large a standard deviation after which the robot is vented, s.
+"""Time with a position uncertainty above `_LARGEST_SD_M` before the robot vents, s.
 
-A late frame of motion capture increases the standard deviation for some ticks.
-Generation 2 crawls 45 mm during this time.
+The robot does not vent immediately, because a late motion capture frame increases the
+standard deviation for some ticks. Generation 2 crawls 45 mm during this time.
 """
 _SETTLING_S = 1.0
-"""Initial time in which the robot rests and its pose is estimated, s."""
+"""Time for which the robot rests at the start while its pose is estimated, s."""
 _NEAR_M = 0.03
 """Distance from the scenario's initial position above which a new path is planned, m.
 """
@@ -61,21 +58,20 @@ _NEAR_RAD = 0.05
 """Deviation from the scenario's initial heading above which a new path is planned, rad.
 """
 _EMPTY_BELOW = 0.3
-"""Fraction of the nominal supply pressure below which the robot cannot be steered.
+"""Fraction of the nominal supply pressure below which the robot is not steered.
 
-Half of the nominal pressure is sufficient.
+Steering is still possible at half of the nominal pressure.
 """
 _MODEL_FIELDS = {("actuator", "bend_limit"), ("supply", "limit_source")}
-"""Model settings and texts that may differ between the robot of the scenario and the
-real robot.
-"""
+"""Fields that may differ between the scenario's robot and the real robot."""
 
 
 def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
-    """Return the fields in which two robots differ, with the values of each robot.
+    """Describe the fields in which two robot specifications differ.
 
-    Names, titles and model settings such as the bend limit are not compared. Properties
-    of individual modules are not compared either, because the live twin estimates them.
+    Names, titles and model settings such as the bend limit are not compared. The
+    properties of individual modules are ignored as well, because the live twin
+    estimates them.
     """
     texts = []
     for field in fields(RobotSpec):
@@ -86,7 +82,6 @@ def differences(one: RobotSpec, other: RobotSpec) -> list[str]:
         if not (is_dataclass(first) and type(first) is type(second)):
             texts.append(f"{field.name} ({_short(first)} and {_short(second)})")
             continue
-        # The parameters are compared individually, so that the message can name them.
         for inner in fields(first):
             name = inner.name
             a = getattr(first, name)
@@ -105,10 +100,9 @@ def _short(value: object) -> str:
 class EstimateSteering:
     """Path follower that uses the state estimate of a live twin.
 
-    If a valve is stuck, the segment is kept straight by filling or venting both
+    If a valve is stuck, its segment is kept straight by filling or venting both
     chambers, and a new path is planned. All chambers are vented while the position is
-    unknown. After a loss of supply pressure, the steering ends and all chambers are
-    vented.
+    unknown. The steering ends after a loss of supply pressure.
     """
 
     def __init__(
@@ -125,13 +119,11 @@ class EstimateSteering:
             scenario: scenario whose controller follows a planned path.
             shadow: live twin of the robot.
             tick: control period of the robot, s.
-            allow_zero_margin: whether the robot continues without any margin to
-                obstacles. Otherwise the robot stops if the margin is below
-                `LEAST_MARGIN`.
+            allow_zero_margin: whether the robot may continue without a margin to
+                obstacles. Otherwise, new plans need the margin given by `LEAST_MARGIN`.
 
         Raises:
-            InputError: the scenario has no planned path, or is intended for another
-                robot.
+            InputError: the scenario has no planned path or belongs to another robot.
         """
         controller = scenario.build_controller()
         if not isinstance(controller, Follower):
@@ -182,8 +174,8 @@ class EstimateSteering:
     def control(self, word: str) -> None:
         """Obey a control word.
 
-        `PAUSE` keeps the valve states unchanged, `VENT` vents all chambers, and `GO`
-        continues the steering.
+        `PAUSE` repeats the last command, `VENT` vents all chambers, and `GO` continues
+        the steering.
         """
         if word != self._control:
             self._control = word
@@ -191,21 +183,18 @@ class EstimateSteering:
             self._log(f"control: {word}")
 
     def step(self, estimate: Estimate | None, shadow: Shadow) -> np.ndarray:
-        """Return the command of one tick, shape (segments, 2).
-
-        The command contains valve states or duties.
-        """
+        """Return the valve states or duties for one tick, shape (segments, 2)."""
         self._last = self._command(estimate, shadow)
         return self._last
 
     def give_up(self, ending: str) -> None:
-        """End the steering for the given reason."""
+        """End the steering for a given reason."""
         if not self._given_up:
             self._given_up = ending
             self._log(ending)
 
     def summary(self) -> dict[str, object]:
-        """Return the reason for the end, the duration and the events as JSON values."""
+        """Return the ending, duration and events of the steering as JSON values."""
         return {
             "ending": self._given_up or self.follower.ending or STOPPED,
             "seconds": self._steps * self._tick,
@@ -269,13 +258,11 @@ class EstimateSteering:
         self._steps += 1
         for event in self.follower.events():
             self._events.append((event.time, f"{event.kind}: {event.text}"))
-        # The robot itself modulates the valves, so the command contains duties instead
-        # of valve states within a tick.
+        # The robot modulates its valves itself, so the command contains one duty per
+        # valve instead of several valve states per tick.
         if valves.ndim == 3:
             valves = valves.mean(axis=0)
         duty = valves / 2 + 0.5
-        # Equal pressures in the + and − chambers keep a segment with a stuck valve
-        # straight.
         duty[stuck == ChamberBehaviour.FILLS] = 1.0
         duty[stuck == ChamberBehaviour.VENTS] = 0.0
         if np.isin(duty, (0.0, 1.0)).all():
@@ -283,9 +270,9 @@ class EstimateSteering:
         return duty
 
     def _begin(self, estimate: Estimate, shadow: Shadow) -> None:
-        # The follower must not simulate noise and delays, because the noise and delays
-        # of the real robot already affect the estimate. Commands take effect one tick
-        # after the estimate.
+        # The follower simulates no noise and no command delay, because the real noise
+        # and delays already affect the estimate. A command takes effect one tick plus
+        # `DELAY_S` after the estimate.
         follower = self.follower
         follower.conditions = replace(
             follower.conditions,

@@ -1,11 +1,10 @@
-"""Path planning with footprints, and controllers that follow plans (Section 5.2).
+"""Path planning with footprints, and path-following control (Section 5.2).
 
-`plan(problem)` returns a `Plan`. The module `best_first` grows search trees of arcs and
-Dubins paths from the start and from the goal, with exact collision checks. If the first
-search does not succeed, `free_space` tries to prove that no path exists. The module
-`guidance` computes a heuristic that takes obstacles into account, and entry poses of
-narrow passages. The modules `follower` and `steering` make a snake follow a plan by
-changing the offset of its gait.
+The function `planner.plan` computes a `Plan` for a `Problem`. The module `best_first`
+searches for a path with exact collision checks. If the first round of the search fails,
+the module `free_space` tries to prove that no path exists. The module `guidance` finds
+narrow passages and computes a search heuristic that takes obstacles into account. The
+modules `follower` and `steering` adjust the gait offset so that a snake follows a plan.
 """
 
 from typing import TYPE_CHECKING

@@ -1,30 +1,31 @@
-r"""Arcs of constant curvature, and exact checks of the area that the body sweeps.
+r"""Arcs of constant curvature, and exact collision checks of the swept area.
 
-Let a point be at the distance u ahead of the middle of an arc of curvature κ and at the
-distance w to the left. The path coordinates of the point are
+Consider a point that lies a distance u ahead of the midpoint of an arc with curvature
+κ, and a distance w to the left of the midpoint. The path coordinates of this point are
 
 $$ n = \frac{2w - κ(u^2 + w^2)}{1 + \sqrt{(κu)^2 + (1 - κw)^2}}, \qquad
    s = \frac{1}{κ}\,\mathrm{atan2}(κu, 1 - κw) , $$
 
 where n is the signed distance from the arc, positive to the left, and s is the position
-along the arc. The formulas for n and s are accurate even if κ is close to 0. While the
-centre of mass moves along the arc from s = -h to s = h, the body sweeps the annular
-sector |s| ≤ h, -r ≤ n ≤ l (Figs. 52 and 58). A point with |s| ≤ h has the distance
-max(n - l, -r - n, 0) from this sector. The distance of any other point is the distance
-from the nearer end of the sector, which is a straight line of length l + r across the
-path. A circular obstacle does not overlap the sector if the distance of its centre is
-at least its radius.
+along the arc, measured from the midpoint.
 
-A side of a polygon is divided into pieces at its intersections with the edges n = l and
-n = -r (quadratic equations) and with the ends s = ±h (linear equations). The side does
-not overlap the sector if no piece has its midpoint in the sector. A polygon that
-contains the whole sector needs no check. The sectors of a plan are connected, and the
-first sector starts outside all polygons. A path into the polygon would therefore cross
-a side in an earlier sector.
+While the body moves along the arc, it sweeps the annular sector |s| ≤ h, -r ≤ n ≤ l
+(Figs. 52 and 58). Here, l and r are the distances from the arc to the left and right
+edges, and the length 2h includes the parts of the body ahead of and behind the centre
+of mass. A point with |s| ≤ h is at a distance of max(n - l, -r - n, 0) from the sector.
+For any other point, the distance is measured to the nearer end of the sector, which is
+a straight line across the path. A circular obstacle does not overlap the sector if the
+distance between its centre and the sector is at least its radius.
 
-Motion primitives are the arcs from a search node to its children (Section 5.2.1). The N
-arcs have turns α from -α_max to α_max and a length of v Δt. With θ' = θ + α and r =
-vΔt/α (Eq. 33 with corrected signs, E7), the end of an arc is
+A polygon side is split where it crosses n = l or n = -r (quadratic equations) and where
+it crosses s = ±h (linear equations). The side does not overlap the sector if no
+resulting piece has its midpoint in the sector. A polygon that contains the whole sector
+needs no check, because a path from outside crosses a side of the polygon in an earlier
+sector.
+
+The motion primitives of the search are N arcs of length v Δt with turning angles α from
+-α_max to α_max (Section 5.2.1). With θ' = θ + α and r = vΔt/α, an arc ends at the
+position (Eq. 33 with corrected signs, E7)
 
 $$ x' = x + r(\sin θ' - \sin θ), \qquad y' = y - r(\cos θ' - \cos θ) $$
 """
@@ -43,23 +44,23 @@ from srs_twin.errors import InputError
 from srs_twin.robot.world import Pose
 
 ROUNDING_MARGIN = 1e-7
-"""Distance added in all collision checks, m.
+"""Distance added to the swept area and to obstacles in collision checks, m.
 
-Rounding errors are below 1e-11 m in worlds of a kilometre.
+Rounding errors are below 1e-11 m in a world with a size of 1 km.
 """
 
 ArcSequence = list[tuple[float, float]]
-"""Curvature (1/m) and length (m) of consecutive arcs."""
+"""Consecutive arcs as pairs of curvature (1/m) and length (m)."""
 
 _STRAIGHT = 1e-9
-"""Curvature (1/m) or half turn (rad) below which an arc is straight, to avoid 0/0."""
+"""Curvature (1/m) or half turning angle (rad) below which an arc counts as straight."""
 
 
 @compiled
 def arc_end(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
-    """Return the pose after a length (m) along an arc (Eq. 33, corrected by E7)."""
+    """Return the pose (m, rad) at the end of an arc (Eq. 33, corrected by E7)."""
     half = curvature * length / 2
-    # The chord and half the turn are used, because Eq. 33 is inaccurate at small
+    # The end is computed from the chord, because Eq. 33 is inaccurate at small
     # curvatures.
     chord = length
     if abs(half) > _STRAIGHT:
@@ -72,13 +73,13 @@ def arc_end(x, y, heading, curvature, length):  # type: ignore[no-untyped-def]
 
 
 class Extent(NamedTuple):
-    """Extent of the body about its centre of mass.
+    """Extent of the body around its centre of mass.
 
     Attributes:
         ahead, behind: distances from the centre of mass to the head and to the tail
             along the arc, m.
-        left, right: distances of the left and right edges of the footprint from the
-            path, m.
+        left, right: distances from the path to the left and right edges of the
+            footprint, m.
     """
 
     ahead: float
@@ -88,12 +89,7 @@ class Extent(NamedTuple):
 
 
 class PathFrame(NamedTuple):
-    """Position and heading at a point of an arc.
-
-    Attributes:
-        x, y: position, m.
-        heading: heading, rad.
-    """
+    """Coordinate frame (m, rad) on an arc, with cosine and sine of the heading."""
 
     x: float
     y: float
@@ -103,15 +99,15 @@ class PathFrame(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Area swept along an arc, in coordinates relative to the middle of the arc.
+    """Area swept along an arc, described relative to the midpoint of the arc.
 
     Attributes:
         curvature: arc curvature, 1/m.
-        half: half the length h of the area along the arc, m.
-        left, right: distances of the left and right edges from the arc, m.
-        reach: radius of a circle about the middle of the arc that contains the area, m.
-        end: pose at the front end of the area, where x and y are the coordinates u and
-            w.
+        half: half-length h of the area along the arc, m.
+        left, right: distances from the arc to the left and right edges, m.
+        reach: radius of a circle around the midpoint that encloses the area, m.
+        end: frame at the front end of the area, with x and y measured ahead of the
+            midpoint and to its left.
     """
 
     curvature: float
@@ -140,10 +136,10 @@ def _local(frame, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-untyped-def]
-    """Return whether the swept area of an arc hits an obstacle or leaves the bounds.
+    """Return whether the area swept along an arc hits an obstacle or leaves the bounds.
 
-    `pose` is the pose of the centre of mass at the start (m, rad). The curvature is in
-    1/m, and the length is in m.
+    The initial pose of the centre of mass is in m and rad, the curvature in 1/m, and
+    the length in m.
     """
     h = (length + extent.ahead + extent.behind) / 2 + ROUNDING_MARGIN
     x, y, heading = arc_end(
@@ -155,7 +151,7 @@ def arc_collides(pose, curvature, length, extent, grid):  # type: ignore[no-unty
     )
     left = extent.left + ROUNDING_MARGIN
     right = extent.right + ROUNDING_MARGIN
-    # A long area is divided into pieces that overlap only a few grid cells each.
+    # A long area is divided into pieces, each of which overlaps only a few grid cells.
     count = max(1, int(np.ceil(h / max(grid.cell, left + right))))
     half = h / count
     end = _frame(0.0, 0.0, 0.0, curvature, half)
@@ -204,11 +200,10 @@ def _touches_circle(middle, region, circle):  # type: ignore[no-untyped-def]
     radius = circle[2] + ROUNDING_MARGIN
     dx = circle[0] - middle.x
     dy = circle[1] - middle.y
-    # A cheap test with the bounding circle rules out most obstacles.
     if dx * dx + dy * dy >= (region.reach + radius) * (region.reach + radius):
         return False
     u, w = _local(middle, circle[0], circle[1])
-    # The swept area is symmetric about u = 0, so u can be taken as positive.
+    # The sign of u is irrelevant, because the swept area is symmetric about u = 0.
     return _region_distance(abs(u), w, region) < radius
 
 
@@ -226,7 +221,10 @@ def _touches_side(middle, region, side):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def path_coordinates(u, w, curvature):  # type: ignore[no-untyped-def]
-    """Return n and s (m) of a point u ahead and w to the left of the arc's middle."""
+    """Return the path coordinates n and s (m) of a point near an arc.
+
+    The point lies u (m) ahead and w (m) to the left of the arc point with s = 0.
+    """
     ku = curvature * u
     kw = 1 - curvature * w
     n = (2 * w - curvature * (u * u + w * w)) / (1 + np.sqrt(ku * ku + kw * kw))
@@ -249,7 +247,7 @@ def _region_distance(u, w, region):  # type: ignore[no-untyped-def]
 def _distance_from_origin(ax, ay, bx, by):  # type: ignore[no-untyped-def]
     dx = bx - ax
     dy = by - ay
-    # The lower limit of the denominator avoids 0/0 for a segment of length 0.
+    # The minimum of the denominator avoids 0/0 for a line of length 0.
     t = min(1.0, max(0.0, -(ax * dx + ay * dy) / max(dx * dx + dy * dy, 1e-300)))
     px = ax + t * dx
     py = ay + t * dy
@@ -262,9 +260,9 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
     end = region.end
     du = bu - au
     dw = bw - aw
-    # The edge n = e is the circle κ(u² + w²) - 2w + 2e - κe² = 0. On the side of a
-    # polygon, u and w are linear in t, so this is a quadratic equation a t² + 2 b t + c
-    # = 0.
+    # The edge n = e lies on the circle κ(u² + w²) - 2w + 2e - κe² = 0. Along a polygon
+    # side, u and w are linear in t, so the side crosses the circle at the roots of a
+    # quadratic polynomial a t² + 2 b t + c.
     a = curvature * (du * du + dw * dw)
     b = curvature * (au * du + aw * dw) - dw
     c = curvature * (au * au + aw * aw) - 2 * aw
@@ -279,8 +277,8 @@ def _side_crosses(au, aw, bu, bw, region):  # type: ignore[no-untyped-def]
         end.cosine * du - end.sine * dw,
     )
     cuts = (0.0, front, back, left[0], left[1], right[0], right[1])
-    # The side touches the swept area if a piece between two neighbouring intersections
-    # has its midpoint in the area.
+    # The side touches the swept area if the midpoint between two neighbouring
+    # intersections is in the area.
     for first in cuts:
         last = 1.0
         for cut in cuts:
@@ -305,12 +303,11 @@ def _fraction(numerator, denominator):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _roots(a, b, c):  # type: ignore[no-untyped-def]
-    """Return the roots of a t² + 2 b t + c between 0 and 1, or 0 for a missing root."""
+    """Return the roots of a t² + 2 b t + c in (0, 1), with 0 for each missing root."""
     square = b * b - a * c
     if square < 0:
         return 0.0, 0.0
-    # Adding terms of equal sign avoids cancellation in the first root. The second root
-    # is computed from the product of the two roots.
+    # To avoid cancellation, the second root follows from the product c/a of both roots.
     if b >= 0:
         q = -(b + np.sqrt(square))
     else:
@@ -320,8 +317,8 @@ def _roots(a, b, c):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
-    # Most swept areas are far from the bounds, so their bounding squares are tested
-    # first.
+    # A bounding square is tested first, because most swept areas are far from the
+    # bounds.
     if (
         bounds.west <= middle.x - region.reach
         and middle.x + region.reach <= bounds.east
@@ -334,7 +331,7 @@ def _leaves_bounds(middle, region, bounds):  # type: ignore[no-untyped-def]
             return True
     if region.curvature == 0:
         return False
-    # An edge has its maximum x or y where it is parallel to an axis.
+    # A curved edge reaches its extreme x or y where it is parallel to an axis.
     for quarter in range(4):
         turn = quarter * np.pi / 2 - middle.heading
         turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
@@ -357,12 +354,11 @@ def _edge_is_outside(middle, region, s, bounds):  # type: ignore[no-untyped-def]
 
 @dataclass(frozen=True)
 class Primitives:
-    """Motion primitives: arcs of equal length with evenly spaced curvatures.
+    """Motion primitives, which are arcs of equal length and evenly spaced curvatures.
 
     Attributes:
-        count: number N of arcs, which is odd and at least 3, so that the middle arc is
-            straight.
-        turn: maximum turn α_max of one arc, less than π, rad.
+        count: number N of arcs, odd and at least 3, so that the middle arc is straight.
+        turn: maximum turning angle α_max of an arc, between 0 and π, rad.
         length: length v Δt of each arc, m.
     """
 
@@ -386,11 +382,11 @@ class Primitives:
 
     @cached_property
     def curvatures(self) -> np.ndarray:
-        """Curvatures (1/m) from the tightest right turn to the tightest left turn."""
+        """Curvatures from the tightest right turn to the tightest left turn, 1/m."""
         return np.linspace(-self.turn, self.turn, self.count) / self.length
 
     def children(self, pose: Pose) -> list[Pose]:
-        """Return the pose at the end of each arc, in the order of `curvatures`."""
+        """Return the end poses of all arcs from a pose, ordered by curvature."""
         ends = (
             arc_end(pose.x, pose.y, pose.heading, float(k), self.length)
             for k in self.curvatures

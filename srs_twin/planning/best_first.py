@@ -1,9 +1,9 @@
-"""Best-first search from the start and from the goal at increasing resolution.
+"""Best-first search for a path, with increasing resolution.
 
-The search grows a tree from the start. If the footprint has no transients, the search
-also grows a tree from the goal. If no tree succeeds in the first round, the planner
-tries to prove that no path exists. It then grows another tree with the heuristic from
-`guidance`. Finally, parts of the path are replaced by shorter Dubins paths.
+The search grows a tree from the start and, if the footprint has no transients, another
+tree from the goal. If the first round finds no path, the search tries to prove that
+none exists. Without a proof, the search adds a tree guided by the module `guidance`.
+Finally, shorter Dubins paths replace parts of the path.
 """
 
 from __future__ import annotations
@@ -44,38 +44,29 @@ from srs_twin.planning.search_tree import (
 from srs_twin.robot.world import Goal
 
 _CURVATURES = 5
-"""Number of curvatures at the coarsest level."""
+"""Number of arc curvatures at the two coarsest levels."""
 _COARSEST_TURN = 0.5
-"""Maximum turn of an arc at the coarsest level, rad."""
+"""Maximum turning angle of an arc at the coarsest level, rad."""
 _CELL_FRACTION = 0.35
-"""Side of a cell divided by the length of an arc.
-
-With this ratio the children of a node lie in different cells.
-"""
+"""Ratio of cell size to arc length, small enough to separate a node's children."""
 _SECTORS = 48
 """Number of heading sectors at the coarsest level.
 
-The width of a sector is half the minimum heading change of an arc.
+At this level, a sector is about half as wide as the smallest turning angle of an arc.
 """
 _GUIDED_WEIGHT = 1.5
-"""Weight of the cost-to-go in a search with guidance.
-
-A large weight makes the search find a path quickly, but the path may be longer than
-necessary.
-"""
+"""Minimum weight of the estimated remaining length in a guided search."""
 _FIRST_TURN_NODES = 1000
-"""Number of nodes that each tree expands in the first rounds before the next tree
-continues. The number doubles in later rounds.
-"""
+"""Nodes that each tree expands in rounds 1 and 2, doubled in each later round."""
 _MAX_TURN_NODES = 16_000
-"""Maximum number of nodes that a tree expands without a check of the time limit."""
+"""Maximum number of nodes that a tree expands between checks of the time limit."""
 
 
 class _LevelResult(NamedTuple):
     """Result of the search at one resolution.
 
-    `reason` explains why no path was found. `proven` is true if it was proven that no
-    path exists at any resolution.
+    Attributes:
+        proven: whether the search proved that no path exists at any resolution.
     """
 
     path: ArcSequence | None = None
@@ -84,7 +75,7 @@ class _LevelResult(NamedTuple):
 
 
 def best_first(problem: Problem, settings: Settings) -> Plan:
-    """Plan a path by best-first search, as described in `planner.plan`."""
+    """Plan a path by best-first search, within the budget of the settings."""
     search = _Search(problem, settings)
     best: tuple[Segment, ...] | None = None
     for level in range(settings.levels):
@@ -138,11 +129,7 @@ class _Search:
         )
 
     def start_trees(self, level: int) -> list[SearchTree]:
-        """Return the tree from the start and, without transients, one from the goal.
-
-        Each level halves the lengths of the arcs and cells of the previous level. From
-        the third level on, the arcs have more curvatures.
-        """
+        """Return a tree from the start and, without transients, one from the goal."""
         problem = self.problem
         body = self.problem.footprint
         factor = 2**level
@@ -166,7 +153,7 @@ class _Search:
             NO_PASSAGES,
         )
         trees = [SearchTree([problem.start], spec)]
-        # A path with transients is valid only in its direction of travel, so the search
+        # Transients depend on the direction of travel, so a search with transients
         # cannot start at the goal.
         if not body.transients:
             end = turned_around(problem.start)
@@ -174,8 +161,6 @@ class _Search:
                 Goal(end.x, end.y, end.heading, radius=0.0, heading_tolerance=0.0), body
             )
             roots = [turned_around(pose) for pose in goal_poses(problem.goal, sector)]
-            # The tree from the goal has the start as its target and uses the reversed
-            # body.
             backward = spec._replace(
                 primitives=make_motion_primitives(arcs, body.backward), target=home
             )
@@ -203,10 +188,9 @@ class _Search:
     ) -> _LevelResult:
         """Search at one resolution, and optionally try to prove that no path exists.
 
-        The trees take turns, and each tree expands more nodes in each round. If no arc
-        leads to the goal, the tree from the goal detects this immediately. A guided
-        tree is added after the first round, because its path may be longer than
-        necessary.
+        If no arc leads to the goal, the tree from the goal detects this immediately. A
+        guided tree is added only after the first round, because its path may be longer
+        than necessary.
         """
         for turn in count():
             if self.is_spent:
@@ -223,7 +207,7 @@ class _Search:
                     reason = f"no free arc leads {tree.way} to an untested pose"
                 if tree.exhausted or self.is_spent:
                     break
-            # The proof takes longer than an easy search, so the search comes first.
+            # The proof comes second, because an easy search takes less time.
             if turn == 0 and prove and (why := self.proof()):
                 return _LevelResult(reason=why, proven=True)
             if reason:

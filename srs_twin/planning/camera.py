@@ -1,8 +1,8 @@
-"""Motion capture of the snake pose, and the mean pose over one gait period.
+"""Motion capture of the snake's pose, and averaging over one gait period.
 
-As the body undulates, the mean heading of the connectors oscillates by several tenths
-of a radian about the direction of travel. The mean over exactly one gait period removes
-this oscillation, but lags by half a period.
+As the body undulates, the measured heading oscillates by several tenths of a radian
+about the direction of travel. Averaging over exactly one gait period removes this
+oscillation, but delays the pose by half a period.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from srs_twin.plants.base import SnakeState
 
 _TIME_ROUNDING = 1e-9
-"""Tolerance for rounding errors in sums of time steps (s) and in frame numbers."""
+"""Tolerance for rounding errors in times (s) and in frame numbers."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Motion capture with a frame rate and measurement noise.
+    """Frame rate and measurement noise of a motion capture system.
 
     Attributes:
         rate_hz: frame rate, Hz.
-        position_noise: RMS error of each coordinate of the centre of mass, m.
-        heading_noise: RMS error of the mean heading, rad.
+        position_noise: RMS noise of each coordinate of the centre of mass, m.
+        heading_noise: RMS noise of the heading, rad.
     """
 
     rate_hz: float = 120.0
@@ -40,7 +40,7 @@ class Camera:
 
 
 class CameraFrames(Stateful):
-    """Camera frames of one run, with reproducible noise."""
+    """Simulated camera that captures frames with reproducible noise."""
 
     state_attributes = ("_next_frame", "_noise_state")
 
@@ -50,7 +50,7 @@ class CameraFrames(Stateful):
         self._next_frame = 0
 
     def restart(self) -> None:
-        """Restart the frames at time 0 without restarting the noise sequence."""
+        """Restart the frame times at 0, but continue the noise sequence."""
         self._next_frame = 0
 
     @property
@@ -65,8 +65,8 @@ class CameraFrames(Stateful):
         """Return the measured pose if a frame is due, otherwise None."""
         if float(state.time) * self._camera.rate_hz < self._next_frame - _TIME_ROUNDING:
             return None
-        # Several frames within one time step would show the same state, so one frame is
-        # enough.
+        # At most one frame is captured per time step, because further frames would show
+        # the same state.
         self._next_frame = (
             math.floor(float(state.time) * self._camera.rate_hz + _TIME_ROUNDING) + 1
         )
@@ -81,21 +81,20 @@ class CameraFrames(Stateful):
 
 
 class PeriodMean(Stateful):
-    """Running mean of the pose over one period.
-
-    The pose is interpolated linearly between frames.
+    """Running mean of the pose over one period, with linear interpolation.
 
     Attributes:
-        time: middle of the averaging interval, s.
-        pose: mean pose, or None if no frame has been added yet.
-        complete: whether the frames cover a whole period.
+        time: midpoint of the averaging interval, s.
+        pose: mean pose, or None before the first frame.
+        complete: whether the averaging interval covers a whole period.
     """
 
     state_attributes = ("_integrals", "_last", "time", "pose", "complete")
 
     def __init__(self, period: float) -> None:
         self._period = period
-        # Frame time, and integrals of x, y and heading since the first frame
+        # Each entry contains a frame time, and the integrals of x, y and heading from
+        # the first frame to this time.
         self._integrals: deque[tuple[float, np.ndarray]] = deque()
         self._last = np.zeros(3)
         self.time = 0.0
@@ -103,7 +102,7 @@ class PeriodMean(Stateful):
         self.complete = False
 
     def add(self, time: float, pose: Pose) -> None:
-        """Add the pose of a frame at a time (s), and unwrap its heading."""
+        """Add the pose measured at a time (s), and unwrap the heading."""
         integrals = self._integrals
         last = self._last
         period_start = time - self._period
@@ -115,7 +114,7 @@ class PeriodMean(Stateful):
             return
         turn = math.remainder(pose.heading - float(last[2]), 2 * math.pi)
         self._last = np.array([pose.x, pose.y, last[2] + turn])
-        # The trapezoidal rule is exact for a pose that is linear between frames.
+        # The trapezoidal rule is exact for a linearly interpolated pose.
         last_time, integral = integrals[-1]
         end_integral = integral + (time - last_time) / 2 * (last + self._last)
         integrals.append((time, end_integral))

@@ -1,4 +1,4 @@
-"""Collision checks of arcs and paths in a world, exact up to a rounding margin."""
+"""Collision checks for arcs and paths, exact except for a small rounding margin."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ CLEARANCE_ERROR_M = 1e-4
 """Width of the bisection interval at which `Checker.clearance` stops, m."""
 
 _MAX_GRID_CELLS = 256
-"""Maximum number of grid cells along a side. The grid then needs at most 1 MB."""
+"""Maximum number of grid cells along each side, which limits memory to about 1 MB."""
 
 _MIN_CELL_M = 1e-9
-"""Minimum size of a grid cell, for worlds in which all obstacles have zero size, m."""
+"""Minimum size of a grid cell, used if the obstacles have zero extent, m."""
 
 
 class Box(NamedTuple):
-    """Bounds of a world. Missing bounds are infinite."""
+    """Bounds of a world, which are infinite by default, m."""
 
     west: float = -math.inf
     east: float = math.inf
@@ -41,17 +41,17 @@ class Box(NamedTuple):
 
 
 class ObstacleGrid(NamedTuple):
-    """Obstacles and bounds, with a uniform grid for fast lookup.
+    """Obstacles and bounds of a world, with a uniform grid for fast lookup.
 
     Attributes:
-        circles: x, y and radius of the circles, m, shape (n, 3).
+        circles: x, y and radius of each circle, m, shape (n, 3).
         sides: x and y of the two ends of each polygon side, m, shape (m, 4).
         west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
-        cell_ranges: begin and end index in `cell_items` for each grid cell, shape
+        cell_ranges: start and stop indices in `cell_items` for each grid cell, shape
             (columns, rows, 2).
-        cell_items: indices of the obstacles that overlap each cell, with circles before
-            polygon sides, shape (k,).
+        cell_items: indices of the circles and then of the polygon sides in each cell,
+            shape (k,).
     """
 
     circles: np.ndarray
@@ -65,7 +65,7 @@ class ObstacleGrid(NamedTuple):
 
 
 def obstacle_grid(world: World) -> ObstacleGrid:
-    """Return the obstacles and bounds of a world as arrays for the compiled kernels."""
+    """Convert the obstacles and bounds of a world to arrays for compiled kernels."""
     circles = [(c.x, c.y, c.radius) for c in world.obstacles]
     rings = [(*p.corners, p.corners[0]) for p in world.polygons]
     sides = [(*a, *b) for ring in rings for a, b in pairwise(ring)]
@@ -80,7 +80,7 @@ def obstacle_grid(world: World) -> ObstacleGrid:
 
 
 def build_grid(circles: np.ndarray, sides: np.ndarray, bounds: Box) -> ObstacleGrid:
-    """Return a grid that lists the obstacles in each cell."""
+    """Return a grid that lists the circles and polygon sides in each cell."""
     radius = circles[:, 2:]
     ends = sides.reshape(-1, 2, 2)
     low = np.vstack([circles[:, :2] - radius, ends.min(axis=1)])
@@ -128,7 +128,7 @@ class Checker:
 
     @cached_property
     def grid(self) -> ObstacleGrid:
-        """Obstacles and bounds of the world as arrays for the compiled kernels."""
+        """Grid of the obstacles and bounds in the world."""
         return obstacle_grid(self.world)
 
     def is_arc_free(
@@ -138,13 +138,13 @@ class Checker:
         length: float,
         wider: tuple[float, float] = (0.0, 0.0),
     ) -> bool:
-        """Return whether the body touches neither obstacles nor bounds on an arc.
+        """Return whether the body is free of collisions on an arc.
 
         Args:
             pose: initial pose of the centre of mass, outside all polygons.
             curvature: arc curvature, 1/m.
             length: arc length, m.
-            wider: widths added to the left and right edges of the footprint, m.
+            wider: outward shifts of the left and right edges of the footprint, m.
         """
         body = self.footprint
         motion = self.footprint.at(curvature)
@@ -154,13 +154,13 @@ class Checker:
         return not arc_collides(tuple(pose), curvature, length, extent, self.grid)
 
     def is_path_free(self, segments: Sequence[Segment]) -> bool:
-        """Return whether a path with its transients is collision-free."""
+        """Return whether the body is free of collisions on a path with transients."""
         wider = (0.0, 0.0)
         lasting = 0.0
         none = (0.0, 0.0)
         for before, segment in zip((None, *segments), segments, strict=False):
-            # A change of offset starts a transient. Where transients overlap, the
-            # larger widths and the longer remaining length apply.
+            # If transients overlap, the larger shifts of the edges and the longer
+            # remaining length apply.
             if before is not None:
                 left, right, length = self.footprint.transient(
                     before.offset, segment.offset
@@ -182,11 +182,7 @@ class Checker:
         return True
 
     def clearance(self, segments: Sequence[Segment]) -> float:
-        """Return the width (m) that can be added to each edge without a collision.
-
-        The result is at most `MAX_CLEARANCE_M`.
-        """
-        # The lower end of the interval is collision-free, and the upper end collides.
+        """Return how far both edges can be moved outward without a collision, m."""
         free, touching = (0.0, MAX_CLEARANCE_M)
         while touching - free > CLEARANCE_ERROR_M:
             middle = (free + touching) / 2
@@ -201,14 +197,19 @@ class Checker:
     def first_collision(
         self, pose: Pose, length: float = 0.0, wider: float = 0.0
     ) -> str:
-        """Describe an obstacle or bound that a straight path touches, if any.
+        """Describe an obstacle or bound that the body touches on a straight path.
 
-        `length` is the length of the path (m), and `wider` is a width (m) that is added
-        to each edge of the footprint.
+        Args:
+            pose: initial pose of the centre of mass.
+            length: path length, m.
+            wider: outward shift of both edges of the footprint, m.
+
+        Returns:
+            Description, or an empty string if the body touches nothing.
         """
         both = (wider, wider)
-        # The whole world is tested first. Single obstacles are tested only to name the
-        # one that was hit.
+        # Single obstacles are tested only after a collision, to find the obstacle that
+        # the body touches.
         if self.is_arc_free(pose, 0.0, length, both):
             return ""
         parts = (
@@ -226,10 +227,9 @@ class Checker:
 
 
 def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
-    """Return the name, shape and radius of each obstacle.
+    """Return the name, shape and radius (m) of each obstacle.
 
-    An obstacle contains all points whose distance from the shape is at most the radius
-    (m).
+    An obstacle consists of the shape and of all points within the radius around it.
     """
     import shapely
 
@@ -244,7 +244,7 @@ def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:
 
 
 def obstacle_at(world: World, x: float, y: float) -> str:
-    """Describe the obstacle that contains a point, or the bounds that exclude it."""
+    """Describe what a point collides with, or return an empty string."""
     import shapely
 
     point = shapely.Point(x, y)

@@ -1,4 +1,4 @@
-"""Command `srs-twin plan`: plan the path of a scenario without simulating it."""
+"""Command `srs-twin plan`, which plans the path of a scenario."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ def plan(
     """Plan the path of a scenario without simulating it.
 
     Options:
-        --check: Exit with code 1 if no plan is found or if an expectation of the
-            scenario is not met.
+        --check: Exit with code 1 if an expectation of the scenario is not met. Also
+            exit with code 1 if no plan is found, unless the scenario states an
+            expectation for `plan_found`.
     """
     from srs_twin.cli.table import STATE_LABELS
     from srs_twin.planning.planned import PLAN, plan_scenario
@@ -58,7 +59,7 @@ def plan(
     elif not quiet:
         _print_plan(planned)
     say(f"files in {display_path(folder)}: {', '.join(planned.files)}", quiet=quiet)
-    # Standard output must contain only the JSON document.
+    # With --json, standard output must contain only the JSON document.
     write = say if as_json else print
     missed = [row for row in checked if verdict(row) == "missed"]
     for row in checked if not quiet else missed if check else ():
@@ -122,7 +123,7 @@ def _quality_words(quality: PathQuality, edges: str) -> str:
     length = "least length 0: the start is within the goal's radius"
     if ratio is not None:
         length = f"{ratio:.2f} times the least length around the obstacles"
-    # Clearances above this maximum are not computed.
+    # The checker does not compute clearances above `MAX_CLEARANCE_M`.
     if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M:
         more = "at least "
     else:

@@ -1,21 +1,20 @@
-r"""Dubins paths: shortest forward paths with a minimum turning radius.
+r"""Dubins paths, the shortest forward paths with a minimum turning radius.
 
-The shortest path with minimum radius r has three pieces (Dubins 1957). The pieces are
-arcs of radius r to the left (L) or right (R) and straight lines (S). The six possible
-sequences of pieces are LSL, LSR, LRL and their mirror images. All lengths are in units
-of r. Let d be the distance between the poses, a and b the headings relative to the line
-between the poses, and p the length of the middle piece. The sequences LSL and LSR
-satisfy
+The shortest path with a minimum turning radius r has three pieces (Dubins 1957). Each
+piece is an arc of radius r to the left (L) or to the right (R), or a straight line (S).
+The six possible sequences of pieces are LSL, LSR, LRL and their mirror images. In the
+following equations, all lengths are divided by r. The distance between the two poses is
+d, and the length of the middle piece is p. The headings a and b of the poses are
+measured from the line between the poses:
 
 $$ LSL: p^2 = 2 + d^2 - 2\cos(a-b) + 2d(\sin a - \sin b) \qquad
    LSR: p^2 = d^2 - 2 + 2\cos(a-b) + 2d(\sin a + \sin b) $$
 
-and LRL satisfies cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8, p > π. If the
-final heading is free, the shortest path consists of an arc and a straight line (Bui et
-al., 1994). If the end is inside a turning circle, the path consists of two arcs.
+For LRL, cos p = (6 - d² + 2 cos(a-b) + 2d(sin b - sin a))/8 with p > π.
 
-The available Python packages (`dubins` and other wrappers of the same C file) are
-unmaintained and have no wheels.
+If the final heading is free, the shortest path consists of an arc and a straight line
+(Bui et al., 1994). If the end point is inside a turning circle, the path consists of
+two arcs.
 """
 
 from __future__ import annotations
@@ -32,15 +31,14 @@ from srs_twin.robot.world import Pose
 _FULL_TURN = 2 * math.pi
 
 _ROUNDING = 1e-9
-"""Tolerance for rounding errors in distances (in radii) and angles (rad)."""
+"""Tolerance for rounding errors in distances (turning radii) and angles (rad)."""
 
 
 class DubinsPath(NamedTuple):
-    """Path of three pieces.
+    """Dubins path of three pieces.
 
     Attributes:
-        turns: direction of each piece, which is 1 for left, 0 for straight and -1 for
-            right.
+        turns: direction of each piece (1 for left, 0 for straight, -1 for right).
         lengths: length of each piece, m.
         length: path length, m.
     """
@@ -53,15 +51,13 @@ class DubinsPath(NamedTuple):
 def shortest_path(
     start: Pose, x: float, y: float, heading: float | None, radius: float
 ) -> ArcSequence:
-    """Return the three arcs of the shortest path to a pose or to a point.
-
-    An arc may have length 0.
+    """Return the shortest path as three arcs, some of which may have length 0.
 
     Args:
         start: start pose.
         x: x coordinate of the end, m.
         y: y coordinate of the end, m.
-        heading: heading at the end, rad, or None if the heading at the end is free.
+        heading: final heading, rad, or None for any heading.
         radius: turning radius, m.
     """
     path = dubins_path(
@@ -75,7 +71,7 @@ def shortest_path(
 def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the shortest Dubins path between two poses (m, rad).
 
-    If `any_heading` is set, the heading at the end is free and `to_heading` is ignored.
+    If `any_heading` is true, the final heading is free, and `to_heading` is ignored.
     """
     dx = (to_x - x) / radius
     dy = (to_y - y) / radius
@@ -94,8 +90,8 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
         d = np.sqrt(dx * dx + dy * dy)
         line = np.arctan2(dy, dx)
         if d < _ROUNDING:
-            # The line between two coinciding points has no direction. Rounding could
-            # therefore add a full turn.
+            # The line between coinciding points has no direction, so rounding errors
+            # could add a full turn.
             d = 0.0
             line = heading
         for side in (1.0, -1.0):
@@ -111,9 +107,8 @@ def dubins_path(x, y, heading, to_x, to_y, to_heading, any_heading, radius):  # 
 def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the shortest path among `best` and the sequences that begin with L or R.
 
-    The sequences begin with L if `side` is 1, and with R if `side` is -1. The distance
-    d is in units of the radius. The headings a and b are relative to the line between
-    the poses.
+    The sequences begin with L if `side` is 1, and with R if `side` is -1. The headings
+    a and b are relative to the line between the poses, and mirrored if `side` is -1.
     """
     sa = np.sin(a)
     sb = np.sin(b)
@@ -131,16 +126,15 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
     p = np.sqrt(max(square, 0.0))
     lengths = (_wrapped(turn - a), p, _wrapped(b - turn))
     best = _shorter(best, (side, 0.0, side), lengths)
-    # In LSR, the straight line is an inner tangent, which exists only if the circles do
-    # not overlap.
+    # In LSR, the straight line is an inner tangent, which exists only if the turning
+    # circles do not overlap.
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
     if square >= 0:
         p = np.sqrt(square)
         turn = np.arctan2(-ca - cb, d + sa + sb) - np.arctan2(-2.0, p)
         lengths = (_wrapped(turn - a), p, _wrapped(turn - b))
         best = _shorter(best, (side, 0.0, -side), lengths)
-    # In LRL, a third circle touches the two turning circles, which must be close to
-    # each other.
+    # LRL exists only if a third circle of equal radius can touch both turning circles.
     cosine = (6 - d * d + 2 * cab + 2 * d * (sb - sa)) / 8
     if abs(cosine) <= 1:
         p = _FULL_TURN - np.arccos(cosine)
@@ -152,19 +146,19 @@ def _shortest_to_pose(best, side, d, a, b):  # type: ignore[no-untyped-def]  # n
 
 @kernel_only
 def _shortest_to_point(best, side, u, w):  # type: ignore[no-untyped-def]
-    """Return the shortest path among `best` and two paths to a point, in radii.
+    """Return the shortest path among `best` and one sequence that leads to a point.
 
-    If `side` is 1, the two paths are LS and RL, and the point is at the distance u
-    ahead of the start and w to the left. If `side` is -1, the two paths are RS and LR,
-    and the point is at the distance w to the right.
+    If `side` is 1, the point is u ahead of the start and w to the left. The sequence is
+    LS, or RL if the point is inside the left turning circle. If `side` is -1, left and
+    right are exchanged.
     """
     away = u * u + (w - 1) * (w - 1)
     if away >= 1:
         tangent = np.arctan2(u, 1 - w) - np.arccos(1 / np.sqrt(away))
         lengths = (_wrapped(tangent), np.sqrt(away - 1), 0.0)
         return _shorter(best, (side, 0.0, 0.0), lengths)
-    # If the point is inside the left turning circle, the path first turns right about
-    # the point (0, -1) and then left on a tangent circle.
+    # To a point inside the left turning circle, the path first turns right about the
+    # point (0, -1) and then left on a tangent circle.
     far = np.sqrt(u * u + (w + 1) * (w + 1))
     opening = np.arccos(min(1.0, (3 + far * far) / (4 * far)))
     for sign in (1.0, -1.0):
@@ -186,7 +180,7 @@ def _shorter(best, turns, lengths):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _wrapped(angle):  # type: ignore[no-untyped-def]
-    """Return an angle in [0, 2π), or 0 for a full turn within the tolerance."""
+    """Wrap an angle to [0, 2π), and return 0 for almost a full turn."""
     angle = angle - _FULL_TURN * np.floor(angle / _FULL_TURN)
     if angle < _FULL_TURN - _ROUNDING:
         return max(angle, 0.0)

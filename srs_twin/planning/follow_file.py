@@ -1,4 +1,4 @@
-"""Section `controller: follow` of a scenario (Section 5.2.2)."""
+"""Scenario section for the controller `follow` (dissertation, Section 5.2.2)."""
 
 from __future__ import annotations
 
@@ -25,23 +25,20 @@ from srs_twin.scenario.fields import Contradiction, FileSections, Section, quant
 
 
 class CameraFile(Section):
-    """Motion capture that a follower uses."""
+    """Motion capture system that the follower uses."""
 
     constructors = (Camera,)
 
     rate_hz: float = quantity(5.0, 10_000.0)
-    """Number of frames per second."""
+    """Frame rate."""
     position_noise_m: float = quantity(0.0, 1.0)
-    """RMS noise of the coordinates x and y."""
+    """RMS noise of the x and y coordinates."""
     heading_noise_rad: float = quantity(0.0, 3.0)
     """RMS noise of the heading."""
 
 
 class FollowFile(ControllerSection):
-    """Controller that follows a plan with the offset of a gait (Section 5.2.2).
-
-    The scenario needs a planner.
-    """
+    """Controller that follows a plan by changing the gait offset (Section 5.2.2)."""
 
     constructors = (PathTracking, WaypointSteering, Conditions)
     only = {
@@ -52,31 +49,31 @@ class FollowFile(ControllerSection):
     kind: Literal["follow"]
     """Kind of controller."""
     follower: Literal["bearing", "path"] = "path"
-    """Steering law. `bearing` is the dissertation's law, which steers from node to
-    node. `path` combines feedback of the cross-track error with curvature feedforward.
+    """Steering law. With `bearing`, the snake steers from node to node as in the
+    dissertation. `path` combines feedback of the cross-track error with curvature
+    feedforward.
     """
     gait: Annotated[GaitFile | LearningFile, Field(discriminator="kind")]
-    """Gait that is steered."""
+    """Gait whose offset steers the snake."""
     delay_s: float = quantity(0.0, 10.0, 0.1)
-    """Delay after which a command reaches the gait."""
+    """Command delay between the follower and the gait."""
     camera: CameraFile = CameraFile()
-    """Motion capture of the snake."""
+    """Motion capture system that measures the pose of the snake."""
     gain_per_rad: float | None = quantity(0.001, 100.0, None)
-    """Offset commanded per bearing error (bearing; default {default:g})."""
+    """Commanded offset per bearing error (`bearing`, default {default:g})."""
     node_m: float | None = quantity(0.001, 100.0, None)
-    """Distance between nodes (bearing; default {default:g})."""
+    """Distance between nodes along the path (`bearing`, default {default:g})."""
     near_m: float | None = quantity(0.001, 100.0, None)
-    """Distance at which a node counts as reached (bearing; default {default:g})."""
+    """Distance at which a node counts as reached (`bearing`, default {default:g})."""
     lookahead_m: float | None = quantity(0.001, 100.0, None)
-    """Distance along the path over which a cross-track error decays (path; default
-    {default:g}).
+    """Path length over which a cross-track error decays (`path`, default {default:g}).
     """
     response_length_m: float | None = quantity(0.0, 100.0, None)
-    """Response length of the curvature to a change of offset (path; default:
-    computed from the transients of the footprint, or {default:g} without
-    transients)."""
+    """Path length over which the curvature responds to a change of offset (`path`,
+    default {default:g}, or computed from the footprint if it has transients)."""
     replan_beyond_m: float | None = quantity(0.001, 100.0, None)
-    """Cross-track error at which a new plan is requested (default: no new plans)."""
+    """Cross-track error at which a new plan is requested (default: deviations cause no
+    new plan)."""
     max_replans: int = quantity(0, 1000)
     """Maximum number of new plans."""
 
@@ -151,7 +148,7 @@ class FollowFile(ControllerSection):
         robot: RobotFile,
         planner: PlannerSection,
     ) -> ConditionsFile:
-        """Return the conditions of a run, from which its margin is selected."""
+        """Return the conditions of a run, which determine its margin."""
         spreads = {name: getattr(robot.modules, name, None) for name in SPREADS}
         return ConditionsFile.model_validate(
             {

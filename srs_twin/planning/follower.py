@@ -1,22 +1,13 @@
-"""Controller that steers a snake along a plan with the offset of a gait.
+"""Controller that steers a snake along a plan by changing the gait offset.
 
-The `Follower` implements Section 5.2.2. A camera measures poses, which are averaged
-over a gait period. A `Predictor` extrapolates the mean pose, and a steering law
-(`Steering`) computes the offset. The gait (or the iterative learning control) receives
-the offset after a command delay. The run ends at the goal, or earlier for another
-reason in `ENDINGS`.
+As in Section 5.2.2, a camera measures the pose of the snake, which is averaged over a
+gait period. A `Predictor` extrapolates the mean pose, and a `Steering` law computes the
+offset. After a command delay, the gait or the iterative learning controller receives
+the offset. The run ends at the goal, or for another reason listed in `ENDINGS`.
 
-If the snake deviates too far from its path or its body approaches an obstacle, the
-follower requests a new plan. The new plan has the margin of the first plan or, if
-necessary, a fraction of this margin.
-
-Symbols:
-    s: position along the path, measured from the start of the path, m.
-    n: cross-track error, i.e. signed distance from the path, positive to the left, m.
-    κ: path curvature, positive to the left, 1/m.
-    ℓ: response length of the curvature to a change of offset, m
-        (`Conditions.response_length`).
-    d, g: disturbance (1/m) and gain of the curvature, which the `Predictor` estimates.
+If the snake deviates too far from its path or approaches an obstacle, the follower
+requests a new plan. The new plan has the margin of the first plan or, if necessary, a
+fraction of this margin.
 """
 
 from __future__ import annotations
@@ -56,23 +47,20 @@ ENDINGS = {
     "no_room": "no path with the required margin",
     "gait_ended": "the gait has ended",
 }
-"""Reasons why a run ends, with explanations. Only the first reason is a success."""
+"""Reasons for which a run ends, of which only `goal_reached` means success."""
 
 STUCK_FRACTION = 0.1
-"""Fraction of the footprint's speed below which a snake is considered slow.
-
-A snake that is slow for `STUCK_PERIODS` is considered stuck.
-"""
+"""Fraction of the footprint's minimum speed below which a snake is considered slow."""
 STUCK_PERIODS = 6
-"""Duration of slow motion after which a snake is considered stuck, in gait periods."""
+"""Number of gait periods with slow motion after which a snake is considered stuck."""
 RETRY_PERIODS = 2
-"""Minimum time between two requests for a new plan, in gait periods."""
+"""Number of gait periods after a request in which deviations cause no new request."""
 _MIN_CHANGE = 1e-3
-"""Minimum change of the offset that is sent to the gait."""
+"""Minimum change of the offset for which a new offset is sent to the gait."""
 _WINDOW_M = 0.3
-"""Distance along the path within which the nearest point is searched for, m.
+"""Maximum distance along the path between two successive nearest points, m.
 
-The search is local because a path may cross itself.
+The search for the nearest point is local, because a path may cross itself.
 """
 
 _UNKNOWN = (
@@ -82,14 +70,15 @@ _UNKNOWN = (
 """Pose and path coordinates before the first camera frame."""
 
 Replan = Callable[[Pose, float], Plan]
-"""Function that returns a new plan from a pose and a fraction of the margin."""
+"""Function that plans from a given pose with a given fraction of the margin."""
 
 
 class ReplanResult(NamedTuple):
     """Result of a request for a new plan.
 
     Attributes:
-        reason: reason why no plan with the full margin was found.
+        reason: reason why planning with the full margin failed, or an empty string if a
+            plan was found.
         fraction: fraction of the margin that the new plan keeps.
     """
 
@@ -99,36 +88,34 @@ class ReplanResult(NamedTuple):
 
 
 _HORIZON_M = 0.6
-"""Length of the path ahead of the snake that is checked for obstacles, m."""
+"""Path length ahead of the snake that is checked for obstacles, m."""
 _CHECKED_PIECES = 8
-"""Number of pieces into which `_HORIZON_M` is divided."""
 _RESERVE_FRACTION = 0.3
 """Clearance below which a new plan is requested, as a fraction of the margin."""
 _MARGIN_FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
 """Fractions of the margin for a new plan, tried in this order."""
 _OPTIONAL = ("close", "run_up", "fault", "start")
-"""Reasons for requesting a new plan that still allow the snake to keep the old plan."""
+"""Reasons for requesting a new plan even though the old plan is still usable."""
 _UNCOUNTED = ("run_up", "fault", "start")
-"""Reasons for requesting a plan that do not count towards `Conditions.max_replans`."""
+"""Reasons whose requests do not count towards `Conditions.max_replans`."""
 
 _PLANNED_IN = ("obstacles", "bounds", "goal", "polygons")
-"""World fields that affect plans. The floor affects only the plants."""
+"""Fields of `World` that affect plans."""
 
 
 @dataclass(frozen=True)
 class Conditions:
-    """Sensing, delays and limits of a follower.
+    """Sensing, delays and replanning limits of a follower.
 
     Attributes:
         delay: command delay, s.
-        response_length: response length ℓ of the curvature, m.
+        response_length: path length over which the curvature responds to a change of
+            offset, m.
         max_cross_track_error: cross-track error at which a new plan is requested, m, or
-            None if cross-track errors cause no new plan.
+            None if deviations cause no new plan.
         lead_in: length of the straight lead-in of the first path, m. At the end of the
-            lead-in, the rest of the path is planned again from the measured pose, if
-            possible.
-        lag: transport delay of the robot, after which camera frames show the effect of
-            a command, s.
+            lead-in, a new plan is requested if `max_cross_track_error` is set.
+        lag: additional delay until camera frames show the effect of a command, s.
     """
 
     camera: Camera
@@ -142,23 +129,24 @@ class Conditions:
 
 @dataclass(eq=False)
 class Follower(Controller):
-    """Controller that follows a plan, as described in the module docstring.
+    """Controller that follows a plan by changing the gait offset.
 
     Attributes:
-        gait: controller with an `offset`, which is a `Gait` or an `ILC`.
-        plan: plan to follow. If the plan has no path, the run ends immediately.
+        gait: controller with an attribute `offset`, such as a `Gait` or an `ILC`.
+        plan: first plan. If the plan has no path, the run ends immediately.
         footprint: footprint of the snake, which limits the offset.
         body: footprint with which the plan was computed, by default `footprint`.
-        world: world, which is recorded with the run.
+        world: world whose obstacles and bounds are checked during the run.
         replan: function that computes new plans, or None if no new plans are allowed.
         submit: function that runs the planner in another thread, or None if the snake
             waits for the planner.
-        min_margin_fraction: minimum fraction of the margin in a new plan. If this
-            fraction is above 0, a run ends with `no_room` when no such plan is found,
-            or when the body approaches an obstacle and no further plan is allowed.
+        min_margin_fraction: minimum fraction of the margin that a new plan must keep.
+            If this fraction is above 0, the run ends with `no_room` when no such plan
+            is found. The run also ends when the body approaches an obstacle and no
+            further plan is allowed.
         allows_contact: whether the body may lean on obstacles.
         ending: key of `ENDINGS`, or None if the run has not ended.
-        plans: pairs of start time (s) and plan.
+        plans: plans followed so far, as pairs of start time (s) and plan.
     """
 
     kind = "follow"
@@ -226,7 +214,6 @@ class Follower(Controller):
         self._predictor = Predictor(
             self.footprint, period, shows, conditions.response_length
         )
-        # A snake is stuck if it moves less than this distance per gait period.
         self._stuck_distance = STUCK_FRACTION * min(self.footprint.speeds) * period
         self._moved_at = 0.0
         self._pending: deque[tuple[float, float]] = deque()
@@ -275,15 +262,16 @@ class Follower(Controller):
     def request_replan(self, reason: str) -> None:
         """Request a new plan at the next camera frame.
 
-        If no new plan is found, the snake continues along the old plan.
+        If no new plan is found, the snake keeps the old plan, unless
+        `min_margin_fraction` is above 0.
         """
         self._requested = reason
 
     def load_state_dict(self, memory: Mapping[str, Any]) -> None:
         """See `Stateful.load_state_dict`.
 
-        The steering law is initialised with the path of the last plan before its state
-        is loaded.
+        Before the state is loaded, the steering law is initialised with the path of the
+        last plan.
         """
         segments = memory["plans"][-1][1].segments
         if segments:
@@ -292,7 +280,10 @@ class Follower(Controller):
         super().load_state_dict(memory)
 
     def signals(self) -> dict[str, Any]:
-        """Return the signals of gait and follower (NaN before the first frame)."""
+        """Return the signals of the gait and of the follower.
+
+        Pose signals are NaN before the first camera frame.
+        """
         pose, point = self._position
         return self.gait.signals() | {
             "offset_commanded": self._commanded,
@@ -311,7 +302,7 @@ class Follower(Controller):
         return events
 
     def describe(self) -> dict[str, object]:
-        """Return the description of the gait, extended by plans, world and ending."""
+        """Return the gait's description, extended by plans, world, goal and ending."""
         goal = asdict(self.goal)
         conditions = asdict(self.conditions)
         return self.gait.describe() | {
@@ -343,8 +334,8 @@ class Follower(Controller):
             return
         steering = self.steering
         later = time + self.conditions.delay
-        # The steering law needs the pose at the time when the camera frames show the
-        # effect of the command.
+        # The steering law needs the pose at the time when camera frames show the effect
+        # of the command.
         shows = later + self.conditions.lag
         if steering.predicts:
             pose = predictor.predict(mean.time, mean.pose, shows)
@@ -353,7 +344,7 @@ class Follower(Controller):
         turning = predictor.turning, predictor.disturbance, predictor.gain
         offset = steering.offset(SteeringInput(pose, self._locate(pose), *turning))
         offset = min(max(offset, self._low), self._high)
-        # If the offset is at its limit, even a small change is sent.
+        # Small changes are sent only if they bring the offset to a limit.
         if abs(offset - self._commanded) >= _MIN_CHANGE or offset in (
             self._low,
             self._high,
@@ -386,8 +377,8 @@ class Follower(Controller):
             self._request_plan(time, here, reason)
         elif self._leading_in and point.s >= self.conditions.lead_in:
             self._leading_in = False
-            # The estimates are discarded, because they include periods in which the
-            # gait was still learning.
+            # The estimates of gain and disturbance are discarded, because the gait was
+            # still learning.
             self._predictor.reset_turning()
             self._request_plan(time, here, "run_up")
         elif max_cross_track_error is not None and time >= self._not_before:
@@ -405,8 +396,8 @@ class Follower(Controller):
         )
         for k in range(_CHECKED_PIECES):
             on = self._path.pose(point.s + k * piece)
-            # The expected motion back to the path is checked piece by piece. On each
-            # piece, the body moves along an arc with the curvature of the path.
+            # The expected motion back to the path is divided into pieces, which are
+            # approximated by arcs with the curvature of the path.
             first, last = (
                 self.steering.predict_cross_track(
                     point.n, heading_error, (k + i) * piece
@@ -443,8 +434,7 @@ class Follower(Controller):
                     f"{ENDINGS['no_room']}: {reason}, and no new plan is left",
                 )
             elif self._tries == self.conditions.max_replans:
-                # Increasing the number of tries ensures that the event is reported only
-                # once.
+                # The increment ensures that the event is reported only once.
                 self._tries += 1
                 text = (
                     f"{reason}: the old plan is kept, because all"
@@ -453,7 +443,7 @@ class Follower(Controller):
                 self._events.append(Event(time, "no_new_plan", text))
             return
         self._tries += reason not in _UNCOUNTED
-        # A new plan takes several gait periods to change the motion, so an earlier
+        # A new plan affects the motion only after several gait periods, so an earlier
         # request would be useless.
         self._not_before = time + RETRY_PERIODS * self._period
         job = partial(_new_plan, self.replan, pose, self.min_margin_fraction)

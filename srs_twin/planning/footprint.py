@@ -1,15 +1,16 @@
-"""Footprint: area that the body covers along the path of its centre of mass.
+"""Footprint, the area that the body covers along the path of its centre of mass.
 
-At a constant offset the centre of mass follows an arc of curvature κ, and two
-concentric arcs bound the body (Section 5.2.1, Figs. 52 and 58). At every point of the
-path the body stays within
+At a constant gait offset, the centre of mass follows an arc of curvature κ. The body
+stays between two concentric arcs (Section 5.2.1, Figs. 52 and 58), which limit its
+distance n to the left of the path:
 
 $$ -r(κ) ≤ n ≤ l(κ), $$
 
-where n is the distance to the left of the path, l is the left edge and r is the right
-edge. Along the arc, the footprint extends from the tail, at the distance `behind` from
-the centre of mass, to the head, at the distance `ahead`. Offset, speed and edges are
-tabulated by curvature and interpolated linearly.
+where l and r are the distances from the path to the left and right edges of the
+footprint. Along the arc, the head is at the distance `ahead` and the tail is at the
+distance `behind` from the centre of mass. A table contains the offset, the speed and
+the edges for several curvatures, between which all quantities are interpolated
+linearly.
 """
 
 from __future__ import annotations
@@ -23,15 +24,15 @@ import numpy as np
 from srs_twin.errors import InputError
 
 COLUMNS = ("offsets", "curvatures", "speeds", "left", "right")
-"""Columns of a footprint table. Each column has one value per offset."""
+"""Columns of a footprint table, with one value per offset in each column."""
 
 CURVATURE_TOLERANCE = 1e-9
-"""Tolerance for curvatures outside the range of the table, 1/m."""
+"""Amount by which a curvature may exceed the range of a table, 1/m."""
 
 
 @dataclass(frozen=True)
 class FootprintRow:
-    """Row of a footprint table, whose quantities are defined in `Footprint`."""
+    """Row of a footprint table, with quantities as defined in `Footprint`."""
 
     offset: float
     speed: float
@@ -45,12 +46,12 @@ class Transient:
 
     Attributes:
         before, after: offset before and after the change.
-        left, right: extra widths of the left and right edges, m.
-        length: path length after the change over which the edges are wider, m.
-        dx, dy: final displacement forward and to the left, relative to an instantaneous
+        left, right: outward shifts of the left and right edges, m.
+        length: path length after the change over which the edges are shifted, m.
+        dx, dy: final forward and leftward displacements compared with an instantaneous
             change, m.
-        dheading: final heading change to the left, relative to an instantaneous change,
-            rad.
+        dheading: final heading deviation compared with an instantaneous change,
+            positive to the left, rad.
     """
 
     before: float
@@ -69,16 +70,17 @@ class Footprint:
 
     Attributes:
         name: short name.
-        title: title on one line.
+        title: one-line title.
         offsets: gait offsets in ascending order, shape (rows,).
-        curvatures: curvatures of the path of the centre of mass in ascending order,
-            positive to the left, 1/m.
-        speeds: speeds of the centre of mass, m/s.
-        left, right: distances of the left and right edges from the path, m.
+        curvatures: path curvatures in ascending order, positive to the left, 1/m, shape
+            (rows,).
+        speeds: speeds of the centre of mass, m/s, shape (rows,).
+        left, right: distances from the path to the left and right edges, m, shape
+            (rows,).
         ahead, behind: distances from the centre of mass to the head and to the tail
             along the path, m.
-        transients: measured responses to changes of offset. If no responses were
-            measured, the path is assumed to respond instantly, as in the dissertation.
+        transients: measured responses to changes of offset. Without measurements, the
+            path is assumed to respond instantly, as in the dissertation.
     """
 
     name: str
@@ -104,16 +106,16 @@ class Footprint:
     ) -> Footprint:
         """Return a footprint of constant width, as in Fig. 54 and Table 9.
 
-        In turns the edges are shifted outward, because the inner edge approaches the
-        path while the outer edge hardly moves (Table 8). In the dissertation, `ahead`
-        is 0.
+        In a turn, both edges are shifted towards the outside in proportion to the
+        curvature, because the inner edge approaches the path in Table 8.
 
         Args:
             width: distance between the edges, m.
-            shift: shift of the two edges in the tightest turn, m.
+            shift: shift of both edges in the tightest turn, m.
             speed: speed of the centre of mass, m/s.
             curvature: curvature of the tightest turn, 1/m.
-            ahead: distance from the centre of mass to the head, m.
+            ahead: distance from the centre of mass to the head (0 in the dissertation),
+                m.
         """
         half = width / 2
         wide = half + shift
@@ -133,17 +135,17 @@ class Footprint:
 
     @property
     def tightest(self) -> tuple[float, float]:
-        """Maximum curvatures to the right and to the left as positive numbers, 1/m."""
+        """Maximum curvatures of right and left turns as positive numbers, 1/m."""
         return -self.curvatures[0], self.curvatures[-1]
 
     @property
     def narrowest(self) -> float:
-        """Minimum distance of an edge from the path over all curvatures, m."""
+        """Minimum distance between the path and an edge over all curvatures, m."""
         return min(*self.left, *self.right)
 
     @property
     def backward(self) -> Footprint:
-        """Footprint for travel in the opposite direction, without transients."""
+        """Footprint for backward travel, without transients."""
         return replace(
             self,
             offsets=tuple(-value for value in reversed(self.offsets)),
@@ -157,19 +159,19 @@ class Footprint:
         )
 
     def reduced(self, turn_fraction: float = 1.0, margin: float = 0.0) -> Footprint:
-        """Return the footprint with a smaller range of curvatures and with wider edges.
+        """Return the footprint with a smaller range of curvatures and an added margin.
 
-        A follower corrects errors with the tighter turns that a plan leaves unused. The
-        margin allows for the remaining errors.
+        The follower needs the excluded tight turns to correct errors, and the margin
+        covers the remaining errors.
 
         Args:
             turn_fraction: ratio of the new to the old maximum curvature, at most 1.
-            margin: width added to each edge, m.
+            margin: outward shift of each edge, m.
         """
         low = turn_fraction * self.curvatures[0]
         high = turn_fraction * self.curvatures[-1]
-        # Rows close to the new limits are dropped, because they would form table
-        # intervals of almost no width.
+        # Rows very close to the new limits are dropped to avoid table intervals of
+        # almost zero width.
         inner = [
             k
             for k in self.curvatures
@@ -208,12 +210,12 @@ class Footprint:
         )
 
     def transient(self, before: float, after: float) -> tuple[float, float, float]:
-        """Return the extra left width, extra right width and length of a transient, m.
+        """Return the left edge shift, right edge shift and length of a transient, m.
 
-        The widths are interpolated between measured changes of offset. If a change of
-        offset exceeds all measured changes, the widths of the largest measured change
-        are used. If several measured changes have equal size, the widest transient is
-        used.
+        The outward shifts are interpolated between the measured changes of offset in
+        the same direction. A change that exceeds all measured changes has the shifts of
+        the largest measured change. If several measured changes have equal size, their
+        largest shifts are used.
         """
         measured = self._measured(after - before)
         if not measured:
@@ -228,10 +230,10 @@ class Footprint:
 
     @property
     def response_length(self) -> float | None:
-        """Response length ℓ of the curvature to a change of offset, m.
+        """Path length ℓ over which the curvature responds to a change of offset, m.
 
-        After a change Δκ of the curvature, the heading of a first-order response lags
-        by Δκ ℓ = −dheading. The response length is a least-squares estimate over all
+        In a first-order response to a curvature change Δκ, the heading lags by
+        Δκ ℓ = −dheading. The response length is a least-squares estimate over all
         transients, or None if the footprint has no transients.
         """
         changes = np.array(
@@ -248,8 +250,8 @@ class Footprint:
     def lag(self, before: float, after: float) -> tuple[float, float]:
         """Return the delay δ and the length T of a transition arc (see `planner`), m.
 
-        Both are interpolated between measured changes of different size, and are 0 if
-        no change in this direction was measured.
+        Both values are interpolated between the measured changes of offset in the same
+        direction, and are 0 if there are none.
         """
         known: dict[float, list[tuple[float, float]]] = {}
         for size, t in self._measured(after - before):
@@ -257,8 +259,8 @@ class Footprint:
             if t.dheading * step < 0:
                 delay = -t.dheading / step
                 moment = 2 * t.dy / step
-                # If T were shorter than δ, the curvature κ_t would change in the wrong
-                # direction.
+                # If T were shorter than δ, the curvature of the transition arc would
+                # change in the wrong direction.
                 known.setdefault(size, []).append((delay, max(moment / delay, delay)))
         if not known:
             return 0.0, 0.0
@@ -301,7 +303,6 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             )
     for name in ("offsets", "curvatures"):
         values = getattr(footprint, name)
-        # Linear interpolation needs strictly increasing values.
         if any(b <= a for a, b in pairwise(values)):
             problems.append(
                 (
@@ -327,7 +328,7 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
     for side, name in enumerate(("left", "right")):
         # The inner edge must not reach the centre of curvature, where κ n = 1.
         turn = (1 if name == "left" else -1) * np.array(footprint.curvatures)
-        # The edges include the widest transient after any change to this offset.
+        # The largest shift after any change to an offset is added to the edge.
         extra = [
             max(
                 footprint.transient(before, after)[side] for before in footprint.offsets
@@ -349,7 +350,11 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
 
 
 def validate_footprint(footprint: Footprint) -> Footprint:
-    """Return a footprint unchanged if it is valid."""
+    """Return a footprint unchanged after checking its values.
+
+    Raises:
+        InputError: the footprint is not valid.
+    """
     columns = (getattr(footprint, name) for name in COLUMNS)
     numbers = [*chain.from_iterable(columns), footprint.ahead, footprint.behind]
     if not np.isfinite(numbers).all():

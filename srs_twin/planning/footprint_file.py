@@ -1,16 +1,15 @@
-"""Footprint files: footprint tables with sources, and excursions of followers.
+"""Footprint files, which contain footprint tables and excursions.
 
-A file contains the table of a `Footprint` in the form of Table 8, where each column has
-a unit, a status and a source. The directory calibration/footprints contains the
-published footprints, and the command `srs-twin calibrate footprint` measures new
-footprints.
+A footprint file contains the table of a `Footprint` in the form of Table 8, with a
+unit, a status and a source for each column. The directory calibration/footprints
+contains the published footprints, and the command `srs-twin calibrate footprint`
+measures new footprints.
 
-A file may also contain the maximum excursion beyond the footprint in each of n runs on
-random paths. The excursions determine the margin within which a new run stays with a
-given probability. The probability that the excursion of a new run does not exceed the
-k-th smallest excursion is at least k/(n + 1), for any distribution. The method is split
-conformal prediction (Vovk et al. 2005; Lei et al. 2018). The margin for the probability
-p is the k-th smallest excursion with k = ⌈(n + 1) p⌉.
+A file may also list excursions, which are the maximum distances by which the body left
+the footprint in n runs on random paths. The margin for a probability p is the k-th
+smallest excursion with k = ⌈(n + 1) p⌉. For any distribution, a new run stays within
+this margin with a probability of at least k/(n + 1). This method is called split
+conformal prediction (Vovk et al. 2005; Lei et al. 2018).
 """
 
 from __future__ import annotations
@@ -32,13 +31,13 @@ from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
 from srs_twin.robot.sourced import Record, Status, bounded
 
 MEASURED_ON_TWIN = "measured on the twin"
-"""Beginning of the `source` text of curvatures that were measured on a twin."""
+"""Prefix of the `source` text for curvatures that were measured with a twin."""
 
 Fraction = Annotated[float, bounded(0.0, 1.0)]
 Excursion = Annotated[float, bounded(-10.0, 1e3)]
 Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
 LOST_M = 1e3
-"""Excursion that is stored for a run that does not reach the goal, m."""
+"""Excursion that is stored for a run that misses the goal, m."""
 
 Rows = Field(min_length=3, max_length=101)
 Offsets = Record[
@@ -62,26 +61,24 @@ Spreads = Annotated[list[Annotated[float, bounded(0.0, 100.0)]], Rows]
 
 
 class ConditionsFile(StrictModel):
-    """Conditions under which a follower runs."""
+    """Conditions of a run with a path follower."""
 
     plant: Literal["analytical", "twin"]
-    """Plant that simulated the runs."""
+    """Simulated plant."""
     contact: ContactName | None = None
-    """Contact model of the twin (default preloaded). The analytical model has no
-    contact model.
-    """
+    """Contact model of the twin (default preloaded), not allowed for other plants."""
     chambers: Literal["lag", "orifice"] = "lag"
     """Chamber model."""
     follower: Literal["bearing", "path"]
     """Steering law."""
     gain_spread: Fraction = 0.0
-    """Spread of the modules' gains, 0 to 1."""
+    """Standard deviation of the relative chamber gains, 0 to 1."""
     tau_spread: Fraction = 0.0
-    """Spread of the modules' time constants, 0 to 1."""
+    """Standard deviation of the relative time constants, 0 to 1."""
     bias_spread_rad: Fraction = 0.0
-    """Spread of the modules' rest bends, rad, 0 to 1."""
+    """Standard deviation of the rest bends, rad, 0 to 1."""
     turn_fraction: Fraction
-    """Fraction of the tightest turns in plans, 0 to 1."""
+    """Fraction of the tightest curvature that plans may use, 0 to 1."""
     delay_s: Annotated[float, bounded(0.0, 10.0)]
     """Command delay, s, 0 to 10."""
     position_noise_m: Fraction
@@ -114,8 +111,8 @@ class ConditionsFile(StrictModel):
     def covers(self, other: ConditionsFile) -> bool:
         """Return whether a margin measured under these conditions is valid for `other`.
 
-        The plant, contact model, chamber model, follower and lead-in must be equal.
-        None of the other quantities may be larger in `other`.
+        The plant, contact model, chamber model, follower and lead-in must be equal. No
+        other quantity may be larger in `other`.
         """
         same = ("plant", "contact", "chambers", "follower", "lead_in_m")
         return all(
@@ -126,7 +123,7 @@ class ConditionsFile(StrictModel):
         )
 
     def excess_difficulty(self, other: ConditionsFile) -> float:
-        """Return the sum of the relative amounts by which quantities exceed `other`."""
+        """Sum the relative differences of quantities that are smaller in `other`."""
         pairs = ((getattr(self, name), getattr(other, name)) for name in _DIFFICULTIES)
         return float(
             sum((own - covered) / own for own, covered in pairs if own > covered)
@@ -134,7 +131,7 @@ class ConditionsFile(StrictModel):
 
 
 SPREADS = ("gain_spread", "tau_spread", "bias_spread_rad")
-"""Keys of the standard deviations of module parameters in a robot file."""
+"""Keys in a robot file for the standard deviations of module parameters."""
 _DIFFICULTIES = (
     *SPREADS,
     "turn_fraction",
@@ -142,20 +139,21 @@ _DIFFICULTIES = (
     "position_noise_m",
     "heading_noise_rad",
 )
-"""Keys whose larger values make following more difficult."""
+"""Keys of quantities that make path following more difficult if they increase."""
 
 
 class ExcursionsFile(StrictModel):
-    """Maximum excursion of each run (m), or 1000 m if the run missed the goal."""
+    """Excursions of runs under equal conditions."""
 
     conditions: ConditionsFile
     """Conditions of the runs."""
     source: str = Field(min_length=1, max_length=1000)
     """Source of the measurements."""
     path_m: Runs
-    """Maximum excursion of each run in ascending order, m."""
+    """Maximum excursion of each run in ascending order, m (1000 if the run missed the
+    goal)."""
     lead_in_m: Runs | None = None
-    """Maximum excursion of each run on the straight lead-in in ascending order, m."""
+    """Maximum excursion on the lead-in of each run in ascending order, m."""
 
 
 class TransientFile(StrictModel):
@@ -166,39 +164,39 @@ class TransientFile(StrictModel):
     to_offset: Offset
     """Offset after the change, -1 to 1."""
     left_m: Metres
-    """Extra width of the left edge, m, 0 to 10."""
+    """Outward shift of the left edge, m, 0 to 10."""
     right_m: Metres
-    """Extra width of the right edge, m, 0 to 10."""
+    """Outward shift of the right edge, m, 0 to 10."""
     length_m: Metres
-    """Length of the path on which the edges are wider, m, 0 to 10."""
+    """Path length over which the edges are shifted, m, 0 to 10."""
     dx_m: Shift = 0.0
-    """Displacement in the direction of the path, m, -10 to 10 (default 0)."""
+    """Forward displacement of the path, m, -10 to 10 (default 0)."""
     dy_m: Shift = 0.0
-    """Displacement to the left of the path, m, -10 to 10 (default 0)."""
+    """Leftward displacement of the path, m, -10 to 10 (default 0)."""
     dheading_rad: Annotated[float, bounded(-3.15, 3.15)] = 0.0
-    """Turn of the path to the left, rad, -3.15 to 3.15 (default 0)."""
+    """Heading deviation to the left, rad, -3.15 to 3.15 (default 0)."""
 
     def transient(self) -> Transient:
-        """Return the measured change as a `Transient`."""
+        """Return the deviation as a `Transient`."""
         return Transient(*self.model_dump().values())
 
 
 class TransientsFile(StrictModel):
-    """Measured changes of offset."""
+    """Measured responses to changes of offset."""
 
     status: Status
     """Status of the values."""
     source: str = Field(min_length=1, max_length=1000)
     """Source of the measurements."""
     changes: Annotated[list[TransientFile], Field(min_length=1, max_length=200)]
-    """List of changes of offset."""
+    """Measured responses, one for each change of offset."""
 
 
 class SpreadFile(StrictModel):
-    """Standard deviations of repeated measurements, one per offset for each column."""
+    """Spread of repeated measurements, with one value per offset."""
 
     source: str = Field(min_length=1, max_length=1000)
-    """How the measurement was repeated, and how the spread is defined."""
+    """Description of the repetitions, and definition of the spread."""
     curvature_per_m: Spreads
     """Spread of the curvature, 1/m, 0 to 100."""
     speed_m_s: Spreads
@@ -216,24 +214,21 @@ _KEYS = dict(
         strict=True,
     )
 )
-"""Key in the file for each column of `Footprint`."""
 
 
 class FootprintFile(StrictModel):
-    """Footprint file, whose columns have one value per offset."""
+    """Contents of a footprint file, with one value per offset in each column."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=60)
     """Short name."""
     title: str = Field(min_length=1, max_length=200)
-    """Title on one line."""
+    """One-line title."""
     robot: str = Field(min_length=1, max_length=200)
     """Robot that has this footprint."""
     contact: ContactName | None = None
-    """Contact model of the twin on which the footprint was measured (default: not
-    measured on a twin).
-    """
+    """Contact model of the twin with which the footprint was measured, if any."""
     offset: Offsets
-    """Gait offsets in ascending order, -1 to 1. A positive offset turns to the left."""
+    """Gait offsets in ascending order, positive to the left, -1 to 1."""
     curvature_per_m: Curvatures
     """Curvature of the path, 1/m, positive to the left, -100 to 100."""
     speed_m_s: Speeds
@@ -249,18 +244,18 @@ class FootprintFile(StrictModel):
     spread: SpreadFile | None = None
     """Repeatability of the measurement, if known."""
     transients: TransientsFile | None = None
-    """Changes of offset, if they were measured."""
+    """Responses to changes of offset, if measured."""
     excursions: Annotated[list[ExcursionsFile], Field(max_length=100)] | None = None
-    """Excursions of followers for margins with a probability, if they were measured."""
+    """Excursions from which margins are computed, if measured."""
 
     @property
     def twin_contact(self) -> ContactName | None:
-        """Contact model of the twin on which the footprint was measured, or None."""
+        """Contact model of the twin with which the footprint was measured, or None."""
         measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
         return self.contact or (UNSTATED_CONTACT if measured else None)
 
     def mismatch(self, contact: ContactName) -> str | None:
-        """Return a warning if the measurement used another contact model."""
+        """Return a warning if the footprint was measured with another contact model."""
         own = self.twin_contact
         if own in (None, contact):
             return None
@@ -271,7 +266,7 @@ class FootprintFile(StrictModel):
         )
 
     def footprint(self) -> Footprint:
-        """Return the footprint without the sources of its values."""
+        """Return the footprint table without units, status and sources."""
         columns = {name: tuple(getattr(self, key).value) for name, key in _KEYS.items()}
         changes = self.transients.changes if self.transients else []
         return Footprint(
@@ -301,12 +296,12 @@ class FootprintFile(StrictModel):
 
 
 def load_footprint_file(name_or_path: StrPath) -> FootprintFile:
-    """Load and check a shipped footprint (gen4_table8) or a footprint file."""
+    """Load and check a shipped footprint (by name) or a footprint file (by path)."""
     return load_model(FootprintFile, find_file("footprint", name_or_path))
 
 
 def load_footprint(name_or_path: StrPath) -> Footprint:
-    """Load a shipped footprint by name (gen4_table8), or a footprint file by path.
+    """Load a footprint by name, such as gen4_table8, or from a footprint file.
 
     Raises:
         InputError: the file is not found or cannot be read.
@@ -333,16 +328,16 @@ def save_footprint(
 
 @dataclass(frozen=True)
 class Margin:
-    """Width added to the edges of a footprint, m."""
+    """Margins of a footprint on the path and on the straight lead-in, m."""
 
     path: float = 0.0
     lead_in: float = 0.0
 
 
 def excursion_quantile(excursions: Sequence[float], probability: float) -> float:
-    """Return the excursion (m) that a new run does not exceed with probability p."""
+    """Return the limit (m) within which a new run stays with a given probability."""
     count = len(excursions)
-    # The tolerance allows for the rounding error of products such as 20 · 0.95.
+    # The tolerance covers rounding errors of products such as 20 · 0.95.
     rank = math.ceil((count + 1) * probability - 1e-9)
     if rank > count:
         least = math.ceil(probability / (1 - probability) - 1e-9)
@@ -367,7 +362,7 @@ def margin_for(
     """Return the margin within which a run stays with a given probability.
 
     Args:
-        measured: measured excursions.
+        measured: measured excursions, one entry per set of conditions.
         probability: probability that a whole run stays within the margin.
         conditions: conditions of the run, one entry per plant.
     """
@@ -382,8 +377,8 @@ def margin_for(
                 f"no deviations from the path have been measured for {text}; measure"
                 " them with `srs-twin calibrate margin`"
             )
-        # Only one set of measurements is used. The minimum over several sets would be
-        # exceeded more often than the probability states.
+        # Only one set of measurements is used, because runs would exceed the minimum
+        # over several sets too often.
         block = min(
             covering, key=lambda block: block.conditions.excess_difficulty(condition)
         )

@@ -1,17 +1,17 @@
-"""Proof that no path exists, and a lower bound on path lengths.
+"""Proof that no path exists, and a lower bound on the path length.
 
-The proof and the bound hold for paths with arbitrary turns. Let the clearance w be the
-minimum distance of an edge from the path. Consider a point o of an obstacle that is
-closer than w to a smooth path. If the nearest point of the path is not an end of the
-path, then o lies on the normal to the path at this point and between the edges, which
-is a collision. Therefore the nearest point is an end of the path, and all points of the
-path within the distance w of o are within 2 w of this end.
+The proof and the bound hold for smooth paths with arbitrary turns. Let the clearance w
+be the minimum distance between the path and an edge of the footprint. Consider an
+obstacle point o that is closer than w to a collision-free path. If the path point
+nearest to o were not an end of the path, o would lie between the edges on the normal to
+the path, which is a collision. The nearest path point is therefore an end of the path.
+All path points within the distance w of o are within 2 w of this end.
 
-Hence the free space contains every collision-free path. The free space consists of the
-bounds reduced by w, without the obstacles enlarged by w, and of discs of radius 2 w
-around the two ends of the path. No path exists if the start and the goal are in
-different connected components. Otherwise the shortest line in the component is a lower
-bound on the path length.
+To obtain the free space, the bounds are reduced by w, and the obstacles are enlarged by
+w. Discs of radius 2 w around both ends of the path are then added. The free space
+contains every collision-free path. If start and goal are in different connected
+components of the free space, no path exists. Otherwise, the shortest line between them
+in the free space is a lower bound on the path length.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ if TYPE_CHECKING:
     import shapely
 
 _FINE_CHORDS = 32
-"""Number of chords per quarter circle in the proof.
+"""Number of chords that approximate a quarter circle in the proof.
 
-The chords lie inside the circle, so the polygon underestimates the obstacle.
+The chords lie inside the circle, so the polygon underestimates the enlarged obstacle.
 """
 _COARSE_CHORDS = 4
-"""Number of chords per quarter circle in the length bound. Few chords save time."""
+"""Number of chords that approximate a quarter circle in the length bound."""
 _ROUNDING_M = 1e-9
 """Tolerance for lines along the boundary of the free space, m."""
 
 
 def is_disconnected(start: Pose, goal: Goal, world: World, clearance: float) -> bool:
-    """Return whether start and goal are in different components of the free space.
+    """Return whether the free space does not connect start and goal.
 
     Args:
         start: start pose.
-        goal: goal. The path may end anywhere within the goal's radius.
+        goal: goal, within whose radius the path may end.
         world: obstacles and bounds.
-        clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
+        clearance: minimum distance between the path and an edge of the footprint, m.
     """
     return _free_component(start, goal, world, clearance, _FINE_CHORDS) is None
 
@@ -56,18 +56,18 @@ def min_path_length(start: Pose, goal: Goal, world: World, clearance: float) -> 
 
     Args:
         start: start pose.
-        goal: goal. The path may end anywhere within the goal's radius.
+        goal: goal, within whose radius the path may end.
         world: obstacles and bounds.
-        clearance: minimum distance of an edge from the path (`Footprint.narrowest`), m.
+        clearance: minimum distance between the path and an edge of the footprint, m.
     """
     import shapely
 
     component = _free_component(start, goal, world, clearance, _COARSE_CHORDS)
     if component is None:
         return math.inf
-    # The shortest line bends only at corners of the free space, so the algorithm is A*
-    # on the visibility graph. The visibility of a line is tested only when the line is
-    # taken from the queue.
+    # The shortest line bends only at corners of the free space, so it is found with an
+    # A* search on the visibility graph. The visibility of a line is tested only when
+    # the line is taken from the queue.
     free = component.buffer(_ROUNDING_M, join_style="mitre")
     shapely.prepare(free)
     corners = np.array(
@@ -119,8 +119,7 @@ def _free_component(
 
     here = shapely.Point(start.x, start.y)
     there = shapely.Point(goal.x, goal.y)
-    # With this factor, the polygons contain the discs around the two ends, so the free
-    # space is not underestimated.
+    # This factor enlarges the polygons so that they contain the discs around both ends.
     around = 1 / math.cos(math.pi / (4 * chords))
     ends = [
         here.buffer(2 * clearance * around, quad_segs=chords),

@@ -1,20 +1,19 @@
-"""Guidance of the search in cluttered worlds: grid distances and narrow passages.
+"""Grid distances and narrow passages, which guide the search in cluttered worlds.
 
-The first search uses the Dubins length as heuristic, which ignores obstacles. If the
-first search does not succeed immediately, a second tree uses two further sources of
+In the first round, the search uses the length of Dubins paths as its heuristic, which
+ignores obstacles. If no path is found, a guided search tree uses two further sources of
 information.
 
-The first source is the distance to the goal on a grid around obstacles. The grid
-distance is not a lower bound, because grid paths are up to 8 % longer than straight
-lines, and passages narrower than a cell may be missing or too wide. The second tree
-therefore finds a path quickly, but the path may not be the shortest path.
+The first source is the distance to the goal on a grid, measured around obstacles. This
+grid distance is not a lower bound. Grid paths are up to 8 % longer than straight lines,
+and passages narrower than a cell may be missing or too wide. The guided tree therefore
+finds a path quickly, but not necessarily the shortest path.
 
-The second source is the list of entry poses of narrow passages. Arcs of fixed length
-rarely end at a pose from which the body fits through a passage that is hardly wider
-than the body. The centre of a passage is the middle of the shortest line between two
-obstacles, if no other obstacle is nearer. The second tree tries Dubins paths to an
-entry pose. The entry pose is so far from the centre that the last transient ends before
-the centre.
+The second source is a list of entry poses, from which a straight path leads through a
+narrow passage. Arcs of fixed length rarely end at such a pose, so the guided tree tries
+Dubins paths to the entry poses. The centre of a passage is the midpoint of the shortest
+line between two obstacles, if no other obstacle is nearer. The entry poses lie at
+several distances before the centre, with or without space for the last transient.
 """
 
 from __future__ import annotations
@@ -32,37 +31,37 @@ _GRID_CELLS = 160
 """Number of cells along the longer side of the grid."""
 
 NO_PASSAGES = np.empty((0, 4))
-"""Empty result of `find_passages`."""
 
 _MAX_WIDTH = 2.0
-"""Maximum width of a narrow passage, relative to the width of the straight body.
+"""Maximum width of a narrow passage, relative to the straight footprint's width.
 
 The search finds wider passages without guidance.
 """
 
 _ENTRY_CLEARANCE_M = 1e-3
-"""Distance from the head to the narrowest point where the straight path begins, m."""
+"""Distance between the head at the entry pose and the narrowest point, m."""
 
 _ROUND_CLEARANCE = 0.3
-"""Additional distance of an entry pose from round obstacles, relative to the body
-width. Round obstacles also narrow the approach to a passage.
+"""Additional distance of the farthest entry pose, relative to the footprint width.
+
+Round obstacles also narrow the approach to a passage.
 """
 
 _DISTANCE_TOLERANCE_M = 1e-6
 """Difference below which two distances are considered equal, m."""
 
 _MIN_SPACING = 0.1
-"""Distance below which two passages are considered identical, relative to the body
-width.
+"""Distance below which two passages are considered identical, relative to the
+footprint width.
 """
 
 
 class GridHeuristic(NamedTuple):
-    """Distance to the goal on a grid.
+    """Distances to the goal on a grid.
 
     Attributes:
-        distance: distance from each cell to the goal, or infinity if no path exists, m,
-            shape (columns, rows).
+        distance: distance from each cell to the goal, or infinity if the goal cannot be
+            reached, m, shape (columns, rows).
         west, south: x of the left edge and y of the lower edge of the grid, m.
         cell: cell size, m.
     """
@@ -74,7 +73,7 @@ class GridHeuristic(NamedTuple):
 
 
 NO_HEURISTIC = GridHeuristic(np.empty((0, 0)), 0.0, 0.0, 1.0)
-"""Disabled heuristic, which is 0 at every position."""
+"""Heuristic without a grid, which is 0 at every position."""
 
 
 @compiled
@@ -96,15 +95,15 @@ def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
 def grid_heuristic(
     goal: Goal, start: Pose, world: World, clearance: float, margin: float
 ) -> GridHeuristic:
-    """Return grid distances to a goal along routes that keep clear of obstacles.
+    """Return the grid distances to a goal around the obstacles.
 
     Args:
         goal: goal of the path.
-        start: pose that the grid must contain.
+        start: start of the path, which the grid contains.
         world: obstacles and bounds.
         clearance: minimum distance from obstacles, m.
-        margin: distance by which the grid extends beyond the obstacles, the start and
-            the goal if the world has no bounds, m.
+        margin: distance by which the grid of an unbounded world extends beyond
+            obstacles, start and goal, m.
     """
     from scipy.sparse.csgraph import dijkstra
 
@@ -118,8 +117,8 @@ def grid_heuristic(
     row = int((goal.y - south) / cell)
     column = min(column, len(x) - 1)
     row = min(row, len(y) - 1)
-    # Dijkstra's algorithm starts at the goal, so one run computes the distances of all
-    # cells.
+    # Dijkstra's algorithm starts at the goal, so one run computes the distances from
+    # all cells.
     distance = dijkstra(
         _grid_graph(free, cell), directed=False, indices=column * len(y) + row
     )
@@ -190,11 +189,11 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
 
 
 def find_passages(world: World, body: Footprint) -> np.ndarray:
-    """Return the narrow passages of a world, for both directions of travel.
+    """Return the entry poses of narrow passages, for both directions of travel.
 
-    A passage may have several entry poses. Each row contains an entry pose (x, y and
-    heading, m and rad) and the length (m) of the straight path through the passage,
-    shape (n, 4).
+    Returns:
+        Array of shape (n, 4). Each row contains x, y (m) and heading (rad) of an entry
+        pose, and the length (m) of the straight path through the passage.
     """
     straight = body.at(0.0)
     width = straight.left + straight.right
@@ -202,7 +201,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
 
 
 def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[float]]]:
-    """Return the centre and the direction across each narrow gap, sorted by width."""
+    """Return the centre of each narrow gap and the direction across the gap."""
     import shapely
 
     ends, radii = _thick_lines(world)
@@ -235,7 +234,7 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     normal = across / distance[:, None]
     centre = near[:, 0] + normal * (radii[one[kept]] + gap / 2)[:, None]
     points = shapely.points(centre)
-    # A pair is dropped if another obstacle lies between the two obstacles, or if the
+    # A gap is dropped if another obstacle is nearer to the centre of the gap, or if the
     # centre is inside a polygon.
     at, obstacle = tree.query(points, predicate="dwithin", distance=gap / 2 + largest)
     nearer = (
@@ -246,8 +245,8 @@ def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[flo
     is_open = ~(
         np.isin(np.arange(len(gap)), at[nearer]) | shapely.contains(solid, points)
     )
-    # The passages are sorted by width, because only the narrowest of several nearby
-    # passages is kept.
+    # The gaps are sorted by width, because only the narrowest of several nearby gaps is
+    # kept.
     ordered = sorted(
         zip(
             gap[is_open],
@@ -278,8 +277,8 @@ def _entry_poses(
     straight = body.at(0.0)
     transient = max((change.length for change in body.transients), default=0.0)
     width = straight.left + straight.right
-    # The middle between the edges of the footprint, not the centre of mass, follows the
-    # middle of the passage.
+    # The midline of the footprint, instead of the centre of mass, passes through the
+    # centre of the passage.
     lateral = (straight.right - straight.left) / 2
     ahead = body.ahead + _ENTRY_CLEARANCE_M
     passages: list[tuple[float, float, float, float]] = []
@@ -289,8 +288,8 @@ def _entry_poses(
             continue
         kept.append((x, y))
         for sign in (1.0, -1.0):
-            # The snake moves perpendicular to the shortest line between the obstacles,
-            # in either direction.
+            # The snake may pass in either direction, perpendicular to the shortest line
+            # between the obstacles.
             heading = math.atan2(-sign * across_x, sign * across_y)
             c = math.cos(heading)
             s = math.sin(heading)

@@ -1,4 +1,4 @@
-"""Metrics of runs that follow a plan: deviations, excursions, arrival and contacts."""
+"""Metrics of plans and of runs that follow a plan."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:
 PLAN_UNITS = units_of(
     ("plan_found", "plan_length_m", "plan_nodes", "plan_max_heading_jump_rad")
 )
-"""Units of the metrics for plans that are not simulated."""
+"""Units of the metrics that describe a plan."""
 
 PLANNING_UNITS = PLAN_UNITS | units_of(["plan_s"])
-"""Units of these metrics and of the wall time of planning."""
+"""Units of the plan metrics and of the wall time of planning."""
 
 _MEANINGS = {
     "plan_found": "1 if a path was found, else 0",
@@ -51,7 +51,6 @@ _MEANINGS = {
     "following_time_s": "time from start to end of the path",
     "replans": "number of plans after the first",
 }
-"""Descriptions of the metrics of a run that follows a plan."""
 
 FOLLOWING_UNITS = units_of(_MEANINGS)
 """Units of the metrics for runs that follow a plan."""
@@ -61,7 +60,7 @@ DISSERTATION_HALF_WIDTH_M = 0.025
 DISSERTATION_SHIFT_M = 0.01
 """Shift of the dissertation's footprint in the tightest turn, m."""
 DISSERTATION_TIGHTEST = math.pi / 3 / 0.2
-"""Curvature of the tightest turn in Section 5.2, 60 degrees in 0.2 m, 1/m."""
+"""Curvature of the tightest turn in Section 5.2 (60 degrees over 0.2 m), 1/m."""
 
 
 def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
@@ -85,7 +84,7 @@ class Leg:
 
 
 def legs(trajectory: Trajectory) -> Iterator[Leg]:
-    """Yield each part of a run that follows one plan with a path."""
+    """Yield the parts of a run, one for each plan that contains a path."""
     metadata = following(trajectory)
     plans = metadata["plans"] if metadata else []
     begins = [
@@ -98,7 +97,7 @@ def legs(trajectory: Trajectory) -> Iterator[Leg]:
 
 
 def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
-    """Return the path of a recorded plan."""
+    """Return the path segments of a recorded plan."""
     from srs_twin.planning.path import Segment
     from srs_twin.robot.world import Pose
 
@@ -109,7 +108,7 @@ def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
 
 
 def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
-    """Return the footprint of the plans from the metadata of a follower."""
+    """Return the footprint that is recorded in the metadata of a follower."""
     from srs_twin.planning.footprint import Footprint
 
     data = metadata["footprint"]
@@ -126,29 +125,29 @@ def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
 
 
 def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
-    """Return the metrics of a run that followed a plan; for other runs all are None.
+    """Return the path-following metrics, which are None if the run follows no plan.
 
     The following metrics refer to the plan that is active at each sample:
 
     - ``cross_track_rms_m`` and ``cross_track_max_m``: distance of the centre of mass
-    from the path.
+      from the path.
     - ``inside_fraction``: fraction of samples at which the whole body is between the
-    edges of the planned footprint. The body is represented by points at half the body
-    width to the left and right of the connectors and of the middles of the segments.
+      edges of the planned footprint. The body is represented by points at half the body
+      width to the left and right of each connector and each segment midpoint.
     - ``inside_50mm_fraction``: fraction of samples at which the body is inside the
-    footprint of the dissertation, which is 50 mm wide.
+      footprint of the dissertation, which is 50 mm wide.
 
-    Metrics at the end of the run:
+    The following metrics refer to the end of the run:
 
     - ``goal_reached``: 1 if the centre of mass is within the goal's radius and the body
-    never overlapped an obstacle, otherwise 0. The body can overlap an obstacle only on
-    the analytical plant.
+      never overlapped an obstacle, otherwise 0. Overlaps occur only in the analytical
+      model.
     - ``arrival_error_m``: distance of the centre of mass from the goal.
     - ``arrival_heading_error_rad``: heading error, averaged over a gait period and
       extrapolated to the end, or None if the goal has no heading.
 
-    The metric ``following_time_s`` is the duration, ``replans`` is the number of new
-    plans, and the metrics ``plan_…`` describe the first plan.
+    The metric ``following_time_s`` is the duration of the run, ``replans`` is the
+    number of new plans, and the metrics ``plan_…`` describe the first plan.
     """
     metadata = following(trajectory)
     if metadata is None:
@@ -167,7 +166,7 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
 def plan_metrics(
     found: bool, segments: tuple[Segment, ...], nodes: int
 ) -> dict[str, float | None]:
-    """Return the metrics of a plan that is not simulated."""
+    """Return the metrics that describe a plan."""
     from srs_twin.planning.problem import Plan, PlanOutcome
 
     plan = Plan(PlanOutcome.FOUND, "", segments)
@@ -225,7 +224,8 @@ def _deviation(
     deviation, outline, curvature = (
         np.concatenate(arrays) for arrays in zip(*deviations, strict=True)
     )
-    # The dissertation shifts the edges outward in proportion to the curvature.
+    # In the dissertation, the edges shift towards the outside of a turn in proportion
+    # to the curvature.
     shift = DISSERTATION_SHIFT_M * np.clip(-curvature / DISSERTATION_TIGHTEST, -1, 1)
     return {
         "cross_track_rms_m": rms(deviation),
@@ -238,9 +238,9 @@ def _deviation(
 
 
 def beyond(trajectory: Trajectory) -> np.ndarray:
-    """Return the distance by which the body exceeds the footprint, m, shape (samples,).
+    """Return how far the body extends beyond the footprint, m, shape (samples,).
 
-    The distance is negative if the body is inside the edges of the footprint.
+    Values are negative if the body is inside the footprint.
     """
     metadata = following(trajectory)
     assert metadata is not None, "a run that followed a plan"
@@ -262,7 +262,7 @@ def _path_deviations(
 
     Yields:
         Cross-track errors of the centre of mass (m), cross-track errors of the body
-        points (m), and path curvature at the body points (1/m).
+        points (m), and path curvatures at the body points (1/m).
     """
     from srs_twin.planning.path import ReferencePath
 
@@ -276,7 +276,7 @@ def _path_deviations(
         )
         curvature = np.array([a.curvature for a in leg.segments])
         ends = np.cumsum([a.length for a in leg.segments])
-        # The extension of the path is straight, so its curvature is 0.
+        # The extensions at both ends of the path are straight.
         here = np.append(curvature, 0.0)[np.searchsorted(ends, s)]
         yield (
             path.coordinates(trajectory.com[leg.samples])[1],
@@ -286,20 +286,20 @@ def _path_deviations(
 
 
 def body_points(trajectory: Trajectory) -> np.ndarray:
-    """Return points to the left and right of the body, m, shape (samples, k, 2)."""
+    """Return points on both sides of the body, m, shape (samples, k, 2)."""
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
     centres, heading = centre_points(trajectory)
     return offset_to_sides(centres, heading, half)
 
 
 def centre_points(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return the positions (m) and headings of connectors and segment midpoints."""
+    """Return positions (m) and headings (rad) of connectors and segment midpoints."""
     position = trajectory.position
     theta = trajectory.stack("connector_heading")
     chord = position[:, :-1] - position[:, 1:]
     bend = np.diff(-theta, axis=1)
-    # The middle of an arc lies on the outside of the bend, at the distance chord ·
-    # tan(bend/4)/2 from the chord.
+    # The midpoint of a bent segment is on the outside of the bend, at a distance of
+    # chord · tan(bend/4)/2 from the chord.
     sagitta = np.tan(np.clip(bend, -3.0, 3.0) / 4)[..., None] / 2
     middle = (position[:, :-1] + position[:, 1:]) / 2 + sagitta * np.stack(
         [chord[..., 1], -chord[..., 0]], -1

@@ -1,9 +1,9 @@
-"""Paths of arcs, and path coordinates relative to a path.
+"""Paths that consist of arcs, and path coordinates of points.
 
 The coordinate s (m) is the position along the path, measured from the start of the
 path. The coordinate n (m) is the distance to the left of the path (see `arcs`).
-Straight lines extend the path at the start and at the end, because the body reaches
-beyond the centre of mass.
+Straight lines extend the path at both ends, because the body extends beyond its centre
+of mass.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from srs_twin.planning.footprint import Footprint
 from srs_twin.robot.world import Pose
 
 EXTENSION_M = 2.0
-"""Length of the straight extensions, m. The length exceeds the length of any body."""
+"""Length of each straight extension, which is longer than any body, m."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Segment:
 
     Attributes:
         start: initial pose of the centre of mass.
-        curvature: curvature, positive to the left, 1/m.
+        curvature: path curvature, positive to the left, 1/m.
         length: arc length, m.
         offset: gait offset that produces the curvature.
         speed: speed of the centre of mass, m/s.
@@ -43,7 +43,7 @@ class Segment:
     speed: float
 
     def pose(self, length: float) -> Pose:
-        """Return the pose after a length (m) of the segment."""
+        """Return the pose at a distance (m) from the start of the segment."""
         return Pose(*map(float, arc_end(*self.start, self.curvature, length)))
 
     @property
@@ -55,7 +55,7 @@ class Segment:
 def make_segment(
     start: Pose, curvature: float, length: float, footprint: Footprint
 ) -> Segment:
-    """Return an arc with the offset and speed of its curvature in the footprint."""
+    """Return a segment with the footprint's offset and speed at its curvature (1/m)."""
     row = footprint.at(curvature)
     return Segment(start, curvature, length, row.offset, row.speed)
 
@@ -63,7 +63,7 @@ def make_segment(
 def path_from_arcs(
     start: Pose, arcs: ArcSequence, footprint: Footprint
 ) -> tuple[Segment, ...]:
-    """Build a path from consecutive arcs, and merge neighbours of equal curvature.
+    """Build a path from consecutive arcs, and merge adjacent arcs of equal curvature.
 
     Args:
         start: start pose.
@@ -74,7 +74,6 @@ def path_from_arcs(
     for curvature, length in arcs:
         if length <= 0:
             continue
-        # A difference of less than 1e-12 1/m between curvatures is a rounding error.
         if merged and math.isclose(merged[-1][0], curvature, abs_tol=1e-12):
             merged[-1][1] += length
         else:
@@ -90,9 +89,9 @@ class PathSteps(NamedTuple):
     """Path divided into short steps, for integrals over the path length.
 
     Attributes:
-        poses: x, y (m) and heading (rad) in the middle of each step, shape (n, 3).
+        poses: x, y (m) and heading (rad) at the midpoint of each step, shape (n, 3).
         lengths: step lengths, m, shape (n,).
-        left, right: distances of the left and right edges from the path, m, shape (n,).
+        left, right: distances from the path to the left and right edges, m, shape (n,).
     """
 
     poses: np.ndarray
@@ -124,7 +123,12 @@ def path_steps(
 
 
 class PathPoint(NamedTuple):
-    """Path coordinates s, n (m), and heading (rad) and curvature (1/m) of the path."""
+    """Path coordinates of a point, with properties of the nearest path point.
+
+    Attributes:
+        s, n: path coordinates, m.
+        heading, curvature: heading (rad) and curvature (1/m) of the path.
+    """
 
     s: float
     n: float
@@ -133,16 +137,16 @@ class PathPoint(NamedTuple):
 
 
 class ReferencePath:
-    """Path of a plan, with methods that compute path coordinates and poses.
+    """Path of a plan, for conversions between positions and path coordinates.
 
     Attributes:
         length: path length, m.
-        arcs: x, y, heading, curvature, initial s and length of each arc including the
-            extensions, shape (n, 6).
+        arcs: x, y, heading, curvature, initial s and length of each arc and extension,
+            shape (n, 6).
     """
 
     def __init__(self, segments: Sequence[Segment]) -> None:
-        """Prepare the path. `segments` must contain at least one arc."""
+        """Build the path from a sequence of at least one segment."""
         first = segments[0].start
         last = segments[-1].end
         before = (
@@ -171,7 +175,7 @@ class ReferencePath:
     def nearest(
         self, x: float, y: float, low: float = -EXTENSION_M, high: float = math.inf
     ) -> PathPoint:
-        """Return the path coordinates of a point. `low` and `high` limit s (m)."""
+        """Return the path coordinates of a point (m), with s in [low, high] (m)."""
         return PathPoint(*map(float, _nearest(x, y, self.arcs, low, high)))
 
     def coordinates(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -180,7 +184,7 @@ class ReferencePath:
         return rows[:, 0], rows[:, 1]
 
     def curvature(self, s: float) -> float:
-        """Return the curvature (1/m) at s (m), or 0 if s is on an extension."""
+        """Return the path curvature (1/m) at s (m), which is 0 on the extensions."""
         return float(self.arcs[self._arc_index(s), 3])
 
     def pose(self, s: float) -> Pose:
@@ -207,14 +211,13 @@ def _nearest(x, y, arcs, low, high):  # type: ignore[no-untyped-def]
         last = min(length, high - begin)
         if first > last:
             continue
-        # The formula needs the point in the coordinate frame at the start of the arc.
         c = np.cos(arcs[k, 2])
         sn = np.sin(arcs[k, 2])
         dx = x - arcs[k, 0]
         dy = y - arcs[k, 1]
         n, s = path_coordinates(c * dx + sn * dy, c * dy - sn * dx, curvature)
-        # The formula returns s between -π/|κ| and π/|κ|. On an arc of more than half a
-        # turn, a negative s may therefore need an additional full turn.
+        # `path_coordinates` returns s between -π/|κ| and π/|κ|, so a full turn may be
+        # missing.
         if s < 0 and curvature != 0 and s + 2 * np.pi / abs(curvature) <= last:
             s += 2 * np.pi / abs(curvature)
         s = min(max(s, first), last)

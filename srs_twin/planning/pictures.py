@@ -1,4 +1,4 @@
-"""Plots, notebook pages and Rerun recordings of plans and of runs that follow them."""
+"""Plots, notebook pages and Rerun recordings of plans and path-following runs."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ _EDGE_COLOUR = "#78a5cd"
 def segment_points(
     segment: Segment, offset: float = 0.0, behind: float = 0.0, ahead: float = 0.0
 ) -> np.ndarray:
-    """Return points along a segment at a spacing of about 1 cm, m, shape (n, 2).
+    """Return points along a segment, about 1 cm apart, m, shape (n, 2).
 
-    The points lie at the distance `offset` (m) to the left of the segment. The segment
-    is extended by the lengths `behind` and `ahead` (m).
+    The points lie `offset` (m) to the left of the segment, which is extended by
+    `behind` (m) at its start and by `ahead` (m) at its end.
     """
     low = -behind
     high = segment.length + ahead
@@ -71,9 +71,10 @@ def segment_points(
 def following_plot(
     trajectories: Mapping[str, Trajectory], spec: RobotSpec
 ) -> Figure | None:
-    """Plot a plan with the paths and bodies of the runs, or return None without a plan.
+    """Plot the first plan with the paths and bodies of runs that follow it.
 
-    All runs have the same first plan. Later plans of each run are drawn as thin lines.
+    Later plans of each run are drawn as thin dotted lines. If no run follows a plan,
+    the result is None.
     """
     followers = {
         plant: metadata
@@ -98,7 +99,7 @@ def following_plot(
 
 @drawing
 def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figure:
-    """Plot a plan without runs. The sequence `segments` may be empty."""
+    """Plot the world and the goal of a problem, and the segments of a plan, if any."""
     figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
     axes.set_title(title, fontsize=10, wrap=True)
     return figure
@@ -172,7 +173,7 @@ def path_points(segments: Sequence[Segment]) -> np.ndarray:
 
 
 def plan_page(plan: Plan) -> str:
-    """Return the HTML page of a plan for notebooks."""
+    """Return the HTML representation of a plan for notebooks."""
     rows = [
         ["length", "m", cell(plan.length)],
         ["time", "s", cell(plan.duration)],
@@ -193,7 +194,7 @@ def plan_page(plan: Plan) -> str:
 def plan_lines(
     segments: Sequence[Segment], footprint: Footprint, goal: Mapping[str, Any]
 ) -> list[FloorLine]:
-    """Return the path, the footprint's edges and the goal as lines on the floor."""
+    """Return floor lines for the path, the edges of the footprint and the goal."""
     lines = []
     if segments:
         lines.append(
@@ -253,4 +254,3 @@ class FollowingPictures(RunPictures):
 
 
 PICTURES = FollowingPictures()
-"""Registry entry for pictures of runs that follow a plan."""

@@ -1,4 +1,4 @@
-"""Plan of a scenario that is not simulated, with its path quality and its files."""
+"""Planning of a scenario without simulation, with path quality and output files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.scenario import Scenario
 
 _ROUNDING = 1e-9
-"""Distance below which a length is considered 0, m."""
+"""Path length that is considered 0 because of rounding errors, m."""
 
 PLAN = "plan.json"
 PICTURE = "plan.png"
@@ -31,10 +31,10 @@ class PathQuality:
     """Quality of a planned path.
 
     Attributes:
-        length_over_least: length of the path divided by the minimum length around the
-            obstacles, dimensionless, or None if the minimum length is 0.
-        clearance_m: minimum distance between the obstacles and the edges of the
-            footprint including its margin, m.
+        length_over_least: ratio of the path length to the minimum length around the
+            obstacles, or None if the minimum length is 0.
+        clearance_m: minimum distance of the footprint with its margin from obstacles
+            and bounds, m.
     """
 
     length_over_least: float | None
@@ -46,8 +46,6 @@ class ScenarioPlan:
     """Plan of a scenario.
 
     Attributes:
-        scenario: planned scenario.
-        plan: result of the planner.
         files: names of the written files, if an output folder was given.
     """
 
@@ -57,7 +55,7 @@ class ScenarioPlan:
 
     @cached_property
     def metrics(self) -> dict[str, float | None]:
-        """Metrics of the plan by name, as described by `srs-twin list metrics`."""
+        """Metrics of the plan, keyed by their names in `srs-twin list metrics`."""
         return plan_metrics(self.plan.found, self.plan.segments, self.plan.expanded)
 
     @cached_property
@@ -75,7 +73,7 @@ class ScenarioPlan:
         return PathQuality(ratio, checker.clearance(result.segments))
 
     def document(self) -> dict[str, object]:
-        """Return the contents of plan.json."""
+        """Return the contents of the file `plan.json`."""
         result = self.plan
         problem = self.scenario.planner.problem
         return {
@@ -106,8 +104,7 @@ def plan_scenario(
 ) -> ScenarioPlan:
     """Plan the path of a scenario without simulating it.
 
-    The command `srs-twin plan` calls this function. The function `plan` takes a problem
-    instead of a scenario.
+    The function `plan` solves a `Problem` instead of a scenario.
 
     Args:
         scenario: name or path of a scenario with a planner, or a loaded scenario.

@@ -1,17 +1,17 @@
-r"""The function `plan`, and `plan_with_transitions` for paths with transition arcs.
+r"""Planning of collision-free paths, with or without transition arcs.
 
 A change of curvature from κ_a to κ_b = κ_a + Δκ is not instantaneous, because the body
-responds gradually to a change of offset. The path turns by Δκ δ less than after an
-instantaneous change (`Transient.dheading` = −Δκ δ), and is displaced to the side by
-`Transient.dy` = Δκ m/2. To first order, this effect equals the effect of one transition
-arc of length T and curvature
+responds gradually to a change of offset. Compared with an instantaneous change, the
+path turns by Δκ δ less (`Transient.dheading` = −Δκ δ). The path is also displaced to
+the left by `Transient.dy` = Δκ m/2. To first order, a single transition arc has this
+effect if its curvature κ_t and its length T are
 
 $$ κ_t = κ_a + \Bigl(1 - \frac{δ}{T}\Bigr) Δκ, \qquad T = \frac{m}{δ}. $$
 
-If the arc begins at the distance δ before the planned change, the heading of the plan
-is unchanged and the path is displaced by Δκ (m − δ²)/2. Therefore the search uses a
-goal that is displaced in the opposite direction. A follower that sends each offset at
-the distance δ before the change keeps the body on the path.
+If the transition arc begins a distance δ before the planned change, the final heading
+is unchanged, but the path is displaced by Δκ (m − δ²)/2. The search therefore uses a
+goal that is displaced in the opposite direction. To keep the body on the path, a
+follower sends each offset a distance δ before the planned change.
 """
 
 from __future__ import annotations
@@ -35,20 +35,20 @@ from srs_twin.planning.touch import narrowed, plan_with_touch
 from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
 
 _WIDTH_STEPS = (0.1, 0.2, 0.4, 0.8, 1.6)
-"""Widths added to each edge to find paths with more clearance, relative to the width of
-the straight body.
+"""Outward shifts of the edges in searches for paths with more clearance, relative to
+the width of the straight footprint.
 """
 _MAX_WIDER_NODES = 4000
-"""Maximum number of expanded nodes in the search for a wider body."""
+"""Maximum number of expanded nodes in each search with a wider footprint."""
 _COST_SPACING_M = 0.02
-"""Maximum distance between points at which the clearance is evaluated, m."""
+"""Maximum distance between path points at which the clearance is evaluated, m."""
 
 _AIM_ITERATIONS = 6
-"""Maximum number of corrections of the goal in `plan_with_transitions`."""
+"""Maximum number of goal poses that `plan_with_transitions` tries for each margin."""
 _SHAPING_MARGINS_M = (0.0, 0.01, 0.02, 0.03)
-"""Widths added to each edge, tried in this order, m.
+"""Margins for the search in `plan_with_transitions`, tried in this order, m.
 
-The path with transitions must be collision-free with the original edges.
+The path with transition arcs must be collision-free without this margin.
 """
 
 
@@ -62,7 +62,7 @@ def plan(problem: Problem, settings: Settings | None = None) -> Plan:
 
     Raises:
         InputError: the start or the goal is in an obstacle or outside the bounds, or a
-            number is not allowed.
+            value is not allowed.
     """
     settings = settings or Settings()
     touch = settings.touch_limits
@@ -106,8 +106,8 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
     distance = np.full(len(points), np.inf)
     for _, core, radius in obstacle_shapes(problem.world):
         distance = np.minimum(distance, shapely.distance(points, core) - radius)
-    # For simplicity, the wider of the two edges is used on both sides, which bounds the
-    # cost from above.
+    # The larger of the two edge distances is used on both sides, which yields an upper
+    # bound of the cost.
     clearance = np.maximum(distance - np.maximum(steps.left, steps.right), 0.0)
     return float(np.dot(steps.lengths, 1 + weight * np.exp(-clearance / width)))
 
@@ -115,7 +115,7 @@ def _cost(result: Plan, problem: Problem, width: float, weight: float) -> float:
 @functools.cache
 def _compile() -> None:
     """Compile the kernels or load them from the cache before the time limit starts."""
-    # This problem has obstacles and a transient, so that all kernels are used.
+    # This problem uses all kernels, because it contains obstacles and a transient.
     circles = (Circle(0.6, 0.05, 0.1), Circle(1.7, 0.1, 0.1))
     square = Polygon(((1.1, -0.3), (1.2, -0.3), (1.2, 0.05), (1.1, 0.05)))
     world = World(circles, Bounds((-1.0, 4.0), (-2.0, 2.0)), polygons=(square,))
@@ -133,7 +133,7 @@ def with_transitions(
 ) -> tuple[Segment, ...]:
     """Insert transition arcs into a path.
 
-    The curvature still jumps where there is no space for a transition arc. If the
+    Where there is no space for a transition arc, the curvature still jumps. If the
     footprint has no transients, the path is returned unchanged.
     """
     if not segments:
@@ -159,17 +159,17 @@ def plan_with_transitions(
 ) -> Plan:
     """Plan a path with transition arcs.
 
-    The path is collision-free with its transients and ends within the goal's
-    tolerances. If no such path is found, the plan has no transition arcs, and its
-    reason says so.
+    The path, including its transients, is collision-free and ends within the goal's
+    tolerances. If no such path is found, the plan contains no transition arcs, and its
+    `reason` states this.
 
     Args:
         problem: problem that starts at the end of `begin`.
         settings: search settings.
-        begin: fixed first segments of the path.
+        begin: fixed segments at the start of the path.
 
     Returns:
-        Plan with the total number of nodes and the total time of all searches.
+        Plan, with the number of nodes and the wall time summed over all searches.
     """
     plans: list[Plan] = []
 
@@ -195,7 +195,7 @@ def _search_with_transitions(
     if not first.segments or not body.transients:
         return replace(first, segments=(*begin, *first.segments))
     checker = Checker(problem.world, body)
-    # An unshortened path keeps a larger distance from obstacles.
+    # Paths without shortening keep larger distances from obstacles and are tried last.
     for smooth, margin in product((True, False), _SHAPING_MARGINS_M):
         wide = replace(problem, footprint=body.reduced(margin=margin))
         aim = problem.goal
@@ -213,8 +213,8 @@ def _search_with_transitions(
                 if checker.is_path_free(path):
                     return replace(result, segments=path)
                 break
-            # The goal is displaced by the remaining error until the path ends at the
-            # original goal.
+            # The goal of the search is displaced by the remaining error until the path
+            # ends at the original goal.
             aim = _corrected_aim(aim, problem.goal, end)
     reason = (
         f"{first.reason}; without transition arcs, because no path with them was free"

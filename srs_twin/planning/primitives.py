@@ -1,4 +1,4 @@
-"""Motion primitives of the search, transients that widen the edges, and shortening."""
+"""Motion primitives of the search, with transients, and shortening of paths."""
 
 from __future__ import annotations
 
@@ -23,16 +23,14 @@ from srs_twin.robot.world import Pose
 _RADIUS_FACTORS = (1.0, 2.0, 5.0)
 """Turning radii for the approach to narrow passages, relative to the minimum radius.
 
-Wide turns have small transients.
+Turns with large radii cause small transients.
 """
 
 _SHORTENING_ROUNDS = 4
 _MIN_SAVING = 1e-4
-"""Relative reduction of the path length below which the shortening stops."""
+"""Relative reduction of the path length in one round, below which shortening stops."""
 _RETREAT = 0.97
-"""Factor by which a short cut becomes shorter in each try.
-
-The number of tries is therefore proportional to the logarithm of the distance.
+"""Factor by which the bypassed part of the path shrinks after each failed short cut.
 """
 
 
@@ -41,17 +39,17 @@ class MotionPrimitives(NamedTuple):
 
     Attributes:
         curvatures: curvatures in ascending order, 1/m, shape (n,).
-        left, right: distances of the left and right edges from the path for each
+        left, right: distances from the path to the left and right edges for each
             curvature, m, shape (n,).
-        transients: extra left width, extra right width and length (m) of the transient
-            after a change of curvature, shape (n + 1, n, 3). The last row applies at
-            the start of the path.
-        children: indices of the curvatures with which a node is expanded, shape (m,).
-        radius_factors: turning radii of the tested Dubins paths relative to the minimum
-            radius, starting with 1, shape (k,).
+        transients: left edge shift, right edge shift and length (m) of the transient
+            for each pair of old and new curvature, shape (n + 1, n, 3). The last row
+            applies at the start of the path.
+        children: indices of the curvatures that are used to expand a node, shape (m,).
+        radius_factors: turning radii of the tested Dubins paths, relative to the
+            minimum radius and starting with 1, shape (k,).
         dubins_moves: curvature indices of the right turn, the straight line and the
             left turn for each radius factor, shape (k, 3).
-        length: length of an arc, m.
+        length: arc length, m.
         ahead, behind: distances from the centre of mass to the head and to the tail, m.
     """
 
@@ -68,15 +66,14 @@ class MotionPrimitives(NamedTuple):
 
 
 class ArcState(NamedTuple):
-    """State at the end of an arc, including the transient of the last offset changes.
+    """Pose at the end of an arc, with the transient that is still active.
 
     Attributes:
-        x, y: position, m.
-        heading: heading, rad.
+        x, y, heading: pose, m and rad.
         move: curvature index of the last arc, or the number of curvatures at the start
             of the path.
-        left, right: extra widths of the left and right edges, m.
-        lasting: remaining length along which the edges are wider, m.
+        left, right: outward shifts of the left and right edges, m.
+        lasting: remaining path length over which the edges are shifted, m.
     """
 
     x: float
@@ -91,16 +88,16 @@ class ArcState(NamedTuple):
 def make_motion_primitives(
     primitives: Primitives, footprint: Footprint
 ) -> MotionPrimitives:
-    """Return primitives with the tightest turns, wider turns and a straight line."""
+    """Extend primitives by the tightest turns, wide turns and a straight line."""
     right, left = footprint.tightest
     both = min(right, left)
-    # The method `at` raises an error if a primitive is too tight for the footprint.
+    # The method `at` raises an error if a turn is too tight for the footprint.
     for tightest in primitives.curvatures[[0, -1]]:
         footprint.at(float(tightest))
     own = [*primitives.curvatures, -right, -both, 0.0, both, left]
     wide = [side * both / factor for factor in _RADIUS_FACTORS for side in (-1, 1)]
-    # Rounding merges curvatures that differ by rounding errors. Clipping keeps the
-    # rounded values within the range of the footprint.
+    # Rounding merges almost equal curvatures, and clipping keeps the rounded values
+    # within the range of the footprint.
     curvatures = np.unique(np.round([*own, *wide], 12))
     curvatures = np.clip(curvatures, -right, left)
     rows = [footprint.at(float(k)) for k in curvatures]
@@ -136,7 +133,7 @@ def initial_state(x, y, heading, primitives):  # type: ignore[no-untyped-def]
 def follow_dubins_path(state, path, factor, primitives, grid):  # type: ignore[no-untyped-def]
     """Return whether a Dubins path is collision-free, and the arc state at its end.
 
-    `factor` is an index of `MotionPrimitives.radius_factors`.
+    `factor` is an index into `MotionPrimitives.radius_factors`.
     """
     free = True
     for piece in range(3):
@@ -153,7 +150,7 @@ def follow_dubins_path(state, path, factor, primitives, grid):  # type: ignore[n
 def follow_arc(state, move, length, primitives, grid):  # type: ignore[no-untyped-def]
     """Return whether an arc is collision-free, and the arc state at its end.
 
-    `move` is the index of the curvature, and `length` is the arc length (m).
+    `move` is the curvature index of the arc, and `length` is the arc length (m).
     """
     x = state.x
     y = state.y
@@ -163,8 +160,8 @@ def follow_arc(state, move, length, primitives, grid):  # type: ignore[no-untype
     right = change[1]
     lasting = change[2]
     if state.lasting > 0:
-        # Where transients overlap, the larger widths and the longer remaining length
-        # apply.
+        # If transients overlap, the larger shifts of the edges and the longer remaining
+        # length apply.
         left = max(state.left, left)
         right = max(state.right, right)
         lasting = max(state.lasting, lasting)
@@ -175,7 +172,7 @@ def follow_arc(state, move, length, primitives, grid):  # type: ignore[no-untype
         primitives.left[move],
         primitives.right[move],
     )
-    # Only the first part of the arc has the wider edges.
+    # The transient shifts the edges only on the first part of the arc.
     first = min(lasting, length)
     free = True
     if first > 0:
@@ -198,11 +195,11 @@ def shorten_path(
     grid: ObstacleGrid,
     radius: float,
 ) -> ArcSequence:
-    """Return a collision-free path between the same ends that is not longer.
+    """Replace parts of a path by shorter collision-free Dubins paths.
 
     Args:
         start: start pose.
-        path: collision-free path of arcs with curvatures of the primitives.
+        path: collision-free path whose curvatures belong to the primitives.
         primitives: arcs that the snake can follow.
         grid: obstacles and bounds.
         radius: turning radius of the short cuts, m.
@@ -232,7 +229,7 @@ def _cut_corners(x, y, heading, indices, lengths, primitives, grid, radius):  # 
     count = len(indices)
     state = initial_state(x, y, heading, primitives)
     distances = np.zeros(count + 1)
-    # Arc states at the ends of the pieces of the original path
+    # `states` contains the arc state at the end of each piece of the original path.
     states = [state]
     for k in range(count):
         _, state = follow_arc(state, indices[k], lengths[k], primitives, grid)
@@ -259,8 +256,8 @@ def _cut_corners(x, y, heading, indices, lengths, primitives, grid, radius):  # 
             )
             if path.length < distances[last] - distances[k] - 1e-9:
                 free, end = follow_dubins_path(state, path, 0, primitives, grid)
-                # The last transient of the short cut also widens the edges on the rest
-                # of the path.
+                # The last transient of the short cut may also affect the rest of the
+                # path.
                 if free and _stays_free(
                     end, last, indices, lengths, states, primitives, grid
                 ):
@@ -293,10 +290,7 @@ def _append_arc(indices, lengths, size, move, length):  # type: ignore[no-untype
 
 @allocating
 def _stays_free(state, k, indices, lengths, states, primitives, grid):  # type: ignore[no-untyped-def]
-    """Return whether the path from piece k on remains collision-free.
-
-    The path is checked with a changed arc state at the start of piece k.
-    """
+    """Return whether the path from piece k on is free with another initial state."""
     while k < len(indices):
         original = states[k]
         covered = (

@@ -20,26 +20,24 @@ from srs_twin.robot.world import Goal, Pose, World
 from srs_twin.trajectory import HtmlResult
 
 _MAX_LEVELS = 5
-"""Maximum number of levels. At the fifth level, arcs are 16 times shorter than at the
-first level.
-"""
+"""Finest level, at which arcs are 16 times shorter than at the first level."""
 
 _MAX_COORDINATE_M = 2000.0
-"""Maximum coordinate of start and goal, which limits the cell indices, m."""
+"""Maximum absolute coordinate of start and goal, which limits the cell indices, m."""
 
 _KINK_ROUNDING = 1e-6
-"""Maximum heading jump that is considered a rounding error, rad."""
+"""Maximum heading jump that is attributed to rounding errors, rad."""
 
 
 @dataclass(frozen=True)
 class TouchLimits:
-    """Limits and cost of leaning on obstacles, as explained in `touch`.
+    """Limits and cost parameters for leaning on obstacles (see `touch`).
 
     Attributes:
-        hard: narrowed footprint whose edges must never overlap obstacles.
+        hard: narrowed footprint, whose edges must never overlap obstacles.
         core: half the width of the body, m.
         stiffness: contact force per displacement of one connector, N/m.
-        floor: maximum lateral friction force of the body on the floor, N.
+        floor: maximum lateral friction force between the body and the floor, N.
     """
 
     hard: Footprint
@@ -54,9 +52,9 @@ class PlannedContact:
 
     Attributes:
         obstacle: name of the obstacle, such as "obstacle 2".
-        begin, end: path lengths at the start and the end of the contact, m.
+        begin, end: path positions at the start and the end of the contact, m.
         depth: maximum overlap, m.
-        force: mean of the estimated contact force over time, N.
+        force: estimated mean contact force, N.
     """
 
     obstacle: str
@@ -72,22 +70,20 @@ class Settings:
 
     Attributes:
         nodes: maximum number of expanded nodes.
-        seconds: limit on the wall time, s, or None for no limit. The limit is checked
-            at least every 16,000 nodes. With a limit, the result depends on the
-            machine.
-        weight: weight w of the lower bound on the remaining length. With w = 1, the
-            search finds the shortest path. With w > 1, the search expands fewer nodes,
-            and the path is at most w times as long as the shortest path.
-        levels: number of resolutions, 1 to 5. Each level halves the lengths of the arcs
-            and cells of the previous level.
+        seconds: wall-time limit, s, or None for no limit. The limit is checked at least
+            every 16,000 nodes. With a limit, the result depends on the machine.
+        weight: weight w of the lower bound on the remaining length, at least 1. With a
+            larger weight, the search expands fewer nodes, but the path may be longer.
+        levels: number of resolution levels, 1 to 5. Each level halves the arc length
+            and the cell size.
         smooth: whether to shorten the path after the search.
-        clearance_weight: extra cost of one metre of path that touches an obstacle, m.
-            The extra cost decreases by a factor e per body width of clearance. If this
-            weight is above 0, the search is repeated for wider bodies.
+        clearance_weight: extra cost of one metre of path without clearance, m. The
+            extra cost decreases by a factor of e per body width of clearance. If this
+            weight is above 0, the search is repeated with wider footprints.
         improve: whether to search for a shorter path at finer levels until the budget
             is spent.
-        touch_limits: limits and cost of leaning on obstacles, or None if the body must
-            not touch obstacles.
+        touch_limits: limits and cost parameters for leaning on obstacles, or None if
+            the body must not touch obstacles.
     """
 
     nodes: int = 200_000
@@ -133,7 +129,7 @@ class Problem:
 
     Attributes:
         start: initial pose of the straight snake.
-        goal: goal of the centre of mass.
+        goal: goal for the centre of mass.
         world: obstacles and bounds.
         footprint: area that the body covers in each possible turn.
         primitives: motion primitives, or None if the planner chooses them.
@@ -147,7 +143,11 @@ class Problem:
 
 
 def check_problem(problem: Problem) -> None:
-    """Check that start and goal are collision-free and that all values are allowed."""
+    """Check that start and goal are collision-free and that all values are allowed.
+
+    Raises:
+        InputError: a check fails.
+    """
     validate_footprint(problem.footprint)
     start = problem.start
     goal = problem.goal
@@ -239,18 +239,20 @@ class PlanOutcome(StrEnum):
 
 @dataclass(frozen=True)
 class Plan(HtmlResult):
-    """Result of a planner. Equal problems have identical plans on all machines.
+    """Result of a planner.
+
+    Without a time limit, equal problems have identical plans on all machines.
 
     Attributes:
         outcome: outcome of planning.
-        reason: explanation of the outcome, with a remedy.
+        reason: explanation of the outcome, with advice if no path was found.
         segments: arcs of the path, if a path was found.
         expanded: number of expanded nodes.
-        touches: parts of the path that lean on obstacles, or None if
+        touches: parts of the path on which the body leans on obstacles, or None if
             `Settings.touch_limits` is None.
-        seconds: wall time, s. It is ignored when plans are compared.
-        problem: problem with the edges that must stay free. It is ignored when plans
-            are compared.
+        seconds: wall time, which is ignored in comparisons of plans, s.
+        problem: problem with the footprint edges that must stay free, which is ignored
+            in comparisons of plans.
     """
 
     page: ClassVar[str] = "plan"
@@ -265,7 +267,7 @@ class Plan(HtmlResult):
 
     @cached_property
     def least_length(self) -> float:
-        """Lower bound on the length of any path with arbitrary curvature, m."""
+        """Lower bound on the length of paths with arbitrary curvature, m."""
         assert self.problem is not None, "set by plan()"
         problem = self.problem
         return min_path_length(
@@ -296,7 +298,7 @@ class Plan(HtmlResult):
 
     @property
     def max_heading_jump(self) -> float:
-        """Maximum heading jump between two segments, rad."""
+        """Maximum heading jump between consecutive segments, rad."""
         pairs = zip(self.segments, self.segments[1:], strict=False)
         jumps = (
             abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi))
@@ -308,7 +310,7 @@ class Plan(HtmlResult):
         return 0.0
 
     def after(self, begin: tuple[Segment, ...]) -> Plan:
-        """Return the plan with additional segments before its path."""
+        """Return the plan with additional segments at the start of its path."""
         done = math.fsum(segment.length for segment in begin)
         touches = self.touches and tuple(
             replace(touch, begin=touch.begin + done, end=touch.end + done)
@@ -324,7 +326,11 @@ class Plan(HtmlResult):
         )
 
     def samples(self, spacing: float = 0.01) -> np.ndarray:
-        """Return poses (x, y, heading) at most `spacing` (m) apart, shape (n, 3)."""
+        """Return x, y (m) and heading (rad) along the path, shape (n, 3).
+
+        Args:
+            spacing: maximum distance between two poses, m.
+        """
         rows = []
         for segment in self.segments:
             steps = max(1, math.ceil(segment.length / spacing))

@@ -1,4 +1,4 @@
-"""Section `planner` of a scenario, and the cached plan of a scenario."""
+"""Scenario section `planner`, and the planner that the section configures."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class PrimitivesFile(Section):
     count: int = quantity(3, 201)
     """Number N of arcs, which must be odd."""
     turn_rad: float = quantity(0.001, 3.14)
-    """Maximum turn of an arc."""
+    """Maximum turning angle of an arc."""
     length_m: float = quantity(0.001, 100.0)
     """Length of each arc."""
 
@@ -64,17 +64,14 @@ class PlannerSection(ExtensionSection):
     uses_goal = True
 
     footprint: PathOrName
-    """Footprint of the body: name of a shipped footprint, or path of a footprint
-    file."""
+    """Name of a shipped footprint, or path of a footprint file."""
     turn_fraction: float = quantity(0.05, 1.0, 1.0)
-    """Fraction of the tightest curvature that plans may use. The follower needs the
-    rest for corrections.
-    """
+    """Fraction of the tightest curvature that plans may use."""
     margin_m: float | None = quantity(0.0, 10.0, None)
     """Margin added to both edges of the footprint (default 0)."""
     margin_probability: float | None = quantity(0.5, 0.999, None)
-    """Probability that a whole run stays within the margin. The margin is then computed
-    from the excursions in the footprint file, and replaces `margin_m`.
+    """Probability that a whole run stays within the margin, which is then computed from
+    the excursions in the footprint file.
     """
 
     @model_validator(mode="after")
@@ -163,7 +160,7 @@ class PlannerSection(ExtensionSection):
     ) -> Plan:
         """Return the plan of a problem.
 
-        `wider` (m) is added to each edge of the footprint on the straight lead-in.
+        `wider` is an outward shift (m) of both footprint edges on the straight lead-in.
         """
 
 
@@ -173,13 +170,9 @@ class BestFirstFile(PlannerSection):
     constructors = (Settings,)
 
     contact: Literal["allowed"] | None = None
-    """If `allowed`, the snake may lean on obstacles wherever its body can pass
-    (default: keep clear).
-    """
+    """With `allowed`, the snake may lean on obstacles (default: keep clear)."""
     lead_in_m: float = quantity(0.0, 100.0, 0.0)
-    """Length of a straight lead-in at the start of the path, on which the gait becomes
-    steady.
-    """
+    """Length of the straight lead-in at the start of the path."""
     primitives: PrimitivesFile | None = None
     """Motion primitives (default: chosen by the planner)."""
     kind: Literal["best_first"]
@@ -187,22 +180,20 @@ class BestFirstFile(PlannerSection):
     nodes: int = quantity(1, 100_000_000)
     """Maximum number of expanded nodes."""
     seconds: float | None = quantity(0.001, 3600.0, unit="s")
-    """Limit on the wall time (default: none). With a limit, the result may differ
-    between machines."""
-    weight: float = quantity(1.0, 100.0)
-    """Weight of the cost-to-go. A value above 1 makes the search faster and the path
-    longer."""
-    levels: int = quantity(1, 5)
-    """Number of resolutions to try."""
-    clearance_weight: float = quantity(0.0, 100.0)
-    """Extra cost per metre of path that touches an obstacle, in metres. If it is above
-    0, paths keep away from obstacles.
+    """Wall-time limit, with which results may differ between machines (default: none).
     """
+    weight: float = quantity(1.0, 100.0)
+    """Weight of the estimated remaining length, where a larger weight makes the search
+    faster and the path longer."""
+    levels: int = quantity(1, 5)
+    """Maximum number of resolution levels."""
+    clearance_weight: float = quantity(0.0, 100.0)
+    """Extra cost of one metre of path without clearance from obstacles, in metres."""
     smooth: bool = constructor_default()
     """Whether to shorten the path after the search."""
     shape_changes: bool = False
-    """Whether to plan with transition arcs instead of curvature jumps. The transition
-    arcs follow from the measured response to changes of offset.
+    """Whether to plan transition arcs instead of curvature jumps. The transition arcs
+    are computed from the measured responses to changes of offset.
     """
     improve: bool = constructor_default()
     """Whether to search for a shorter path at finer resolutions while the budget lasts.
@@ -259,7 +250,6 @@ class BestFirstFile(PlannerSection):
                     f"the straight lead-in of {self.lead_in_m:g} m touches {hit}; set"
                     " a shorter `lead_in_m`"
                 )
-            # The lead-in is fixed, so the search starts at the end of the lead-in.
             problem = replace(problem, start=begin[-1].end)
         settings = replace(self.build(), touch_limits=limits)
         if self.shape_changes:
@@ -271,25 +261,24 @@ class BestFirstFile(PlannerSection):
 
 
 class GivenFile(PlannerSection):
-    """Given path, as in Fig. 56. The path ignores obstacles."""
+    """Given path that is followed without regard to obstacles, as in Fig. 56."""
 
     kind: Literal["given"]
     """Kind of planner."""
     turns_rad: Annotated[tuple[Turn, ...], Field(min_length=1, max_length=1000)]
-    """Turn of each step, positive to the left, rad, -3.14159 to 3.14159."""
+    """Turning angle of each step, positive to the left, rad, -3.14159 to 3.14159."""
     step_m: float = quantity(0.001, 100.0)
     """Length of each step."""
 
     def goal(self, start: Pose, goal: Goal | None, footprint: Footprint) -> Goal:
-        """Return the end of the path."""
-        # The end of the path replaces the goal of the scenario, but keeps its radius.
+        """Return the end of the path, with the radius of the scenario's goal."""
         end = self._path(start, footprint)[-1].end
         return Goal(end.x, end.y, end.heading, goal.radius if goal else 0.05)
 
     def find(
         self, problem: Problem, wider: float = 0.0, limits: TouchLimits | None = None
     ) -> Plan:
-        """See `PlannerSection.find`. The path ignores obstacles."""
+        """See `PlannerSection.find`."""
         return Plan(
             PlanOutcome.FOUND,
             "the path is given",
@@ -309,7 +298,7 @@ PLANNER_FILES: dict[str, type[PlannerSection]] = {
     get_args(section.model_fields["kind"].annotation)[0]: section
     for section in (BestFirstFile, GivenFile)
 }
-"""Section class of each kind of planner."""
+"""Section classes, keyed by kind of planner."""
 
 
 @dataclass(frozen=True)
@@ -317,10 +306,9 @@ class ScenarioPlanner:
     """Planner configured by a scenario.
 
     Attributes:
-        footprint: measured footprint, without margin and including turns that the plan
-            may not use.
-        problem: problem whose footprint has been reduced by the turn fraction and
-            widened by the margin.
+        footprint: measured footprint, with all turns and without margin.
+        problem: problem whose footprint has a reduced range of turns and includes the
+            margin.
     """
 
     file: PlannerSection
@@ -330,7 +318,7 @@ class ScenarioPlanner:
     touch_limits: TouchLimits | None = None
 
     def plan(self) -> Plan:
-        """Return the plan, which is computed once for the plants and the report."""
+        """Return the plan, which is computed only once and then cached."""
         return _plan(self)
 
     def plan_uncached(self) -> Plan:
@@ -339,7 +327,7 @@ class ScenarioPlanner:
         return self.file.find(self.problem, wider, self.touch_limits)
 
     def plan_from(self, pose: Pose, fraction: float = 1.0) -> Plan:
-        """Return a plan from another pose, with a fraction of the margin."""
+        """Return a plan that starts at another pose, with a fraction of the margin."""
         # A new plan needs no lead-in, because the gait is already steady.
         file = self.file.model_copy(update={"lead_in_m": 0.0})
         body = validate_footprint(

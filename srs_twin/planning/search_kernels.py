@@ -1,17 +1,17 @@
 """Compiled kernels of the best-first search over arcs (hybrid A*).
 
-A node is a pose that is reached from the start by arcs. Nodes are expanded in the order
-of g + w h, where g is the length of the path so far, h is the Dubins length to the goal
-at the tightest curvature, and w is the weight. The length h is a lower bound on the
-remaining length. Along an arc, h decreases by at most the length of the arc. For w = 1,
-the values g + h of the expanded nodes therefore never decrease. For w > 1, the path is
-at most w times as long as the shortest path on these arcs and cells.
+A node is a pose that a sequence of arcs reaches from the start. Nodes are expanded in
+the order of g + w h, where g is the length of the path to the node and w is a weight.
+The heuristic h is the length of the Dubins path to the goal with the minimum turning
+radius, which is a lower bound on the remaining length. Along an arc, h decreases by at
+most the arc length, so the values g + h never decrease for w = 1. Without guidance, the
+path is at most w times as long as the shortest path on the same arcs and cells.
 
-When a node is expanded, the Dubins path from the node to the goal is tested. If this
-Dubins path is collision-free, a plan is found. The open list is a binary heap. The
-closed set is a hash table with one node per cell of poses. Only a node with a shorter
-path replaces the node of a cell. The search is therefore finite but incomplete: a pose
-that was dropped might have had a collision-free continuation.
+If the Dubins path from an expanded node to the goal is collision-free, a plan is found.
+The open list is a binary heap. The closed set is a hash table with one node per cell of
+poses, and a node is replaced only by a node with a shorter path. The search is
+therefore finite but incomplete, because a dropped pose might have a collision-free
+continuation.
 """
 
 from __future__ import annotations
@@ -32,50 +32,50 @@ from srs_twin.planning.primitives import (
     follow_dubins_path,
 )
 
+# Indices in `Frontier.counts` for the numbers of created, open and expanded nodes.
 NODES = 0
-"""Index of the number of created nodes in `Frontier.counts`."""
 OPEN = 1
-"""Index of the number of nodes on the heap in `Frontier.counts`."""
 EXPANDED = 2
-"""Index of the number of expanded nodes in `Frontier.counts`."""
 
 CONNECTED = 0
-"""Result of `expand` if the Dubins path from a node to the goal is free."""
+"""Result of `expand` if a Dubins path from a node to the goal is collision-free."""
 ARRIVED = 1
-"""Result of `expand` if a node is within the goal's tolerance."""
+"""Result of `expand` if a node is within the tolerances of the goal."""
 PAUSED = 2
 """Result of `expand` if the requested number of nodes has been expanded."""
 EXHAUSTED = 3
-"""Result of `expand` if no node is open."""
+"""Result of `expand` if no open node is left."""
 FULL = 4
 """Result of `expand` if the arrays are full."""
 
 _INDEX_BITS = 26
-"""Number of bits in a cell key for the row number, and for the column number."""
+"""Number of bits that a cell key contains for each of the row and column numbers."""
 _INDEX_OFFSET = 1 << (_INDEX_BITS - 1)
 """Offset added to row and column numbers to make them positive."""
 
 _COST_TOLERANCE = 1e-9
-"""Minimum reduction of the path length at which a node is replaced, m."""
+"""Minimum reduction of the path length for which a node is replaced, m."""
 _PASSAGE_INTERVAL = 4
 """Number of expanded nodes between two attempts to use narrow passages.
 
 Testing a passage takes far more time than testing an arc.
 """
 _PASSAGE_REACH = 6.0
-"""Distance beyond which a narrow passage is not tried, in turning radii."""
+"""Distance beyond which a narrow passage is not tried, in turning radii.
+
+Twice the length of the passage is added to this distance.
+"""
 
 
 class Node(NamedTuple):
     """Pose reached by the search, with its path length and transient.
 
     Attributes:
-        x, y: position, m.
-        heading: heading, rad.
+        x, y, heading: pose, m and rad.
         cost: length of the path from the start to the node, m.
         bound: lower bound on the remaining length, m.
-        left, right: extra widths of the left and right edges due to transients, m.
-        lasting: remaining length along which the edges are wider, m.
+        left, right: outward shifts of the left and right edges due to transients, m.
+        lasting: remaining path length over which the edges are shifted, m.
     """
 
     x: float
@@ -92,7 +92,7 @@ _COST = Node._fields.index("cost")
 
 
 class Frontier(NamedTuple):
-    """State of a search: nodes, open list and closed set.
+    """State of a search, with its nodes, open list and closed set.
 
     Attributes:
         nodes: fields of each `Node`, shape (capacity, 8).
@@ -118,8 +118,7 @@ class Frontier(NamedTuple):
 
 def empty_frontier(capacity: int) -> Frontier:
     """Return the state of a new search with space for `capacity` nodes."""
-    # If the table has at least twice as many slots as nodes, collisions of keys are
-    # rare.
+    # With at least two slots per node, hash collisions are rare.
     slots = 1 << (2 * capacity - 1).bit_length()
     nodes = np.empty((capacity, len(Node._fields)))
     links = np.empty((capacity, 2), dtype=np.int32)
@@ -163,7 +162,7 @@ def push(frontier, node, key):  # type: ignore[no-untyped-def]
 
 @compiled
 def pop(frontier):  # type: ignore[no-untyped-def]
-    """Remove the node with the minimum key from the heap, and return the node."""
+    """Remove and return the node with the minimum key."""
     keys = frontier.keys
     heap = frontier.heap
     frontier.counts[OPEN] -= 1
@@ -192,8 +191,7 @@ def pop(frontier):  # type: ignore[no-untyped-def]
 def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped-def]  # noqa: D417
     """Return the hash table slot for the cell of a pose, and add the cell if it is new.
 
-    The cell size `cell` is in m. The heading range `sector` is in rad and must divide
-    2π.
+    The cell size `cell` is in m, and the heading range `sector` (rad) must divide 2π.
     """
     row = np.int64(np.floor(x / cell)) + _INDEX_OFFSET
     column = np.int64(np.floor(y / cell)) + _INDEX_OFFSET
@@ -206,8 +204,8 @@ def cell_slot(frontier, x, y, heading, cell, sector):  # type: ignore[no-untyped
 
 @kernel_only
 def _key_slot(frontier, key):  # type: ignore[no-untyped-def]
-    # Fibonacci hashing multiplies the key by 2⁶⁴ divided by the golden ratio, where an
-    # integer overflow is harmless.
+    # Fibonacci hashing multiplies the key by 2⁶⁴ divided by the golden ratio, modulo
+    # 2⁶⁴.
     last = frontier.cells.shape[0] - 1
     slot = ((key * np.int64(-7046029254386353131)) >> 20) & last
     while frontier.owners[slot] != 0 and frontier.cells[slot] != key:
@@ -228,13 +226,13 @@ class Target(NamedTuple):
 
     Attributes:
         x, y: position, m.
-        heading: heading, which is ignored if `any_heading` is set, rad.
+        heading: heading, which is ignored if `any_heading` is true, rad.
         radius: position tolerance, m.
         heading_tolerance: heading tolerance, rad.
-        bound_radius: minimum turning radius to the left or right, used for the lower
-            bound, m.
-        dubins_radius: turning radius of the Dubins paths, which the snake can follow to
-            both sides, m.
+        bound_radius: smaller of the minimum left and right turning radii, used for the
+            lower bound, m.
+        dubins_radius: larger of the minimum left and right turning radii, used for
+            Dubins paths that the snake can follow, m.
     """
 
     x: float
@@ -252,10 +250,9 @@ class SearchSpec(NamedTuple):
 
     Attributes:
         cell: cell size in x and y, m.
-        sector: heading range of a cell, rad. It must divide 2π.
+        sector: heading range of a cell, which must divide 2π, rad.
         weight: weight w of the lower bound.
-        heuristic: grid distances, which affect the order of the nodes but exclude no
-            node.
+        heuristic: grid distances, which affect only the order of expansion.
         passages: entry poses and lengths of narrow passages, as returned by
             `guidance.find_passages`.
     """
@@ -303,14 +300,17 @@ def add_root(frontier, x, y, heading, spec):  # type: ignore[no-untyped-def]
 
 @compiled
 def expand(frontier, spec, best, count):  # type: ignore[no-untyped-def]
-    """Expand nodes until an event such as `CONNECTED`; return the event and its node.
+    """Expand nodes until an event, such as `CONNECTED`, occurs.
 
     Args:
         frontier: state of the search, which is modified.
         spec: search parameters.
         best: length of the best plan so far, m. Nodes that cannot lead to a shorter
             plan are dropped.
-        count: maximum number of nodes.
+        count: maximum number of nodes to expand.
+
+    Returns:
+        Event and index of the node at which it occurred, or -1.
     """
     primitives = spec.primitives
     until = frontier.counts[EXPANDED] + count
@@ -376,7 +376,7 @@ def _try_passages(frontier, node, spec, best):  # type: ignore[no-untyped-def]
 def _try_passage(frontier, node, passage, factor, spec, best):  # type: ignore[no-untyped-def]
     """Add a node at the exit of a narrow passage if a Dubins path leads to the passage.
 
-    The arc index of the new node is −1 − passage n − factor, where n is the number of
+    The arc index of the new node is −1 − passage · n − factor, where n is the number of
     radius factors.
     """
     primitives = spec.primitives
@@ -425,16 +425,15 @@ def _is_taken(frontier, slot, cost):  # type: ignore[no-untyped-def]
 @kernel_only
 def _open_node(frontier, slot, parent, move, node, spec):  # type: ignore[no-untyped-def]
     child = _add_node(frontier, slot, parent, move, node)
-    # With grid distances, h may exceed the remaining length and is no longer a lower
-    # bound.
+    # The grid distance may exceed the remaining length, so `rest` is not a lower bound.
     rest = max(node.bound, grid_distance(spec.heuristic, node.x, node.y))
     push(frontier, child, node.cost + spec.weight * rest)
 
 
 @kernel_only
 def _add_node(frontier, slot, parent, move, node):  # type: ignore[no-untyped-def]
-    # The new node replaces the previous node of the cell. The previous node is skipped
-    # when it is popped from the heap.
+    # The new node replaces the previous node of the cell, which is skipped when it is
+    # popped from the heap.
     child = frontier.counts[NODES]
     frontier.counts[NODES] += 1
     frontier.owners[slot] = child + 1

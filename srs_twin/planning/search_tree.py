@@ -1,4 +1,4 @@
-"""Search trees: resumable best-first search from the start or from the goal."""
+"""Resumable best-first search from the start or from the goal."""
 
 from __future__ import annotations
 
@@ -27,26 +27,23 @@ from srs_twin.planning.search_kernels import (
 from srs_twin.robot.world import Goal, Pose
 
 _INITIAL_CAPACITY = 4096
-"""Initial capacity for nodes, which suffices for easy problems and is increased when
-needed.
-"""
 
 _BOUND_SLACK = 1e-6
 """Relative reduction of the turning radius for the lower bound.
 
-At the end of a tightest turn, rounding errors may put the goal inside the turning
-circle. The Dubins length would then be larger by a full turn.
+Without the reduction, rounding errors could add a full turn to the Dubins path at the
+end of a tightest turn.
 """
 
 _GOAL_SPREAD = (0.0, -0.7, 0.7)
-"""Coordinates at which backward searches start, in units of the goal's radius.
+"""Start coordinates of backward searches, relative to the goal, in goal radii.
 
 With the factor 0.7, the corners of this square pattern are within the radius.
 """
 
 
 def make_target(goal: Goal, footprint: Footprint) -> Target:
-    """Return a goal in the form that the compiled kernels use."""
+    """Convert a goal to the form that the compiled kernels use."""
     right, left = footprint.tightest
     x, y, heading = Pose(goal.x, goal.y, goal.heading or 0.0)
     tolerances = float(goal.radius), float(goal.heading_tolerance)
@@ -69,7 +66,7 @@ class SearchTree:
 
     @property
     def way(self) -> str:
-        """Direction of the tree as text."""
+        """Search direction as text."""
         if self.backward:
             return "back from the goal"
         return "on from the start"
@@ -135,10 +132,10 @@ class SearchTree:
 def goal_poses(goal: Goal, sector: float) -> list[Pose]:
     """Return poses within the tolerances of a goal, beginning with the goal itself.
 
-    If the heading of the goal is free, each heading sector (rad) has one pose.
+    If the heading of the goal is free, the poses have one heading per sector (rad).
     """
     if goal.heading is None:
-        # A second pose in a sector would fall into an occupied cell.
+        # A second heading in a sector would fall into an occupied cell.
         headings = list(np.arange(0.0, 2 * math.pi, sector))
     else:
         headings = [

@@ -1,33 +1,34 @@
-r"""Steering along a path: a Smith predictor for the pose, and the steering laws.
+r"""Steering laws for path following, and a Smith predictor of the pose.
 
 The mean pose over a gait period T lags by T/2, and a command takes effect after a
-delay. The predictor extrapolates the pose over T/2 and over the delay with a unicycle
-model. The curvature κ of the model approaches the curvature of the footprint at the
-commanded offset φ, with a first-order response over the path length ℓ
-(`Footprint.response_length`),
+delay. The predictor therefore extrapolates the mean pose with a unicycle model. The
+model's curvature κ approaches the footprint's curvature at the commanded offset φ with
+a first-order response over the path length ℓ (`Footprint.response_length`):
 
 $$ \frac{dκ}{ds} = \frac{κ_{footprint}(φ) - κ}{ℓ}, \qquad \dot θ = v (g κ + d) . $$
 
-The speed v is measured. A snake whose modules have different properties does not turn
-exactly like its footprint. A Kalman filter estimates the deviation as a gain g and a
-disturbance d (1/m).
+Here, θ is the heading and v is the measured speed. A snake with unequal modules does
+not turn exactly as its footprint predicts. A Kalman filter estimates this deviation as
+a gain g and a disturbance d (1/m).
 
-`WaypointSteering` is the law of Section 5.2.2. The snake visits the nodes of the plan
-one after another. The offset is limited, and proportional to the bearing of the next
-node minus the heading. When the distance between the snake and a node is below a
-threshold, the snake steers towards the next node.
+`WaypointSteering` is the steering law of Section 5.2.2, which steers from node to node
+along the path. Up to a limit, the offset is proportional to the bearing of the next
+node minus the heading. When the distance from this node falls below a threshold, the
+snake steers towards the following node.
 
-`PathTracking` is a law of this project. Let n be the cross-track error and e the
-heading error, predicted for the time at which the command takes effect. The curvature
+`PathTracking` is a steering law that is not in the dissertation. Let n be the
+cross-track error and e the heading error, both predicted for the time at which the
+command takes effect. The curvature
 
 $$ κ = \frac{κ_{plan}(s + ℓ)}{1 - κ_{plan} n}
    - \frac{2ζ}{L}\,\bigl(1 + ℓ\tfrac{d}{ds}\bigr)(e - e_n) - d,
    \qquad e_n = -\operatorname{clip}\Bigl(\frac{n}{2ζL}\Bigr) $$
 
-reduces n over the length L like a second-order system with damping ratio ζ. Two terms
-compensate the response length ℓ: the planned curvature is evaluated at s + ℓ, and the
-derivative of the heading error is added. The model provides this derivative without
-noise. The offset is interpolated from the footprint at the curvature κ/g.
+reduces n over the path length L like a second-order system with a damping ratio ζ. To
+compensate for the response length ℓ, the planned curvature is evaluated at s + ℓ, and
+the derivative of the heading error is added. This derivative is computed with the
+model, so it contains no measurement noise. The offset is interpolated from the
+footprint at the curvature κ/g.
 """
 
 from __future__ import annotations
@@ -46,33 +47,32 @@ from srs_twin.planning.path import PathPoint, ReferencePath
 from srs_twin.robot.world import Pose
 
 _SPEED_LIMITS = (0.2, 5.0)
-"""Minimum and maximum measured speed, relative to the footprint's speed."""
+"""Limits of the measured speed, relative to the footprint's speed."""
 
 _MAX_DISTURBANCE_FRACTION = 0.5
-"""Maximum estimate of the disturbance relative to the tightest curvature."""
+"""Limit of the estimated disturbance, relative to the tightest curvature."""
 _GAIN_LIMITS = (0.4, 2.5)
-"""Minimum and maximum estimate of the gain."""
+"""Limits of the estimated gain."""
 
 _PRIOR_STD = np.array([0.2, 0.3])
-"""Initial standard deviations of d, relative to the tightest curvature, and of g.
-
-The documentation page docs/course.md explains these values.
-"""
+"""Initial standard deviations of d (relative to the tightest curvature) and of g."""
 _WALK_STD = np.array([0.1, 0.1])
-"""Standard deviations of the random walk of d and g per √(gait period)."""
+"""Standard deviations of the random walks of d (relative to the tightest curvature)
+and of g, per √(gait period).
+"""
 _CURVATURE_STD = 0.02
-"""Standard deviation of a curvature measured over a gait period, relative to the
-tightest curvature.
+"""Standard deviation of the curvature that is measured over a gait period, relative to
+the tightest curvature.
 """
 
 _HISTORY_PERIODS = 2.5
 """Duration of the stored model history, in gait periods."""
 
 _Sample = tuple[float, ...]
-"""Time (s), x, y (m) and heading (rad).
+"""Sample with time (s), x, y (m) and heading (rad).
 
-Samples of the model also contain the part of the heading change that the footprint
-predicts (rad).
+Samples of the model also contain the total heading change that the footprint predicts
+(rad).
 """
 _time = itemgetter(0)
 
@@ -81,13 +81,12 @@ class Predictor(Stateful):
     """Smith predictor of the pose, with estimates of speed, gain and disturbance.
 
     Attributes:
-        speed: measured speed, or the speed of the footprint until two mean poses one
-            period apart are available, m/s.
+        speed: measured speed, which is initially the speed of the footprint, m/s.
         disturbance: estimated disturbance d, 1/m.
         gain: estimated gain g.
         curvature: current curvature of the model, 1/m.
-        moved: distance between the mean positions now and one period earlier, m, or
-            None during the first period.
+        moved: displacement of the mean position over the last gait period, m, or None
+            during the first period.
     """
 
     state_attributes = (
@@ -131,11 +130,11 @@ class Predictor(Stateful):
 
     @property
     def turning(self) -> float:
-        """Path curvature at the time when a command sent now takes effect, 1/m."""
+        """Predicted path curvature when a command sent now takes effect, 1/m."""
         return self.gain * self.curvature + self.disturbance
 
     def command(self, time: float, offset: float) -> None:
-        """Advance the model, which leads the snake by the command delay."""
+        """Advance the model to a time (s) at a constant commanded offset."""
         before, x, y, heading, total_turn = self._model[-1]
         step = time - before
         if step <= 0:
@@ -161,13 +160,13 @@ class Predictor(Stateful):
         _drop_before(self._model, time - _HISTORY_PERIODS * self._period - self._delay)
 
     def measure(self, time: float, middle: float, mean: Pose, *, whole: bool) -> None:
-        """Process a mean pose, and update the estimates.
+        """Update the estimates of speed, gain and disturbance with a mean pose.
 
         Args:
             time: current time, s.
-            middle: middle of the averaging interval, s.
+            middle: midpoint of the averaging interval, s.
             mean: mean pose.
-            whole: whether the averaging interval covers a whole gait period. Otherwise
+            whole: whether the averaging interval covers a whole gait period. If not,
                 the estimates are not updated.
         """
         means = self._means
@@ -185,8 +184,8 @@ class Predictor(Stateful):
         duration = middle - begin
         low, high = (fraction * self._nominal for fraction in _SPEED_LIMITS)
         self.speed = min(max(self.moved / duration, low), high)
-        # The nominal turn is the heading change that the footprint predicts for this
-        # interval.
+        # The nominal turn is the heading change that the footprint predicts for the
+        # interval between the two mean poses.
         nominal = self._at(middle)[4] - self._at(begin)[4]
         length = max(self.moved, 1e-6 + low * duration)
         periods = (time - self._updated) / self._period
@@ -196,19 +195,19 @@ class Predictor(Stateful):
         self._updated = time
 
     def _update_turning(self, measured: float, nominal: float, periods: float) -> None:
-        """Update gain and disturbance with a Kalman filter (measured = d + g nominal).
+        """Update gain and disturbance by a Kalman filter with measured = d + g nominal.
 
-        `measured` is the measured curvature and `nominal` is the curvature of the
-        footprint, 1/m. `periods` is the number of gait periods since the last update.
+        `measured` and `nominal` are the measured curvature and the footprint's
+        curvature (1/m). `periods` is the number of gait periods since the last update.
         """
         if periods <= 0:
             return
         self._covariance += np.diag((_WALK_STD * self._scale) ** 2 * periods)
-        # The observation matrix is the derivative of the measured curvature with
+        # The observation matrix contains the derivatives of the measured curvature with
         # respect to d and g.
         row = np.array([1.0, nominal])
-        # The averaging intervals overlap, so all frames of a period count as one
-        # measurement.
+        # The averaging intervals of successive frames overlap, so all frames of one
+        # period together count as one measurement.
         cross = self._covariance @ row
         weights = cross / (
             row @ cross + (_CURVATURE_STD * self._tightest) ** 2 / periods
@@ -222,12 +221,10 @@ class Predictor(Stateful):
             max(self.gain + float(weights[1]) * innovation, _GAIN_LIMITS[0]),
             _GAIN_LIMITS[1],
         )
-        # The Kalman update with one scalar measurement reduces the covariance of d and
-        # g.
         self._covariance -= np.outer(weights, cross)
 
     def predict(self, middle: float, mean: Pose, time: float) -> Pose:
-        """Return the pose at a time, given the mean pose at an earlier time.
+        """Predict the pose at a time from the mean pose at an earlier time.
 
         Args:
             middle: time of the mean pose, s.
@@ -235,8 +232,8 @@ class Predictor(Stateful):
             time: time of the prediction, at most the command delay after the current
                 time, s.
         """
-        # The motion of the model since the time of the mean pose is rotated into the
-        # frame of the mean pose.
+        # The motion of the model since that earlier time is rotated into the frame of
+        # the mean pose.
         _, x0, y0, heading0, _ = self._at(middle)
         _, x, y, heading, _ = self._at(time)
         turn = mean.heading - heading0
@@ -247,7 +244,7 @@ class Predictor(Stateful):
         return Pose(mean.x + c * dx - s * dy, mean.y + s * dx + c * dy, heading + turn)
 
     def _at(self, time: float) -> _Sample:
-        """Return the model state that corresponds to a time of the snake."""
+        """Return the model sample that the snake reaches at a time (s)."""
         # The model leads the snake by the command delay.
         time -= self._delay
         model = self._model
@@ -261,7 +258,7 @@ class Predictor(Stateful):
 
 
 def _drop_before(samples: list[_Sample], before: float) -> None:
-    """Delete the samples before a time if they are more than half of all samples.
+    """Delete samples before a time (s) once they make up more than half of the list.
 
     The last sample before this time is kept.
     """
@@ -271,11 +268,9 @@ def _drop_before(samples: list[_Sample], before: float) -> None:
 
 
 DAMPING = 1.0
-"""Damping ratio ζ of the cross-track error. Critical damping has no overshoot."""
+"""Damping ratio ζ of the cross-track error, set to critical damping."""
 _MAX_APPROACH = 0.7
-"""Maximum angle between the heading and the path when the snake approaches the path,
-rad.
-"""
+"""Maximum angle at which the snake returns to the path, rad."""
 
 
 @dataclass(frozen=True)
@@ -283,12 +278,12 @@ class SteeringInput:
     """Input of a steering law.
 
     Attributes:
-        pose: predicted pose, or the mean pose over a period if the law uses no
+        pose: predicted pose, or the mean pose over a gait period if the law uses no
             prediction.
         place: path coordinates of the pose.
-        curvature: curvature of the model at the time of the pose, 1/m.
-        disturbance, gain: disturbance d (1/m) and gain g, which the `Predictor`
-            estimates.
+        curvature: predicted path curvature (`Predictor.turning`), 1/m.
+        disturbance, gain: disturbance d (1/m) and gain g, as estimated by the
+            `Predictor`.
     """
 
     pose: Pose
@@ -302,8 +297,7 @@ class Steering(Stateful, ABC):
     """Base class of steering laws.
 
     Attributes:
-        predicts: whether the input contains the predicted pose instead of the mean
-            pose.
+        predicts: whether the law needs the predicted pose instead of the mean pose.
         node: index of the next node (`WaypointSteering`) or number of passed segments
             of the plan (`PathTracking`).
     """
@@ -329,7 +323,7 @@ class Steering(Stateful, ABC):
         Args:
             n: current cross-track error, m.
             heading_error: current heading relative to the path, rad.
-            distance: distance along the path, m.
+            distance: distance ahead along the path, m.
         """
         return n + heading_error * distance
 
@@ -340,13 +334,13 @@ class WaypointSteering(Steering):
     predicts = False
 
     def __init__(self, gain: float = 0.6, node: float = 0.2, near: float = 0.2) -> None:
-        """Set the parameters. The page docs/course.md explains the default values.
+        """Set the parameters, whose defaults are explained in docs/course.md.
 
         Args:
             gain: offset per bearing error, 1/rad.
             node: distance between nodes along the path, m. The last node is the end of
                 the path.
-            near: distance at which a node is considered reached, m.
+            near: distance below which a node is considered reached, m.
         """
         self._gain = gain
         self._spacing = node
@@ -378,7 +372,7 @@ class WaypointSteering(Steering):
 
 
 class PathTracking(Steering):
-    """Feedback of cross-track and heading error with curvature feedforward."""
+    """Steering law with cross-track and heading feedback and curvature feedforward."""
 
     predicts = True
 
@@ -388,11 +382,11 @@ class PathTracking(Steering):
         lookahead: float = 0.15,
         response_length: float = 0.05,
     ) -> None:
-        """Set the parameters. The page docs/course.md explains the default values.
+        """Set the parameters.
 
         Args:
-            footprint: footprint from which the offset of a curvature is interpolated.
-            lookahead: length L over which a cross-track error decays, m.
+            footprint: footprint from which the offset is interpolated.
+            lookahead: path length L over which a cross-track error decays, m.
             response_length: response length ℓ, m.
         """
         self._offsets = np.array(footprint.offsets)
@@ -419,7 +413,7 @@ class PathTracking(Steering):
         approach = -min(
             max(n / (2 * DAMPING * self._length), -_MAX_APPROACH), _MAX_APPROACH
         )
-        # The derivative of the heading error along the path is computed from the model,
+        # The derivative of the heading error along the path is computed with the model,
         # because differences of measurements are noisy.
         rate = (
             state.curvature
@@ -432,7 +426,7 @@ class PathTracking(Steering):
             / self._length
             * (error - approach + self._response_length * rate)
         )
-        # The lower limit of the denominator avoids a division by 0 at the centre of
+        # The minimum of the denominator avoids a division by 0 at the centre of
         # curvature.
         curvature = ahead / max(1 - ahead * n, 0.5) - feedback - state.disturbance
         return float(np.interp(curvature / state.gain, self._curvatures, self._offsets))
@@ -442,8 +436,8 @@ class PathTracking(Steering):
     ) -> float:
         """See `Steering.predict_cross_track`.
 
-        The result solves n'' = −2 n'/L − n/L², the equation of the closed loop for ζ =
-        1.
+        The result is the solution of the closed-loop equation n'' = −2 n'/L − n/L² for
+        ζ = 1.
         """
         return (n + (n / self._length + heading_error) * distance) * math.exp(
             -distance / self._length

@@ -1,26 +1,26 @@
 r"""Plans in which the body leans on obstacles (`planner: {contact: allowed}`).
 
-A footprint contains the lateral motion of the gait. Where an edge of the footprint
+A footprint includes the lateral motion of the gait. If an edge of the footprint
 overlaps an obstacle, the obstacle limits this motion, and the body presses against the
-obstacle. The planner may therefore reduce the edges to
+obstacle. The planner may therefore reduce the distance e of an edge from the path to
 
 $$ e_{hard} = c + (1 - σ)(e - c), $$
 
-where e is the edge of the footprint, c is half the width of the body and σ is
-`TOUCH_FRACTION`. Since e_hard ≥ c, the body itself never passes through an obstacle.
+where c is half the width of the body and σ is `TOUCH_FRACTION`. Since e_hard ≥ c, the
+body itself never passes through an obstacle.
 
-The estimated contact force limits the overlap δ. A connector that is displaced by δ
-between two fixed neighbours bends each of the two adjacent segments by 2δ/L, where L is
-the distance between connectors. The elastic energy 4kδ²/L² of the two bends, where k is
-the bending stiffness, gives the force Kδ with K = 8k/L². The obstacle displaces the
-body when this force exceeds the floor friction μ_n m g. The lateral wave with the
-amplitude A = e − c reaches the obstacle during a fraction arccos(1 − δ/A)/π of the
-period. The mean force on one side is therefore
+The contact force is estimated from the overlap δ of the edge and the obstacle. A
+connector that is displaced by δ between two fixed neighbours bends both adjacent
+segments by 2δ/L, where L is the distance between connectors. With a bending stiffness
+k, the elastic energy of the two bends is 4kδ²/L², so the force is Kδ with K = 8k/L². If
+this force exceeds the floor friction μ_n m g, the obstacle displaces the body. The
+lateral wave of amplitude A = e − c reaches the obstacle during a fraction
+arccos(1 − δ/A)/π of the gait period. The mean force on one side is therefore
 
 $$ F = \frac1π \arccos\Bigl(1 - \frac{δ}{A}\Bigr) \min(Kδ,\, μ_n m g), $$
 
-and each metre of path with the forces F_l (left) and F_r (right) costs 1 + (F_l +
-F_r)/(μ_n m g) metres. Edges and overlaps include the margin of the plan, because the
+Each metre of path costs 1 + (F_l + F_r)/(μ_n m g) metres, where F_l and F_r are the
+mean forces on the left and right. The edges include the margin of the plan, because the
 body may deviate from its path by this margin.
 """
 
@@ -47,16 +47,16 @@ from srs_twin.robot.world import Bounds
 TOUCH_FRACTION = 0.5
 """Maximum fraction σ of the space between body and edge that may overlap an obstacle.
 
-A snake of generation 2 passes gaps of 0.75 footprint widths on each of the two plants,
-but does not reliably pass gaps of 0.6 footprint widths (docs/planning.md).
+With both plants, a snake of generation 2 passes gaps of 0.75 footprint widths, but does
+not reliably pass gaps of 0.6 footprint widths (docs/planning.md).
 """
 
 _LEVELS = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Overlaps as fractions of the maximum overlap, tried in this order."""
 _MAX_NODES = 10_000
-"""Maximum number of expanded nodes in the search for each overlap below the maximum."""
+"""Maximum number of expanded nodes in each search below the maximum overlap."""
 _SPACING_M = 0.01
-"""Maximum distance between points of a path at which the overlap is evaluated, m."""
+"""Maximum distance between path points at which the overlap is evaluated, m."""
 _MIN_DEPTH_M = 1e-4
 """Minimum overlap that is reported, m."""
 
@@ -64,7 +64,7 @@ Search = Callable[[Problem, Settings], Plan]
 
 
 def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
-    """Return the limits for leaning on obstacles, given a footprint without margin."""
+    """Return the limits for leaning on obstacles from a footprint without margin."""
     core = spec.geometry.width / 2
     hard_left, hard_right = (
         tuple(core + (1 - TOUCH_FRACTION) * max(edge - core, 0.0) for edge in edges)
@@ -78,10 +78,9 @@ def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
 
 
 def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
-    """Return a problem whose edges may overlap obstacles by part of the maximum.
+    """Return the problem with edges moved inward by a fraction of the maximum overlap.
 
-    The body cannot lean on the bounds of the world, so the bounds are reduced by the
-    overlap.
+    The bounds are reduced by the same distance, because the body cannot lean on them.
     """
     body = problem.footprint
     world = problem.world
@@ -96,7 +95,7 @@ def narrowed(problem: Problem, limits: TouchLimits, level: float) -> Problem:
 
 
 def plan_with_touch(search: Search, problem: Problem, settings: Settings) -> Plan:
-    """Return the plan with the lowest cost among plans with increasing overlap."""
+    """Plan with increasing overlaps, and return the plan with the lowest cost."""
     limits = settings.touch_limits
     assert limits is not None, "the caller plans with touch"
     best = None
@@ -134,8 +133,8 @@ class _Overlaps:
     Attributes:
         s: path position at the middle of each step, m, shape (steps,).
         steps: step lengths, m, shape (steps,).
-        depth, force: overlap (m) with each obstacle and mean contact force (N), shape
-            (obstacles, steps).
+        depth, force: overlap (m) and mean contact force (N) at each obstacle and step,
+            shape (obstacles, steps).
     """
 
     names: list[str]
@@ -184,7 +183,6 @@ def _overlaps(
             np.cos(heading) * dy > np.sin(heading) * dx, path.left, path.right
         )
         depth[k] = np.maximum(edge - (np.hypot(dx, dy) - radius), 0.0)
-        # The body touches the obstacle during this fraction of the gait period.
         fraction = (
             np.arccos(
                 np.clip(1 - depth[k] / np.maximum(edge - limits.core, 1e-9), -1, 1)

@@ -1,1 +1,1 @@
-"""Simulated snakes. The analytical model and the MuJoCo twin implement `Plant`."""
+"""Simulated snakes, which share the interface `Plant`."""

@@ -1,8 +1,4 @@
-"""Interface `Plant` of simulated snakes and their observable state `SnakeState`.
-
-The integrators do not detect every divergence. `check_plausible`, `check_before_step`
-and `check_commands` therefore check the states and the commands of each tick.
-"""
+"""Common interface of simulated snakes (`Plant`) and their state (`SnakeState`)."""
 
 from __future__ import annotations
 
@@ -34,7 +30,7 @@ Pose = tuple[float, float, float]
 PlantState = SavedState
 
 BASES = ("free", "clamped")
-"""Supports of a snake: "free" on the floor, or with its head "clamped" in the air."""
+"""Ways to support a snake, either "free" on the floor or "clamped" at its head."""
 
 _FLAT = frozenset({"planar", "obstacles", "floor"})
 SUPPORTS = {
@@ -45,10 +41,10 @@ SUPPORTS = {
     "contact 'loaded'": _FLAT | {"spatial", "skin", "tail", "objects", "steps"},
     "contact 'preloaded'": frozenset({"planar", "spatial", "obstacles"}),
 }
-"""Robot and world features that each kind of plant supports."""
+"""Features of the robot and the world that each kind of plant supports."""
 
 _TERRAIN = "terrain"
-"""Name of a feature that no plant supports: a spatial robot on an uneven floor."""
+"""Name of the unsupported feature "spatial robot on an uneven or obstructed floor"."""
 
 
 def refusals(
@@ -56,14 +52,10 @@ def refusals(
 ) -> Iterator[Violation]:
     """Yield a violation for each robot or world feature that a plant does not support.
 
-    Args:
-        option: option that selects the kind of plant, "model" of the analytical plant
-            or "contact" of the twin. Violations due to the robot name this option as
-            their parameter.
-        value: value of the option.
-        spec: robot. If `spec` is None, only the features of the world are checked.
-        world: world around the robot. Violations due to the world name the section of
-            the world, such as "obstacles", as their parameter.
+    The option "model" of the analytical plant or "contact" of the twin selects the kind
+    of plant. Violations due to the robot have this option as their `parameter`.
+    Violations due to the world have a section of the world, such as "obstacles", as
+    their `parameter`. If `spec` is None, only the world is checked.
     """
     plant = f"{option} '{value}'"
     used = list(_features(option, spec, world))
@@ -73,7 +65,8 @@ def refusals(
         for name, supported in SUPPORTS.items()
         if name.startswith(option) and needed <= supported
     ]
-    # The twin with a loaded contact supports every feature except the terrain.
+    # If no value of this option supports all features, the twin with loaded contact
+    # does.
     other = f"use {' or '.join(own) or 'the twin'}"
     for feature, parameter, words in used:
         remedy = other
@@ -111,42 +104,44 @@ def _features(
 
 @dataclass(frozen=True)
 class SnakeState:
-    """Observable state of a snake at one time, in SI units and the world frame.
+    """Observable state of a snake at one instant, in SI units and the world frame.
 
-    The z axis points up, yaw is counter-clockwise, and connectors are numbered from the
-    head. A history is an object of the same class in which every field has a leading
+    The z axis points up, and yaw is positive counter-clockwise. Connectors are numbered
+    from the head. The same class stores a history, in which every field has a leading
     axis of samples.
 
     Attributes:
         time: time since the start of the run, s.
         com: position of the centre of mass, shape (2,), m.
         com_velocity: velocity of the centre of mass, shape (2,), m/s.
-        heading: mean of the connector headings, unwrapped, rad.
+        heading: mean heading of the connectors, unwrapped, rad.
         position: positions of the connectors, shape (N, 2), m.
-        connector_heading: connector headings, unwrapped, shape (N,), rad.
-        bend: bends q_j = θ_j − θ_{j+1} of the segments, where θ_j is the heading of
+        connector_heading: heading of each connector, unwrapped, shape (N,), rad.
+        bend: bend q_j = θ_j − θ_{j+1} of each segment, where θ_j is the heading of
             connector j, shape (segments,), rad.
-        bend_rate: rates of the bends, shape (segments,), rad/s.
-        pressure: gauge pressures of the + and − chambers, shape (segments, 2), Pa.
-        valves: valve states during the preceding interval, shape (segments, 2).
+        bend_rate: rate of change of each bend, shape (segments,), rad/s.
+        pressure: gauge pressures in the + and − chambers of each segment, shape
+            (segments, 2), Pa.
+        valves: valve states just before this instant, shape (segments, 2).
         measured_bend: bends measured by the curvature sensors, shape (segments,), rad.
-        contact_force: horizontal force exerted by the floor on each connector, shape
-            (N, 2), N. The analytical model reports the instantaneous force. The twin
-            reports the mean force since the previous sample, because the contact forces
-            of the twin fluctuate between steps.
-        obstacle_force: horizontal force exerted by all obstacles on each connector and
-            the adjoining halves of its segments, shape (N, 2), N. The value is the mean
-            since the previous sample, and 0 on plants without obstacles.
-        torque: net moment of each segment on the connectors that it joins, shape
-            (segments,), N·m. For compliant bends the moment is k (q_f − q) + c (q̇_f −
-            q̇), where q_f is the free bend, k the stiffness and c the damping.
-        work: work ∫ Σ T_j q̇_f,j dt of the compressed air since the start, J, where T_j
-            is the torque and q_f,j the free bend of segment j.
-        internal_loss: part of the work that has been dissipated in the material of the
-            segments, J. The planar analytical models report 0.
-        pneumatic_energy: pneumatic energy drawn from the supply since the start, J. See
-            `Pneumatics.pneumatic_energy`.
-        qpos: generalised positions of the twin, or an empty array on other plants.
+        contact_force: horizontal floor force on each connector, shape (N, 2), N. The
+            analytical models report the instantaneous force. The twin reports the mean
+            force since the previous sample, because its contact forces fluctuate
+            between time steps.
+        obstacle_force: horizontal force of obstacles and objects on each connector and
+            the adjoining half segments, averaged since the previous sample, shape (N,
+            2), N.
+        torque: net moment that each segment exerts on the two connectors it joins,
+            shape (segments,), N·m. For compliant bends, this moment is k (q_f − q) + c
+            (q̇_f − q̇), with free bend q_f, stiffness k and damping c.
+        work: work ∫ Σ T_j q̇_f,j dt of the compressed air since the start, with torque
+            T_j and free bend q_f,j of segment j, J.
+        internal_loss: energy dissipated in the material of the segments since the
+            start, J. The planar analytical models report 0.
+        pneumatic_energy: pneumatic energy drawn from the supply since the start, J (see
+            `Pneumatics.pneumatic_energy`).
+        qpos: generalised positions of the twin, shape (nq,). The array is empty for
+            other plants.
     """
 
     time: float | np.ndarray
@@ -169,12 +164,12 @@ class SnakeState:
     qpos: np.ndarray
 
     def at(self, k: int | slice) -> SnakeState:
-        """Return the state with index k of a history, or a slice of the history."""
+        """Return the state at index `k` of a history, or the history in a slice `k`."""
         return type(self)(*(getattr(self, name)[k] for name in self._names()))
 
     @staticmethod
     def history(states: Sequence[SnakeState]) -> SnakeState:
-        """Concatenate histories. A single state counts as a history of one sample."""
+        """Concatenate states and histories into one history."""
         return concatenate_records(
             [state if np.ndim(state.time) else state.as_history() for state in states]
         )
@@ -194,17 +189,18 @@ class SnakeState:
 class SpatialState(SnakeState):
     """State of a snake whose segments bend in two directions.
 
-    The fields `bend`, `bend_rate`, `measured_bend` and `torque` have the shape
-    (segments, 2), with the components to the left and upwards. The fields `pressure`
-    and `valves` have one column per chamber. `connector_heading` is the heading of the
-    connector's axis after projection onto the floor.
+    The fields `bend`, `bend_rate`, `measured_bend` and `torque` have shape (segments,
+    2). Their columns refer to bending to the left and to bending upwards. The fields
+    `pressure` and `valves` have one column per chamber of a segment. The field
+    `connector_heading` contains the headings of the connector axes projected onto the
+    floor.
 
     Attributes:
         height: heights of the connectors above the floor, shape (N,), m.
-        orientation: unit quaternions of the connectors, with the real part first, shape
-            (N, 4). The x axis points forward and the z axis up.
-        load: mean vertical force exerted by the floor on each connector since the
-            previous sample, shape (N,), N.
+        orientation: unit quaternions of the connector frames, real part first, shape
+            (N, 4). In each frame, the x axis points forward and the z axis points up.
+        load: vertical floor force on each connector, averaged since the previous
+            sample, shape (N,), N.
     """
 
     height: np.ndarray
@@ -217,7 +213,7 @@ class SpatialState(SnakeState):
 
 
 TICK_S = 0.02
-"""Default control tick for gaits at a time unit of 1 (`robot.scale`), s."""
+"""Default control tick for a robot with a time unit of 1 (`robot.scale`), s."""
 
 _FIELDS = tuple(
     field.name for field in fields(SnakeState)
@@ -230,11 +226,10 @@ class Plant(Claimable, Stateful, ABC):
 
     Attributes:
         name: short name of the plant, "analytical" or "twin".
-        spec: simulated robot.
-        tick: control tick, s, which is a multiple of the plant's time step.
-        max_chunk_s: recommended maximum length of a schedule in one call of `play`, s.
+        tick: control tick, a multiple of the plant's time step, s.
+        max_chunk_s: recommended maximum duration of a schedule passed to `play`, s.
         layout: valve layout, one of `pneumatics.valves.LAYOUTS`.
-        state: most recently returned state. Only plants that can be saved have this
+        state: latest returned state. Plants that cannot be saved do not have this
             attribute.
     """
 
@@ -245,13 +240,14 @@ class Plant(Claimable, Stateful, ABC):
     layout: str = "3/2"
     state: SnakeState
     world: World | None = None
-    """Floor, obstacles and objects around the snake, or None for a level floor."""
+    """Surroundings of the snake, or None for a level floor without obstacles."""
     has_contact: bool = False
-    """Whether contact forces of obstacles or objects are recorded."""
+    """Whether the contact forces of obstacles and objects are recorded."""
     objects: int = 0
     """Number of movable objects.
 
-    The last entries of `qpos` are x, y (m) and the heading (rad) of each object.
+    The last entries of `qpos` are the x and y coordinates (m) and the heading (rad) of
+    each object.
     """
     measures_air: bool = True
     """Whether pneumatic energy and valve openings are recorded."""
@@ -260,10 +256,10 @@ class Plant(Claimable, Stateful, ABC):
 
     @property
     def sample_step(self) -> float | None:
-        """Smallest interval between samples, s.
+        """Smallest allowed interval between samples, s.
 
-        Longer intervals must be multiples of this value. None means that any interval
-        is allowed.
+        Longer intervals must be multiples of the smallest interval. The value None
+        means that any interval is allowed.
         """
         if type(self).advance is Plant.advance:
             return self.tick
@@ -271,24 +267,26 @@ class Plant(Claimable, Stateful, ABC):
 
     @abstractmethod
     def reset(self, *, pose: Pose = (0.0, 0.0, 0.0), seed: int = 0) -> SnakeState:
-        """Reset to a straight snake at rest with empty chambers.
+        """Reset the snake to a straight shape at rest with empty chambers.
 
         Args:
-            pose: centre of mass x, y (m) and mean heading (rad).
+            pose: x and y coordinates of the centre of mass (m), and mean heading (rad).
             seed: random seed of the plant, for sensor noise.
         """
 
     def save(self) -> PlantState:
-        """Return the plant's state, which `restore` also accepts in another process.
+        """Return the complete state of the plant, which can be restored in any process.
 
         Raises:
-            InputError: the class does not list its `state_attributes`.
+            InputError: the class of the plant does not define `state_attributes`.
         """
         self.check_saveable(Plant, f"plant '{self.name}'")
         return PlantState(self.identity(), self.state_dict())
 
     def restore(self, state: PlantState) -> SnakeState:
-        """Continue from a saved state, with results bit-identical to the original run.
+        """Continue from a saved state.
+
+        The results are bit-identical to those of the original run.
 
         Raises:
             InputError: the saved state belongs to another plant or robot.
@@ -303,20 +301,20 @@ class Plant(Claimable, Stateful, ABC):
         """Start at time 0 from a physical state, which may come from another plant.
 
         Args:
-            snake: physical state. The fields `com`, `com_velocity`, `heading`, `bend`,
-                `bend_rate` and `pressure` are used. In the models `complete` and
-                `simplified` the pressures determine the bend rates.
+            snake: initial state, of which the fields `com`, `com_velocity`, `heading`,
+                `bend`, `bend_rate` and `pressure` are used. The models `complete` and
+                `simplified` compute the bend rates from the pressures.
             yaw_rate: rate of the mean heading, rad/s.
             seed: random seed of the plant, for sensor noise.
 
         Raises:
-            InputError: the plant does not support this state, or it can only start at
+            InputError: the plant cannot start from this state, or can only start at
                 rest.
         """
         raise InputError(f"plant '{self.name}' can only start straight and at rest")
 
     def identity(self) -> dict[str, Any]:
-        """Return the settings that must match a saved state, as JSON values."""
+        """Return the settings that a saved state must share, as JSON values."""
         return {**self.describe(), "robot_digest": short_digest(self.spec)}
 
     def __init_subclass__(cls) -> None:
@@ -325,12 +323,13 @@ class Plant(Claimable, Stateful, ABC):
             raise TypeError(f"{cls.__name__} must override step or advance")
 
     def step(self, valves: np.ndarray) -> SnakeState:
-        """Advance by one tick.
+        """Advance the simulation by one control tick.
 
         Args:
-            valves: valve states, int8, +1 to fill, 0 to hold and −1 to vent. The shape
-                is (segments, 2) with columns for the + and − chambers. An array of
-                shape (slots, segments, 2) divides the tick into slots of equal length.
+            valves: valve states of type int8, where +1 fills a chamber, 0 holds its air
+                and −1 vents it. The shape is (segments, 2), with columns for the + and
+                − chambers. An array of shape (slots, segments, 2) divides the tick into
+                time slots of equal length.
 
         Raises:
             InputError: the shape of `valves` is wrong, or a valve state is not allowed.
@@ -339,19 +338,19 @@ class Plant(Claimable, Stateful, ABC):
         return self.advance(valves, 1)[-1]
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
-        """Advance by one tick and return equally spaced states.
+        """Advance by one control tick and return equally spaced states within the tick.
 
         The last state is at the end of the tick. Subclasses that cannot sample within a
-        tick override only `step`.
+        tick override `step` instead.
 
         Args:
             valves: valve states as in `step`.
-            samples: number of states, 1 or more. The interval tick / samples must be a
-                multiple of the time step.
+            samples: number of returned states, at least 1. The interval tick / samples
+                must be a multiple of the time step.
 
         Raises:
-            InputError: the shape is wrong, a valve state is not −1, 0 or +1, or the
-                plant cannot provide so many samples.
+            InputError: the shape of `valves` is wrong, a valve state is not allowed, or
+                the plant cannot provide so many samples.
             DivergedError: the state has become infinite, NaN or implausibly large.
         """
         if samples != 1:
@@ -363,16 +362,15 @@ class Plant(Claimable, Stateful, ABC):
         return [self.step(valves)]
 
     def play(self, schedule: Schedule, samples: int) -> SnakeState | None:
-        """Execute a schedule of valve commands without feedback.
+        """Run a schedule of valve commands without feedback.
 
         Args:
-            schedule: valve states over a whole number of ticks.
+            schedule: valve states for a whole number of control ticks.
             samples: number of equally spaced samples. The last sample is at the end of
                 the schedule.
 
         Returns:
-            The history of the samples, or None if the plant can only advance tick by
-            tick.
+            History of the samples, or None if the plant can only advance tick by tick.
 
         Raises:
             InputError: the valve layout does not allow a commanded state.
@@ -383,16 +381,19 @@ class Plant(Claimable, Stateful, ABC):
         return None
 
     def openings(self) -> np.ndarray:
-        """Return the number of inlet openings since `reset`, shape (segments, 2)."""
+        """Return how often each inlet valve has opened since `reset`.
+
+        The array has the shape (segments, chambers per segment).
+        """
         return np.zeros((self.spec.segments, self.spec.chambers), dtype=int)
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings that a run records, as JSON values."""
+        """Return the settings that are stored with a recorded run, as JSON values."""
         return {"plant": self.name, "robot": self.spec.name, "tick_s": self.tick}
 
 
 class PneumaticPlant(Plant):
-    """Plant with chambers and curvature sensors. Subclasses implement `_simulate`."""
+    """Base class of plants with air chambers and curvature sensors."""
 
     state_attributes: ClassVar[tuple[str, ...]] = (
         "_ticks",
@@ -426,7 +427,7 @@ class PneumaticPlant(Plant):
         return supply
 
     def identity(self) -> dict[str, Any]:
-        """See `Plant.identity`. Stuck valves may differ."""
+        """Return the settings as in `Plant.identity`, but without stuck valves."""
         settings = super().identity()
         chambers = {
             key: value
@@ -463,14 +464,14 @@ class PneumaticPlant(Plant):
 
     @abstractmethod
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """Simulate a schedule of checked valve states and return the history."""
+        """Simulate a schedule of valid valve states and return the history."""
 
 
 _PA_PER_UNIT = {"kPa": 1e3, "bar": 1e5, "psi": 6894.76}
-"""Pressure units that users confuse with Pa, and their values in Pa."""
+"""Values in Pa of pressure units that users may confuse with Pa."""
 
 _LEAST_SUPPLY_FRACTION = 0.01
-"""Fraction of the nominal pressure below which a supply pressure is rejected."""
+"""Smallest allowed supply pressure above 0, as a fraction of the nominal pressure."""
 
 
 def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
@@ -481,7 +482,8 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
             " of at least 0 Pa"
         )
     if 0 < supply_pa < _LEAST_SUPPLY_FRACTION * nominal:
-        # Suggest the unit in which the given number is closest to the nominal pressure.
+        # The message suggests the unit in which the number is closest to the nominal
+        # pressure.
         unit = min(
             _PA_PER_UNIT,
             key=lambda unit: abs(np.log(supply_pa * _PA_PER_UNIT[unit] / nominal)),
@@ -495,16 +497,11 @@ def _checked_supply(supply_pa: float, spec: RobotSpec) -> float:
 
 
 def check_initial_state(snake: SnakeState, yaw_rate: float, segments: int) -> None:
-    """Check that a snake with `segments` segments can start from a state.
-
-    Args:
-        snake: physical state as in `Plant.set_state`.
-        yaw_rate: rate of the mean heading, rad/s.
-        segments: number of segments of the snake.
+    """Check that a snake can start from a given state and yaw rate (rad/s).
 
     Raises:
-        InputError: a field has the wrong shape, a value is not finite, or `snake` is a
-            history.
+        InputError: a field has the wrong shape or a value that is not finite, or
+            `snake` is a history.
     """
     shapes = {"com": (2,), "com_velocity": (2,), "heading": (), "bend": (segments,)}
     shapes |= {"bend_rate": (segments,), "pressure": (segments, 2)}
@@ -537,8 +534,9 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
         DivergedError: a value is infinite, NaN or implausibly large. The attribute
             `history` of the error holds the earlier samples.
     """
-    # All other fields are computed from the fields checked here. Scalars are compared
-    # in Python, because NumPy takes as long for a scalar as for an array.
+    # All other fields are computed from the fields that are checked here. Scalars are
+    # compared in Python, because a NumPy function takes as long for a scalar as for an
+    # array.
     scalars: tuple[Any, ...] = (state.heading, state.work, state.pneumatic_energy)
     single = not isinstance(state.time, np.ndarray)
     if single:
@@ -559,15 +557,10 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
 
 
 def check_before_step(plant: str, time: float, *state: Any) -> None:
-    """Check that the numbers and arrays of a state are plausible before a step.
+    """Check that all values of a state are plausible before a time step.
 
-    A step may hide a diverged value. For example, the engine replaces an infinite
-    pressure by 0.
-
-    Args:
-        plant: name of the plant.
-        time: end of the step, s.
-        state: numbers and arrays of the state.
+    A time step may hide a value that has diverged. For example, MuJoCo replaces an
+    infinite pressure by 0. The argument `time` is the end of the step, s.
 
     Raises:
         DivergedError: a value is infinite, NaN or implausibly large.
@@ -586,10 +579,7 @@ def check_before_step(plant: str, time: float, *state: Any) -> None:
 def check_commands(source: str, time: float, valves: object) -> None:
     """Check that valve commands are numbers in the range of int8.
 
-    Args:
-        source: name of the controller or policy.
-        time: start of the tick, s.
-        valves: commanded valve states, any shape.
+    The argument `time` is the start of the control tick, s.
 
     Raises:
         DivergedError: a valve state is NaN, infinite or outside the range of int8.

@@ -1,13 +1,14 @@
-r"""Distance of the body from obstacles and objects, and overlaps at the start of a run.
+r"""Distance from the body to obstacles and objects, and overlaps at the start of a run.
 
-On every plant, the body has the collision geoms of the twin: a capsule of the body's
-width between every two adjacent hinges. The axes of the capsules are computed from the
-recorded connector poses, which determine the first and the last hinge of each segment.
-The hinges in between are assumed to have equal angles. For plants without hinges, the
-default number of hinges is used.
+For every plant, the body is represented by the collision geoms of the twin. These are
+capsules between adjacent hinges, with the width of the body as their diameter. The axes
+of the capsules are computed from the recorded connector poses, under the assumption
+that all hinges of a segment have equal angles. Plants without hinges are assumed to
+have the default number of hinges.
 
-The axes are straight between two hinges. In a segment of length l with two hinges and
-the bend q, the middle of the axis lies inside the arc of constant curvature by
+The axis of a capsule is straight. In a segment with two hinges, length l and bend q,
+the middle of the axis therefore lies inside an arc of constant curvature, at a distance
+of
 
 $$ l\,|q|/24 . $$
 """
@@ -28,28 +29,29 @@ if TYPE_CHECKING:
     import shapely
 
 TOUCHING_M = 1e-6
-"""Maximum overlap that counts as touching without force, m.
+"""Maximum overlap that counts as touching without a contact force, m.
 
-The value exceeds the nanometres by which the weight presses the twin into the floor.
+The value allows for the horizontal displacement of a few nanometres while the twin
+settles on the floor.
 """
 PENETRATION_M = 1e-3
-"""Maximum overlap that soft contacts cause during a run, at a length unit of 1, m."""
+"""Maximum overlap due to soft contacts, for a robot with a length unit of 1, m."""
 
 _POINTS_PER_WIDTH = 40
-"""Number of points per body width at which depths inside a polygon are evaluated.
+"""Number of points per body width at which overlap depths in a polygon are computed.
 
-The maximum error of a depth is half the distance between neighbouring points.
+The maximum error of a depth is half the distance between adjacent points.
 """
 
 
 class Solid(NamedTuple):
-    """Obstacle or object that consists of all points within `radius` of `core`.
+    """Obstacle or object, defined as all points within the distance `radius` of `core`.
 
     Attributes:
         name: name used in messages, such as "obstacle 2 at (0.5, 0.1) m".
-        core: point or area in the frame of the obstacle or object.
-        radius: distance between the surface and the core, m.
-        pose: position x, y (m) and heading (rad) of the frame.
+        core: point or polygon in the frame of the obstacle or object, m.
+        radius: distance of the surface from the core, m.
+        pose: x and y coordinates (m) and heading (rad) of the frame.
     """
 
     name: str
@@ -59,7 +61,7 @@ class Solid(NamedTuple):
 
 
 def solids(world: World) -> list[Solid]:
-    """Return the circles, the polygons, and the objects at their initial poses."""
+    """Return the circles, polygons and objects of a world at their initial poses."""
     import shapely
 
     found = []
@@ -82,7 +84,7 @@ def solids(world: World) -> list[Solid]:
 def collision_lines(
     position: np.ndarray, connector_heading: np.ndarray, geometry: Geometry, hinges: int
 ) -> np.ndarray:
-    """Return the axes of the collision capsules, shape (samples, points, 2), m.
+    """Return the axes of the capsules as polylines, shape (samples, points, 2), m.
 
     Args:
         position: positions of the connectors, shape (samples, N, 2), m.
@@ -102,8 +104,8 @@ def collision_lines(
     )
     directions = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
     line = position[:, :-1, None] - np.cumsum(capsules[:, None] * directions, axis=2)
-    # The line must end at the rear connector. The closing error is therefore
-    # distributed linearly over the points of the segment.
+    # The polyline of a segment must end at the rear connector. Its closing error is
+    # therefore distributed linearly over its points.
     weight = np.append(np.linspace(0.0, 1.0, hinges), 1.0)[:, None]
     line += weight * (position[:, 1:, None] - line[:, :, -1:])
     return np.concatenate([position[:, :1], line.reshape(len(line), -1, 2)], axis=1)
@@ -112,9 +114,9 @@ def collision_lines(
 def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
     """Return the distance (m) to the nearest obstacle or object at each sample.
 
-    The distance is measured from the surface of the collision geom and is negative for
-    an overlap. If the axis of the body is inside a polygon or a box, the distance is
-    minus half the width of the body.
+    The distance is measured from the surface of the body and is negative for an
+    overlap. If the axis of the body enters a box, the distance is minus half the width
+    of the body. In a polygon, the distance is smaller by `WALL_M`.
     """
     import shapely
 
@@ -141,11 +143,10 @@ def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
 
 
 class Overlap(NamedTuple):
-    """Overlap of the body with an obstacle or object at the start.
+    """Overlap of the body with an obstacle or object at the start of a run.
 
     Attributes:
-        number: index into `solids`.
-        name: name of the obstacle or object used in messages.
+        number: index of the obstacle or object in the result of `solids`.
         depth: maximum overlap, m.
     """
 
@@ -155,7 +156,7 @@ class Overlap(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Text that follows `name` in a message."""
+        """Text that follows the name of the obstacle or object in a message."""
         return (
             f"overlaps the body at the start by {1e3 * self.depth:.3g} mm; move it or"
             " start elsewhere"
@@ -167,13 +168,12 @@ def start_overlaps(
 ) -> list[Overlap]:
     """Return the overlaps of a body with obstacles and objects, deepest first.
 
-    Objects are at their initial poses.
-
     Args:
-        world: obstacles and objects.
-        lines: axes of the collision geom (`collision_lines`), shape (1, points, 2), m.
+        world: obstacles, and objects at their initial poses.
+        lines: axes of the capsules, as returned by `collision_lines`, shape (1, points,
+            2), m.
         half_width: half the width of the body, m.
-        allowed: maximum depth of an overlap that is not reported, m.
+        allowed: maximum overlap that is not reported, m.
     """
     import shapely
 
@@ -194,10 +194,12 @@ def start_overlaps(
 
 
 def check_start(plant: Plant, state: SnakeState, allowed: float = TOUCHING_M) -> None:
-    """Check that the body overlaps nothing by more than `allowed` (m) at the start.
+    """Check that the body overlaps no obstacle or object at the start of a run.
+
+    Overlaps of at most `allowed` (m) are accepted.
 
     Raises:
-        InputError: the body overlaps an obstacle or object.
+        InputError: the body overlaps an obstacle or object by more than `allowed`.
     """
     if plant.world is not None and plant.world.is_solid:
         lines = _collision_geom(plant, SnakeState.history([state]))

@@ -1,4 +1,4 @@
-"""Valves, chambers and free bends for both plants."""
+"""Models of the valves, the chambers and the free bends, used by both plants."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from srs_twin.pneumatics.valves import LAYOUTS as LAYOUTS, Schedule as Schedule
 from srs_twin.robot.spec import RobotSpec
 
 SPATIAL_KINDS: dict[str, Callable[..., Pneumatics]] = {"lag": SpatialLagPneumatics}
-"""Chamber models for robots whose segments bend in two directions."""
+"""Pneumatic models for spatial robots, keyed by name."""
 
 KINDS: dict[str, Callable[..., Pneumatics]] = {
     "lag": LagPneumatics,
@@ -32,16 +32,17 @@ def make_pneumatics(
     """Create the pneumatic model of a robot.
 
     Args:
-        kind: name in `KINDS` or of a plug-in class (`extensions.part`). An existing
-            model is returned unchanged.
-        spec: robot.
+        kind: key of `KINDS`, name of a plug-in class (`extensions.part`), or an
+            existing model, which is returned unchanged.
+        spec: robot specification.
         supply_pa: gauge supply pressure, Pa.
         layout: valve layout, a key of `LAYOUTS`.
-        **options: further arguments of the constructor.
+        **options: further keyword arguments of the constructor.
 
     Raises:
         UnknownNameError: the kind is unknown.
-        InputError: the constructor rejects an argument.
+        InputError: the constructor rejects an argument, or the kind does not support
+            spatial robots.
     """
     if isinstance(kind, Pneumatics):
         return kind

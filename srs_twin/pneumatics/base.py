@@ -1,4 +1,4 @@
-"""Base class for pneumatic models, which map valve commands to pressures and bends."""
+"""Base class for pneumatic models."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from srs_twin.pneumatics.valves import LAYOUTS, Schedule, StuckValve
 from srs_twin.robot.spec import RobotSpec
 
 OptionalArray = np.ndarray | None
-"""One value per segment, shape (segments,), or None if the values are unknown."""
+"""Array with one value per segment, shape (segments,), or None for unknown values."""
 
 
 class Trace(NamedTuple):
-    """State of the chambers at several times. Compiled kernels receive it as a tuple.
+    """States of the chambers at several times.
 
     Attributes:
-        pressure: gauge pressure, shape (times, segments, 2), Pa.
-        bend, bend_rate, bend_acceleration: free bend (rad) and its first two
+        pressure: gauge pressures, shape (times, segments, 2), Pa.
+        bend, bend_rate, bend_acceleration: free bends (rad) and their first two time
             derivatives (rad/s, rad/s²), shape (times, segments) each.
-        valves: valve states before each time, shape (times, segments, 2).
+        valves: valve states immediately before each time, shape (times, segments, 2).
         pneumatic_energy: pneumatic energy consumed since `reset`, shape (times,), J.
     """
 
@@ -41,7 +41,7 @@ class Trace(NamedTuple):
     def empty(
         cls, times: int, segments: int, chambers: int = 2, axes: tuple[int, ...] = ()
     ) -> Trace:
-        """Return an uninitialised trace. The bend arrays may have additional axes."""
+        """Return an uninitialised trace with additional `axes` in the bend arrays."""
         sides = times, segments, chambers
         q, dq, ddq = (np.empty((times, segments, *axes)) for _ in range(3))
         return cls(
@@ -49,35 +49,36 @@ class Trace(NamedTuple):
         )
 
     def at(self, rows: np.ndarray) -> Trace:
-        """Return the rows of the trace with the given indices."""
+        """Return a trace that contains only the rows with the given indices."""
         return Trace(*(column.take(rows, axis=0) for column in self))
 
 
 class Pneumatics(Stateful, ABC):
-    """Base class for models of the valves, the chambers and the free segment bends.
+    """Base class for models of valves, chambers and free bends.
 
-    A subclass implements the physics in `_simulate`, which receives the valve states
-    with the valve delay applied.
+    The free bend is the bend of a segment without load. A subclass implements the
+    physics in `_simulate`, which receives valve states that already include the valve
+    delay and stuck valves.
 
     Attributes:
         kind: short name of the pneumatic model.
-        depends_on_bend: whether the pressures depend on the actual bends. A plant with
-            compliant bends must then pass the actual bends to `advance`.
-        coupling_step_s: maximum interval between two exchanges of bends and pressures
-            with the plant, s.
+        depends_on_bend: whether the pressures depend on the actual bends. If so, a
+            plant whose segments yield to loads must pass the actual bends to `advance`.
+        coupling_step_s: maximum interval at which the model and the plant exchange
+            pressures and bends, s.
         stiffness: maximum stiffness that closed chambers add to a segment, N·m/rad.
-        max_pressure_ratio: ratio of the maximum chamber pressure to the supply
-            pressure.
+        max_pressure_ratio: maximum gauge pressure in a chamber divided by the gauge
+            supply pressure.
         pressure: current gauge pressures, shape (segments, 2), Pa.
         bend: current free bends, shape (segments,), rad.
-        pneumatic_energy: pneumatic energy consumed since `reset`, J. The energy is the
-            gauge supply pressure times the volume of the consumed air at the supply
-            pressure. Venting recovers no energy.
-        measures_air: whether `air` and `openings` are computed instead of remaining 0.
-        openings: number of openings of each inlet since `reset`, shape (segments, 2).
-        valves: latest valve states, shape (segments, 2).
-        stuck: valves that are stuck.
-        rest_bend: rest bends, shape (segments,), rad.
+        pneumatic_energy: pneumatic energy consumed since `reset`, which is the gauge
+            supply pressure times the volume of the consumed air at this pressure, J.
+        measures_air: whether `pneumatic_energy` and `openings` are meaningful.
+        openings: number of times that each inlet has opened since `reset`, shape
+            (segments, 2).
+        valves: current valve states, shape (segments, 2).
+        stuck: faults of valves that stick in one state.
+        rest_bend: free bends at ambient pressure, shape (segments,), rad.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = (
@@ -122,15 +123,15 @@ class Pneumatics(Stateful, ABC):
         self._pending = Schedule(self._delay, np.zeros(1), self.valves[None])
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures and free bends, but keep the valve states, energy and counters.
+        """Set the pressures and free bends, but not the valve states or the energy.
 
         Args:
-            pressure: gauge pressure, shape (segments, 2), Pa.
+            pressure: gauge pressures, shape (segments, 2), Pa.
             bend: free bends, shape (segments,), rad.
 
         Raises:
-            InputError: the model prescribes the pressures, or the chambers cannot reach
-                the given values.
+            InputError: the model does not support given pressures, or the chambers
+                cannot reach the given values.
         """
         raise InputError(
             f"pneumatics '{self.kind}' cannot start with given pressures; use"
@@ -138,7 +139,7 @@ class Pneumatics(Stateful, ABC):
         )
 
     def rest_trace(self) -> Trace:
-        """Return a trace of the current state with zero bend rates."""
+        """Return a one-row trace of the current state in which all bend rates are 0."""
         trace = self._empty_trace(1)
         trace.pressure[0] = self.pressure
         trace.bend[0] = self.bend
@@ -151,7 +152,7 @@ class Pneumatics(Stateful, ABC):
         return Trace.empty(times, *self.pressure.shape, self.bend.shape[1:])
 
     def current_trace(self) -> Trace:
-        """Return a trace of the current state with the current bend rates."""
+        """Return a one-row trace of the current state with the current bend rates."""
         return self._simulate(
             Schedule(0.0, np.zeros(1), self.valves[None]), np.zeros(1), None, None
         )
@@ -160,13 +161,13 @@ class Pneumatics(Stateful, ABC):
         """Check valve commands and convert them to a schedule.
 
         Args:
-            valves: valve states, shape (segments, 2), or (slots, segments, 2) for slots
-                of equal duration.
+            valves: valve states, shape (segments, 2), or shape (slots, segments, 2) for
+                equally long slots.
             span: duration of the schedule, s.
 
         Raises:
-            InputError: the shape is wrong, or the valve layout does not support a
-                state.
+            InputError: the shape is wrong, or the valve layout does not support one of
+                the states.
         """
         commands = np.asarray(valves)
         if commands.ndim == 2:
@@ -181,7 +182,7 @@ class Pneumatics(Stateful, ABC):
         return Schedule.from_slots(commands.astype(np.int8), span)
 
     def check(self, states: np.ndarray) -> None:
-        """Raise an `InputError` if the valve layout does not support a valve state."""
+        """Raise an `InputError` if the valve layout does not support a given state."""
         allowed = LAYOUTS[self.layout]
         possible = states == allowed[0]
         for state in allowed[1:]:
@@ -193,7 +194,7 @@ class Pneumatics(Stateful, ABC):
             )
 
     def effective_schedule(self, schedule: Schedule) -> Schedule:
-        """Return the valve states after the valve delay and faults are applied."""
+        """Apply the valve delay and stuck valves to a schedule of valve commands."""
         effective = schedule
         if self._delay:
             effective = self._pending.followed_by(schedule).slice(0.0, schedule.span)
@@ -211,15 +212,16 @@ class Pneumatics(Stateful, ABC):
         bend: OptionalArray = None,
         bend_rate: OptionalArray = None,
     ) -> Trace:
-        """Simulate a schedule and return the state of the chambers at given times.
+        """Simulate a schedule and return the states of the chambers at given times.
 
         Args:
-            schedule: checked valve commands.
-            times: times from the start of the schedule, ascending within [0, span], s.
-            bend: actual bends at the start, shape (segments,), rad. If None, the actual
-                bends are assumed to equal the free bends.
-            bend_rate: rates of the actual bends, assumed to be constant over the
-                schedule, shape (segments,), rad/s.
+            schedule: valve commands, as returned by `schedule`.
+            times: ascending times, measured from the start of the schedule and not
+                later than its end, s.
+            bend: actual bends at the start of the schedule, shape (segments,), rad, or
+                None if they equal the free bends.
+            bend_rate: constant rates of the actual bends during the schedule, shape
+                (segments,), rad/s.
 
         Raises:
             DivergedError: a pressure, a free bend or the consumed energy is not finite
@@ -262,13 +264,13 @@ class Pneumatics(Stateful, ABC):
         bend: OptionalArray,
         bend_rate: OptionalArray,
     ) -> Trace:
-        """Simulate the actual valve states, and update pressures, bends and energy."""
+        """Simulate actual valve states, and update pressures, free bends and energy."""
 
     def set_supply_pressure(self, supply_pa: float) -> None:
-        """Set the supply pressure, which `reset` does not change.
+        """Set the supply pressure, which also remains in effect after `reset`.
 
         Args:
-            supply_pa: gauge supply pressure, Pa, at most the value given to the
+            supply_pa: gauge supply pressure, Pa, not higher than the value given to the
                 constructor.
 
         Raises:
@@ -281,7 +283,7 @@ class Pneumatics(Stateful, ABC):
         )
 
     def describe(self) -> dict[str, object]:
-        """Return the settings as JSON values, to be recorded with a run."""
+        """Return the settings that are recorded with a run, as JSON values."""
         if self.stuck:
             stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]}
         else:

@@ -1,33 +1,36 @@
-r"""Chamber volume, and the bend law φ that maps pressures to free bends.
+r"""Chamber volumes, and the bend law φ that maps chamber pressures to free bends.
 
 **Volume.** A chamber expands when the segment bends towards the side of the chamber.
 The minimum volume is the dead volume V₀:
 
 $$ V^\pm(q) = V_0 + A\,\max(0, \pm q). $$
 
-The displacement A is the air volume at 90° in the dissertation (Sections 2.1.1–2.1.3:
-15, 45, 70 ml), divided by π/2. Air is an ideal gas at constant temperature. The amount
-of air is expressed as n = P V in J, where P is the absolute pressure.
+The displacement A is the air volume for a bend of 90°, divided by π/2. The dissertation
+gives air volumes of 15, 45 and 70 ml (Sections 2.1.1–2.1.3). Air is modelled as an
+ideal gas at constant temperature. The amount of air in a chamber is expressed as n = P
+V in J, where P is the absolute pressure.
 
-**Bend law.** The nominal gain is G, the gains of the two chambers relative to G are g,
-and the rest bend is b. The free bend q is
+**Bend law.** The chambers of a segment have the gauge pressures p⁺ and p⁻ and the gains
+g⁺ and g⁻ relative to the nominal gain G. The free bend q, which the segment has without
+load, is the rest bend b plus a function of the pressures:
 $$ x = G\,(g^+ p^+ - g^- p^-), \qquad q = b + \varphi(x), \qquad
 \varphi(x) = \frac{y}{\bigl(1 + (y/q_m)^4\bigr)^{1/4}}, \qquad
 y = x - \frac{s w}{2} \ln \frac{\cosh((x + d)/w)}{\cosh((x - d)/w)}. $$
 
-The variable x is called the linear bend. The function φ is odd, smooth, and monotone
-for all s ≤ 1, d, w and q_m. With s = 0 and infinite q_m, the function is linear, as in
-the dissertation (Eq. 14). The free bend changes with x immediately, whereas x lags the
-pressures with the mode time constant τ₂.
+The linear bend x is the free bend, relative to b, that the pressures would cause
+without dead zone and saturation. While the pressures change, x lags the value given by
+this equation with the mode time constant τ₂. The function φ is odd and smooth, and
+increases monotonically if s ≤ 1. With s = 0 and infinite q_m, φ is linear, as in the
+dissertation (Eq. 14).
 
-- *Saturation.* Inextensible strips and chambers that touch each other limit the bend to
-  q_m. Up to q_m/2, φ deviates from the linear law by at most 1.5 %. At 0.87 q_m, the
-  derivative of φ is one third.
+- *Saturation.* The bend is limited to q_m by inextensible strips and by chambers that
+  touch each other. For |y| ≤ q_m/2, φ deviates from y by at most 1.5 %. At a bend of
+  0.87 q_m, the derivative dφ/dy is about one third.
 - *Dead zone.* The walls of some modules must swell before the module bends. For |x| <
-  d, the dead zone reduces the derivative by the fraction s. For larger |x|, it reduces
-  the bend by s d. The width of the transition is w, and the derivative at x = 0 is 1 −
-  s tanh(d/w). For w ≪ d the transition is sharp. For w ≈ d the curve is convex from the
-  origin, like a power of the pressure.
+  d, the dead zone reduces the slope dy/dx by the fraction s. For |x| > d, it reduces
+  |y| by s d. The transition between these ranges has the width w and is sharp for w ≪
+  d. At x = 0, the slope is 1 − s tanh(d/w). For w ≈ d, the curve y(x) resembles a power
+  law with an exponent above 1.
 """
 
 from __future__ import annotations
@@ -55,7 +58,7 @@ def volume(dead, displacement, bend, side):  # type: ignore[no-untyped-def]  # n
     Args:
         dead: dead volume V₀, m³.
         displacement: displacement A, m³/rad.
-        bend: bend q, rad.
+        bend: bend q of the segment, rad.
         side: 0 for the + chamber, 1 for the − chamber.
     """
     sign = 1.0 - 2.0 * float(side)
@@ -64,14 +67,14 @@ def volume(dead, displacement, bend, side):  # type: ignore[no-untyped-def]  # n
     return dead, 0.0
 
 
-# Value of x (rad) below which φ(x)/x is replaced by its limit for x → 0.
+# Value of |x| (rad) below which φ(x)/x is replaced by its limit for x → 0.
 _MIN_LINEAR_RAD = 1e-9
 
-# Maximum x (rad) in the search of `invert_bend_law`.
+# Value of |x| (rad) at which `invert_bend_law` stops extending its search interval.
 _SEARCH_LIMIT_RAD = 1e3
 
 NO_LIMIT_RAD = 1e3
-"""Bend limit q_m from which φ is treated as not saturating, rad."""
+"""Bend limit q_m above which saturation is neglected, rad."""
 
 
 class BendLaw(NamedTuple):
@@ -79,10 +82,11 @@ class BendLaw(NamedTuple):
 
     Attributes:
         bend_limit: bend limit q_m, rad.
-        onset_fraction: lost fraction s of the derivative in the dead zone,
+        onset_fraction: fraction s by which the dead zone reduces the slope,
             dimensionless.
-        dead_zone: end d of the dead zone, rad.
-        dead_zone_transition: width w of the transition, rad.
+        dead_zone: linear bend d at the end of the dead zone, rad.
+        dead_zone_transition: width w of the transition at the end of the dead zone,
+            rad.
     """
 
     bend_limit: float
@@ -98,17 +102,17 @@ def bend_law_of(spec: RobotSpec) -> BendLaw:
 
 @kernel_only
 def log_cosh(z):  # type: ignore[no-untyped-def]
-    """Return ln cosh z + ln 2. The constant ln 2 cancels in differences."""
+    """Return ln(2 cosh z), computed without overflow."""
     return abs(z) + np.log(1.0 + np.exp(-2.0 * abs(z)))
 
 
 @compiled
 def apply_bend_law(x, bend_law):  # type: ignore[no-untyped-def]
-    """Return φ(x) (rad) and its first two derivatives (dimensionless, 1/rad).
+    """Return φ(x) (rad), its first derivative and its second derivative (1/rad).
 
     Args:
         x: linear bend, rad.
-        bend_law: `BendLaw`, or a record with the same fields.
+        bend_law: `BendLaw`, or another record that contains the fields of `BendLaw`.
     """
     limit = bend_law.bend_limit
     fraction = bend_law.onset_fraction
@@ -185,23 +189,27 @@ def check_pressure(pressure: Array, largest: float) -> Array:
 
 
 def chamber_gains(spec: RobotSpec) -> Array:
-    """Return the positive gain of each chamber, shape (segments, 2), rad/Pa."""
+    """Return the gain G g of each chamber, shape (segments, 2), rad/Pa."""
     return spec.actuator.gain * spec.modules.array("gain")
 
 
 def air_bend(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the free bends φ(x) (rad) without the rest bends.
+    """Return the free bends φ(x) without the rest bends, shape (…, segments), rad.
 
-    The gauge pressures have shape (…, segments, 2), in Pa.
+    The argument `pressure` contains gauge pressures, shape (…, segments, 2), Pa.
     """
     return free_bends(spec, _linear_bend(spec, pressure))
 
 
 def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the free bends φ(|x|) x/|x| (rad) of a spatial robot without rest bends.
+    """Return the free bends φ(|x|) x/|x| of a spatial robot without the rest bends.
 
-    The last axis of the result contains the left and the upward component. The gauge
-    pressures have shape (…, segments, chambers), in Pa.
+    Args:
+        spec: robot specification.
+        pressure: gauge pressures, shape (…, segments, chambers), Pa.
+
+    Returns:
+        Bend components to the left and upwards, shape (…, segments, 2), rad.
     """
     linear = (chamber_gains(spec) * pressure) @ spec.chamber.axes
     size = np.linalg.norm(linear, axis=-1, keepdims=True)
@@ -212,8 +220,9 @@ def vector_bends(spec: RobotSpec, pressure: Array) -> Array:
 def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
     r"""Return the free extensions of spatial segments, shape (…, segments), m.
 
-    Chambers with equal cross-sections exert forces proportional to their pressures.
-    For C chambers and an extension e per mean gauge pressure, the extension is
+    The C chambers of a segment have equal cross-sections, so that their forces are
+    proportional to their gauge pressures p_c. With an extension e per mean gauge
+    pressure (m/Pa), the free extension is
 
     $$ \Delta l = \frac{e}{C} \sum_c p_c . $$
     """
@@ -221,16 +230,15 @@ def free_extensions(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
-    """Return the pressures at which a linear bend law would give the actual bends.
+    """Return the gauge pressures (Pa) at which a linear law would give the bends φ(x).
 
-    MuJoCo's linear actuators use these pressures. The gauge pressures have the
-    shape (…, segments, 2), in Pa.
+    MuJoCo's actuators are linear and therefore receive these pressures. The argument
+    `pressure` contains the actual gauge pressures, shape (…, segments, 2), Pa.
     """
     linear = _linear_bend(spec, pressure)
     bends = free_bends(spec, linear)
     if bends is linear:
         return pressure
-    # For x → 0, φ(x)/x tends to the derivative of φ at 0.
     derivative = apply_bend_law(0.0, bend_law_of(spec))[1]
     ratio = np.where(
         np.abs(linear) > _MIN_LINEAR_RAD,
@@ -241,7 +249,7 @@ def equivalent_linear_pressure(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def largest_bend(spec: RobotSpec, supply_pa: float) -> float:
-    """Return the free bend of a nominal segment with one filled chamber, rad."""
+    """Return the free bend (rad) of a nominal segment with one fully filled chamber."""
     return float(free_bends(spec, np.array(spec.actuator.gain * supply_pa)))
 
 
@@ -252,7 +260,10 @@ def _linear_bend(spec: RobotSpec, pressure: Array) -> Array:
 
 
 def free_bends(spec: RobotSpec, linear: Array) -> Array:
-    """Return φ(x) for linear bends x, rad. For a linear law, φ(x) = x."""
+    """Return φ(x) (rad) for linear bends x (rad).
+
+    If the bend law is linear, the array `linear` itself is returned.
+    """
     limit, fraction, d, w = bend_law_of(spec)
     y = linear
     if fraction != 0.0:

@@ -1,15 +1,16 @@
 r"""Flow through a valve according to ISO 6358.
 
-A valve has the sonic conductance C and the critical pressure ratio b. At constant
-temperature, the amount of air n = P V that flows per second from the absolute pressure
-P₁ to P₂ depends on r = P₂/P₁:
+A valve is described by the sonic conductance C and the critical pressure ratio b. Air
+flows through the valve from the absolute pressure P₁ to the absolute pressure P₂. At
+constant temperature, the flow of the amount n = P V depends on the pressure ratio r =
+P₂/P₁:
 
 $$ \dot n = P_0\,C\,P_1\,\psi(r),\qquad
 \psi = \begin{cases} 1 & r \le b \\ \sqrt{1 - \bigl(\tfrac{r-b}{1-b}\bigr)^2} & b < r \le r_l \end{cases} $$
 
-The reference pressure P₀ of the standard is 100 kPa. The derivative of ψ is infinite at
-equal pressures. Above r_l = 0.999, the flow is therefore replaced by a laminar flow,
-which is linear in P₁ − P₂.
+The standard defines the reference pressure P₀ as 100 kPa. The derivative of ψ is
+infinite at r = 1. Above r_l = 0.999, the flow is therefore assumed to be laminar, which
+means that it is proportional to P₁ − P₂.
 """
 
 from __future__ import annotations
@@ -23,25 +24,25 @@ from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.robot.spec import RobotSpec
 
 REFERENCE_PA = 100_000.0
-"""Absolute pressure of the reference state of ISO 6358, Pa."""
+"""Absolute reference pressure P₀ of ISO 6358, Pa."""
 
 LAMINAR = 0.999
 """Pressure ratio r_l above which the flow is linear, dimensionless."""
 
 REMAINING = math.exp(-2)
-"""Remaining fraction of a pressure change at the working point, e⁻²."""
+"""Remaining fraction e⁻² of a pressure change at the working point, dimensionless."""
 
 
 @compiled
 def flow(first, second, critical):  # type: ignore[no-untyped-def]
     """Return P₁ ψ (Pa) and its derivatives with respect to both pressures.
 
-    The flow is negative if air flows from the second to the first pressure.
+    The returned flow P₁ ψ is negative if the second pressure is higher.
 
     Args:
-        first: absolute pressure, Pa.
-        second: absolute pressure, Pa.
-        critical: critical ratio b.
+        first: absolute pressure on one side of the valve, Pa.
+        second: absolute pressure on the other side of the valve, Pa.
+        critical: critical pressure ratio b, dimensionless.
     """
     backward = second > first
     high, low = (second, first) if backward else (first, second)
@@ -66,12 +67,12 @@ def flow(first, second, critical):  # type: ignore[no-untyped-def]
 
 
 class Conductances(NamedTuple):
-    """Conductances of the valves of a chamber, and the capacity of the chamber.
+    """Valve conductances and capacity of a chamber.
 
     Attributes:
-        fill: inlet conductance C, m³/(s Pa).
-        vent: outlet conductance C, m³/(s Pa).
-        capacity: capacity K at the working point of filling, J/Pa.
+        fill: sonic conductance C of the inlet, m³/(s Pa).
+        vent: sonic conductance C of the outlet, m³/(s Pa).
+        capacity: capacity K of the chamber at the working point of filling, J/Pa.
     """
 
     fill: float
@@ -80,18 +81,21 @@ class Conductances(NamedTuple):
 
 
 def conductances(spec: RobotSpec, critical: float) -> Conductances:
-    """Return the valve conductances that correspond to the time constant τ₁.
+    """Return the valve conductances that reproduce the fill and vent time constants.
 
-    One chamber is assumed to fill or vent while the opposite chamber is empty. To first
-    order in τ₂, the bend is q ≈ G (p − τ₂ ṗ). A change dp of the gauge pressure
-    requires the amount of air K dp with the capacity K(p) = V + (p + P_a) A G. Hence ṗ
-    = ṅ/K. Chambers with a first-order lag have dṗ/dp = −1/τ₁ at all pressures. For a
-    valve, C is chosen so that dṗ/dp = −1/τ₁ at one working point. At the working point,
-    a pressure change between ambient and nominal supply has reached the fraction 1 −
-    e⁻².
+    It is assumed that a chamber fills or vents while the opposite chamber is empty. To
+    first order in τ₂, the bend is then q ≈ G (p − τ₂ ṗ). To increase the gauge pressure
+    p by dp, the amount of air in the chamber must increase by K dp, where K(p) = V + (p
+    + P_a) A G is the capacity of the chamber. The pressure therefore changes at the
+    rate ṗ = ṅ/K.
+
+    A first-order lag with the fill or vent time constant τ₁ has dṗ/dp = −1/τ₁ at all
+    pressures. The conductance C of a valve is chosen so that dṗ/dp = −1/τ₁ at one
+    working point. At this point, the pressure has completed the fraction 1 − e⁻² of a
+    change between ambient and nominal supply pressure.
 
     Args:
-        spec: robot.
+        spec: robot specification.
         critical: critical pressure ratio b, dimensionless.
     """
     actuator = spec.actuator
@@ -118,7 +122,7 @@ def _conductance(
 ) -> float:
     """Return the conductance C for which dṗ/dp = −1/τ at the gauge pressure p.
 
-    `passed` returns P₁ ψ (Pa) of the valve at a given gauge pressure of the chamber.
+    The function `passed` returns P₁ ψ (Pa) for a given gauge pressure in the chamber.
     """
     dead = spec.chamber.dead_volume
     growth = spec.chamber.displacement * spec.actuator.gain
@@ -132,16 +136,15 @@ def _conductance(
         return REFERENCE_PA * c * passed(at) / (dead + growth * (2 * at + AMBIENT_PA))
 
     def rate(at: float) -> float:
-        # The volume V is evaluated at bend G (p − τ₂ ṗ). The expansion of the chamber
-        # contributes (p + P_a) dV/dp to the capacity.
+        # The volume V is evaluated at the bend G (p − τ₂ ṗ). The expansion of the
+        # chamber contributes (p + P_a) dV/dp to the capacity.
         chamber_volume = dead + growth * (at - lag * rate_without_lag(at))
         expansion = (
             growth * (at + AMBIENT_PA) * (1 - lag * derivative(rate_without_lag, at))
         )
         return REFERENCE_PA * c * passed(at) / (chamber_volume + expansion)
 
-    # The rate is linear in C without the lag τ₂, and nearly linear with this lag, so a
-    # few fixed-point iterations suffice.
+    # The rate is nearly proportional to C, so a few fixed-point iterations suffice.
     c = 1.0
     c = -1 / (tau * derivative(rate_without_lag, p))
     for _ in range(8):

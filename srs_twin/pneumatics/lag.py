@@ -1,30 +1,31 @@
 r"""Chambers that fill and vent with a first-order lag, solved in closed form.
 
-A valve state of +1 fills the chamber from the supply, −1 vents the chamber, and 0 holds
-the air in the chamber. Between valve events, the gauge pressure of each chamber
-approaches an asymptote P exponentially:
+The valve of a chamber has the state +1 (filling), 0 (closed) or −1 (venting). Between
+two valve events, the gauge pressure of the chamber approaches an asymptote P
+exponentially:
 
 $$ p(t) = P + (p_0 - P)\,e^{-a t}. $$
 
-The rate a is 1/τ₁ plus the leak rate λ. The linear bend x of a segment without load
-lags the pressures with the mode time constant τ₂:
+The rate a of a filling or venting chamber is 1/τ₁ + λ, where λ is the leak rate. In a
+closed chamber, a = λ. The linear bend x lags the pressures with the mode time constant
+τ₂, and determines the free bend q:
 
 $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x). $$
 
 The module `chambers` defines φ, b and the gains. Nominal modules with τ_fill = τ_vent =
-τ₁ satisfy Eqs. 14–15 as corrected by E1 and E2: q̈ + (1/τ₁ + 1/τ₂) q̇ + q/(τ₁τ₂) = C₀
-u/(τ₁τ₂). The switching time of a valve, 3 ms, is part of τ₂. By default, there is no
-additional valve delay.
+τ₁ satisfy Eqs. 14–15 with the corrections E1 and E2, that is, q̈ + (1/τ₁ + 1/τ₂) q̇ +
+q/(τ₁τ₂) = C₀ u/(τ₁τ₂). The default valve delay is 0, because τ₂ includes the valve
+switching time of 3 ms.
 
-A valve may fill the chamber for a fraction o of the time and vent it for the remaining
-time. The chamber pressure then approaches P = (o S/τ_fill + r)/a at the rate a =
-o/τ_fill + (1 − o)/τ_vent + λ. Here S is the supply pressure and r an additional rate of
-change (`relaxation_of`).
+A valve may rapidly alternate between filling for a fraction o of the time and venting
+for the remaining time. The mean pressure then approaches P = (o S/τ_fill + r)/a at the
+rate a = o/τ_fill + (1 − o)/τ_vent + λ. Here, S is the supply pressure and r is an
+additional rate of pressure change (`relaxation_of`).
 
 **Pneumatic energy.** The amount of air n = P V(q) in a filling chamber increases by the
 inflow minus the leak. A filling chamber therefore consumes the amount Δn + λ ∫ p V dt.
 The increase Δn is computed exactly from the volume at the free bend. The integral is
-computed by Simpson's rule between the requested times.
+approximated by Simpson's rule between the requested times.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def relaxation_of(
         vent: venting rate (1 − o)/τ_vent, 1/s.
         supply: gauge supply pressure S, Pa.
         leak: leak rate λ, 1/s.
-        other: additional rate of change r, Pa/s.
+        other: additional rate of pressure change r, Pa/s.
     """
     rate = fill + vent + leak
     return rate, (fill * supply + other) / np.where(rate == 0.0, 1.0, rate)
@@ -79,7 +80,7 @@ def relaxation_of(
 def relax(
     pressure: np.ndarray, rate: np.ndarray, end: np.ndarray, time: np.ndarray | float
 ) -> np.ndarray:
-    """Return the pressures (Pa) after the given time (s)."""
+    """Return the pressures (Pa) after exponential relaxation for a given time (s)."""
     return np.asarray(end + (pressure - end) * np.exp(-rate * time))
 
 
@@ -90,10 +91,10 @@ def lag_response(
     tau: float,
     time: float | np.ndarray,
 ) -> np.ndarray:
-    """Return the output (Pa) of a first-order lag τ₂ with relaxing pressures as input.
+    """Return the response (Pa) of a first-order lag τ₂ to relaxing pressures.
 
     Args:
-        lagged: initial output, Pa.
+        lagged: initial output of the lag, Pa.
         pressure: initial pressures, Pa.
         relaxation: rates and asymptotes, as returned by `relaxation_of`.
         tau: time constant τ₂, s.
@@ -108,33 +109,36 @@ def lag_response(
     response = (
         (pressure - end) * (np.exp(-rate * time) - mode) / np.where(same, 1.0, gap)
     )
-    # Limit for equal time constants.
+    # This is the limit of the response for 1/a → τ₂.
     limit = (pressure - end) * time / tau * mode
     return np.asarray(end + np.where(same, limit, response) + (lagged - end) * mode)
 
 
 class Relaxation(NamedTuple):
-    """Chamber parameters, and decay factors for a time without valve events.
+    """Chamber parameters, and decay factors for a time t without valve events.
 
-    Chambers with equal time constants belong to one kind. Arrays of shape (kinds, 3)
-    have one column for each of the valve states −1, 0, +1. The device engine has a copy
-    of this record.
+    Chambers with equal time constants form one kind. The columns of arrays with shape
+    (kinds, 3) correspond to the valve states −1, 0 and +1.
 
     Attributes:
-        kinds: kind of each chamber, shape (segments, 2).
+        kinds: index of the kind of each chamber, shape (segments, 2).
         rates, asymptotes: relaxation rate a (1/s) and asymptote P (Pa), shape
             (kinds, 3).
-        decay, lag, mode: work arrays for a time t. The array `decay` contains the
-            factor e^{−at} of the deviation p − P, `lag` the response of x/gain to this
-            deviation, and `mode` the factor e^{−t/τ₂} of x.
+        decay: factor e^{−at} by which the deviation p − P decreases in a time t, shape
+            (kinds, 3).
+        lag: response of x after the time t to an initial deviation p − P, divided by
+            this deviation and by the gain, shape (kinds, 3).
+        mode: factor e^{−t/τ₂} by which the initial x decreases, shape (1,).
         tau, leak: mode time constant τ₂ (s) and leak rate λ (1/s).
-        damping_time: damping time c/k of a segment, s.
+        damping_time: ratio of damping to stiffness of a segment, c/k, s.
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends, shape (segments,), rad.
-        bend_limit, onset_fraction, dead_zone, dead_zone_transition: parameters of the
+        bend_limit, onset_fraction, dead_zone, dead_zone_transition: fields of
             `BendLaw`.
-        dead_volume, displacement: V₀ (m³) and A (m³/rad) of a chamber.
-        worth: pneumatic energy divided by the amount of consumed air, dimensionless.
+        dead_volume, displacement: dead volume V₀ (m³) and displacement A (m³/rad) of a
+            chamber.
+        worth: ratio of the pneumatic energy to the amount of consumed air,
+            dimensionless.
     """
 
     kinds: np.ndarray
@@ -158,7 +162,7 @@ class Relaxation(NamedTuple):
 
 
 class _Chambers(NamedTuple):
-    """Gauge pressures (Pa), linear bends x (rad) and free bends (rad) in a kernel."""
+    """Gauge pressures (Pa), linear bends (rad) and free bends (rad) of all segments."""
 
     pressure: np.ndarray
     linear: np.ndarray
@@ -166,11 +170,11 @@ class _Chambers(NamedTuple):
 
 
 _SAME = 1e-6
-"""Value of |1 − a τ₂| below which the two time constants are treated as equal."""
+"""Value of |1 − a τ₂| below which 1/a and τ₂ are treated as equal."""
 
 
 class LagChambers(Pneumatics):
-    """Planar or spatial chambers with a first-order lag."""
+    """Base class for planar and spatial chambers with a first-order lag."""
 
     kind = "lag"
 
@@ -186,10 +190,11 @@ class LagChambers(Pneumatics):
         """Construct the chambers.
 
         Args:
-            spec: robot.
+            spec: robot specification.
             supply_pa: gauge supply pressure, Pa.
             layout: valve layout, a key of `LAYOUTS`.
-            leak_per_s: leak rate λ at which a held pressure decays, 1/s.
+            leak_per_s: rate λ at which the gauge pressure of a closed chamber decays,
+                1/s.
             valve_delay_s: time between a command and the switching of the valve, s.
 
         Raises:
@@ -212,23 +217,23 @@ class LagChambers(Pneumatics):
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        """Prepare arrays for time constants of shape (segments, chambers), s."""
+        """Prepare work arrays from time constants (s), shape (segments, chambers)."""
 
     def describe(self) -> dict[str, object]:
-        """Return the settings as JSON values for the provenance of a run."""
+        """Return the settings that are recorded with a run, as JSON values."""
         return super().describe() | {"leak_per_s": self._leak}
 
 
 class LagPneumatics(LagChambers):
-    """Planar chambers with a first-order lag."""
+    """Chambers of a planar robot with a first-order lag."""
 
     state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 
     def _prepare(
         self, spec: RobotSpec, tau_fill: np.ndarray, tau_vent: np.ndarray
     ) -> None:
-        # Chambers with equal time constants belong to one kind, so that each exponential
-        # is evaluated only once per kind.
+        # Each exponential is evaluated only once for all chambers with equal time
+        # constants.
         kinds, kind = np.unique(
             np.stack([tau_fill.ravel(), tau_vent.ravel()]), axis=1, return_inverse=True
         )
@@ -269,7 +274,7 @@ class LagPneumatics(LagChambers):
         self._linear = np.zeros(self._segments)
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
-        """Set pressures (Pa) and free bends (rad), but keep the valve states."""
+        """Set the pressures (Pa) and the free bends (rad)."""
         self._linear = invert_bend_law(bend - self.rest_bend, self._bend_law)
         self.pressure = check_pressure(pressure, self._max_supply)
         self.bend = np.array(bend, dtype=float)
@@ -283,7 +288,7 @@ class LagPneumatics(LagChambers):
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def relaxation(self, time: float) -> Relaxation:
-        """Return the relaxation over a time (s), with one kind for each chamber."""
+        """Return the `Relaxation` for a time (s), with one kind per chamber."""
         kinds = self._relaxation.kinds
         rates = self._relaxation.rates[kinds.ravel()]
         relaxation = self._relaxation._replace(
@@ -322,9 +327,10 @@ class LagPneumatics(LagChambers):
 
 @compiled
 def _fill_trace(now, schedule, times, relaxation, trace):  # type: ignore[no-untyped-def]
-    """Simulate a schedule, fill in the trace, and return the consumed air, J.
+    """Simulate a schedule, fill the trace, and return the amount of consumed air, J.
 
-    The trace contains the air consumed since the start of the schedule.
+    The field `pneumatic_energy` of the trace receives the amount of air that has been
+    consumed since the start of the schedule, J.
     """
     starts = schedule.starts
     row = 0
@@ -334,14 +340,14 @@ def _fill_trace(now, schedule, times, relaxation, trace):  # type: ignore[no-unt
         begin = starts[run]
         is_last = run + 1 == starts.shape[0]
         stop = schedule.span if is_last else starts[run + 1]
-        # A filling chamber consumes the increase of its amount of air plus the leaked air.
-        # Other chambers consume nothing.
+        # Only filling chambers consume air. The consumption is the leaked air plus the
+        # increase in the amount of air in the chamber.
         content_before = _filling_content(state, now, relaxation)
         leaked = last = 0.0
         while True:
-            # The rows of the trace before the next valve event are computed first. The
-            # state at the valve event is computed last, because it is the initial state
-            # of the next interval.
+            # All trace rows before the next valve event are computed first. The state
+            # at this event is computed last and becomes the initial state of the next
+            # interval.
             requested = row < times.shape[0] and (times[row] <= stop or is_last)
             t = (times[row] if requested else stop) - begin
             if relaxation.leak > 0.0:
@@ -421,9 +427,10 @@ def _drive_rate(state, j, plus, minus, relaxation):  # type: ignore[no-untyped-d
 
 @kernel_only
 def _leaked(last, t, state, now, relaxation):  # type: ignore[no-untyped-def]
-    """Return λ ∫ p V dt of the filling chambers by Simpson's rule, J.
+    """Return the amount of air that leaks from the filling chambers, λ ∫ p V dt, J.
 
-    The integral extends from `last` to `t` (s), measured from the latest valve event.
+    Simpson's rule is applied to the interval from `last` to `t`. Both times are
+    measured from the latest valve event, s.
     """
     leaked = 0.0
     for at, weight in ((last, 1 / 6), (0.5 * (last + t), 4 / 6), (t, 1 / 6)):
@@ -454,20 +461,19 @@ def _fill_decay(t, relaxation):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def advance_segment(state, j, pressure, linear, relaxation):  # type: ignore[no-untyped-def]
-    """Return pressures (Pa) and linear bend (rad) of a segment without valve events.
+    """Return the pressures (Pa) and the linear bend (rad) of a segment after a time t.
 
-    The factors in `relaxation` determine the elapsed time (`_fill_decay`).
+    The valve states are constant during this time.
 
     Args:
         state: valve states, shape (2,).
-        j: segment index.
+        j: segment index, counted from 0.
         pressure: initial gauge pressures, shape (2,), Pa.
         linear: initial linear bend, rad.
-        relaxation: `Relaxation`.
+        relaxation: `Relaxation` with decay factors for the time t.
     """
     first = relaxation.kinds[j, 0]
     second = relaxation.kinds[j, 1]
-    # The valve states −1, 0 and +1 correspond to columns 0, 1 and 2 of the arrays.
     up = state[0] + 1
     down = state[1] + 1
     mode = relaxation.mode[0]
@@ -475,7 +481,7 @@ def advance_segment(state, j, pressure, linear, relaxation):  # type: ignore[no-
     target_minus = relaxation.asymptotes[second, down]
     deviation_plus = pressure[0] - target_plus
     deviation_minus = pressure[1] - target_minus
-    # Response of x to both pressures, starting from x = 0.
+    # This is the response of x to both pressures if x starts at 0.
     lagged = relaxation.gain[j, 0] * (
         target_plus * (1.0 - mode) + deviation_plus * relaxation.lag[first, up]
     )
@@ -497,9 +503,9 @@ def filling_content(state, plus, minus, bend, relaxation, ambient):  # type: ign
         state: valve states, shape (2,).
         plus: gauge pressure of the + chamber, Pa.
         minus: gauge pressure of the − chamber, Pa.
-        bend: bend q, rad.
-        relaxation: `Relaxation`.
-        ambient: ambient pressure, Pa.
+        bend: bend q of the segment, rad.
+        relaxation: chamber parameters (`Relaxation`).
+        ambient: pressure that is added to the gauge pressures, Pa.
     """
     total = float(0.0)
     pressure = float(plus)

@@ -1,25 +1,27 @@
-r"""Isothermal chambers behind orifices (ISO 6358) whose volumes grow with the bend.
+r"""Isothermal chambers with bend-dependent volumes and valve flows (ISO 6358).
 
-One supply feeds all chambers. The unknowns are the amounts of air n = P V in the
-chambers, the linear bends x, and the amount of air in the line from the supply to the
-inlets:
+One supply line feeds all chambers. The unknowns are the amount of air n = P V in each
+chamber, the linear bend x of each segment, and the amount of air in the line between
+the supply and the inlets. The chambers and segments satisfy these equations:
 
 $$ \dot n = \dot n_{in} - \dot n_{out} - \Lambda\,(P - P_a),\qquad P = n / V(q),\qquad
 \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q_f = b + \varphi(x). $$
 
-The module `chambers` defines φ, b, V(q) and the gains g, and `flow` defines the flows.
-The conductances are computed from the robot's τ₁ (`flow.conductances`). At the working
-point, the leak conductance Λ makes the pressure of a held nominal chamber fall at the
-relative rate `leak_per_s`.
+The module `chambers` defines φ, b, V(q) and the gains g, and the module `flow` defines
+the flows ṅ. The valve conductances are computed from the time constants of the robot
+(`flow.conductances`). The leak conductance Λ is chosen so that the pressure in a closed
+nominal chamber falls at the relative rate `leak_per_s` at the working point.
 
 Without a flow limit, the line is always at the supply pressure. With a flow limit, a
-compressor with a regulator feeds the line. The flow of the compressor is at most the
-limit, measured at ambient pressure, and decreases to 0 over the last hundredth of the
-supply pressure. All inlets share the line, so a limited flow slows down all segments.
+compressor with a regulator feeds the line. The limit is the maximum flow from the
+compressor, measured at ambient pressure. As the line pressure rises through the last
+hundredth of the gauge supply pressure, the flow decreases linearly to 0. All inlets
+share the line, so a limited flow slows down all segments.
 
-**Integration.** SDIRK2 (two stages, second order, L-stable) integrates all chambers
-together. The stage equations are solved by Newton's method. A step ends at every valve
-event. Within a step, states are interpolated by cubic Hermite polynomials.
+**Integration.** All chambers are integrated together by SDIRK2, an L-stable method of
+second order with two stages. The stage equations are solved by Newton's method. A step
+ends at every valve event. Within a step, states are interpolated by cubic Hermite
+polynomials.
 """
 
 from __future__ import annotations
@@ -60,26 +62,25 @@ from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 
 CRITICAL_RATIO = 0.3
-"""Critical pressure ratio b of a small solenoid valve, dimensionless.
+"""Estimated critical pressure ratio b of a small solenoid valve, dimensionless.
 
-This estimate lies in the range of small solenoid valves, 0.2 to 0.5.
+Such valves have critical pressure ratios between 0.2 and 0.5.
 """
 
 MAX_CRITICAL_RATIO = 0.8
 """Maximum critical pressure ratio, dimensionless.
 
-With a larger ratio, the flow at a working point would be choked, and C could not be
-computed from the time constant.
+With a larger ratio, the flow could be choked at the working point from which the
+conductance C is computed (`flow.conductances`).
 """
 
 LINE_VOLUME = 50e-6
-"""Estimated volume of compressor outlet, tubes and manifold, m³."""
+"""Estimated total volume of the compressor outlet, the tubes and the manifold, m³."""
 
 _SUBSTEP_S = 5e-4
-"""Maximum integration step for a robot with time unit 1 (`robot.scale`), s."""
 
 REGULATOR_BAND = 0.01
-"""Pressure range in which the regulator closes, as a fraction of the gauge supply
+"""Pressure range over which the regulator closes, as a fraction of the gauge supply
 pressure."""
 
 
@@ -96,19 +97,19 @@ class OrificeKeywords(TypedDict, total=False):
 
 @dataclass(frozen=True)
 class OrificeOptions:
-    """Valves and supply line of orifice chambers.
+    """Options for the valves and the supply line of orifice chambers.
 
     Attributes:
         critical_ratio: critical pressure ratio b of all valves, dimensionless.
-        flow_limit: maximum flow of the supply, measured at ambient pressure, m³/s, or
-            None for an unlimited flow.
-        line_volume: volume of the line between supply and inlets, m³. The volume has an
-            effect only with a flow limit.
-        initial_line_pressure: initial gauge pressure in the line, by default the supply
-            pressure, Pa.
-        leak_per_s: relative rate at which the pressure of a held chamber falls, 1/s.
-        substep: maximum integration step, s, by default 0.5 ms times the time unit of
-            the robot (`robot.scale`).
+        flow_limit: maximum volume flow from the supply, measured at ambient pressure,
+            m³/s, or None for unlimited flow.
+        line_volume: volume of the line between the supply and the inlets, m³, used only
+            with a flow limit.
+        initial_line_pressure: initial gauge pressure in the line, Pa, or None for the
+            supply pressure.
+        leak_per_s: relative rate at which the pressure in a closed chamber falls, 1/s.
+        substep: maximum integration step, s, or None for 0.5 ms times the robot's time
+            unit (`robot.scale`).
     """
 
     critical_ratio: float = CRITICAL_RATIO
@@ -149,7 +150,7 @@ class OrificeOptions:
         return begins
 
     def describe(self, initial_line_pressure: float) -> dict[str, object]:
-        """Return the settings to be recorded with a run."""
+        """Return the settings that are recorded with a run, as JSON values."""
         settings: dict[str, object] = {
             "critical_ratio": self.critical_ratio,
             "flow_limit_l_per_min": None,
@@ -165,22 +166,19 @@ class OrificeOptions:
 
 
 class OrificePneumatics(Pneumatics):
-    """Planar chambers behind orifices.
+    """Planar chambers that fill and vent through orifices.
 
     Attributes:
-        conductances: inlet and outlet conductances, shape (segments, 2) each, m³/(s
-            Pa).
-        line_pressure: current gauge pressure between supply and inlets, Pa.
-        drawn: amount of air P V delivered by the supply since `reset`, J.
-        lost: amount of air P V that was vented or leaked since `reset`, J.
-        parameters: valves and supply line.
+        conductances: sonic conductances of the inlets and of the outlets, shape
+            (segments, 2) each, m³/(s Pa).
+        parameters: parameters of the chambers, the valves and the supply line.
     """
 
     kind = "orifice"
     state_attributes = ("_state", "_amounts", "parameters", "_energy_per_amount")
     depends_on_bend = True
-    # A segment that bends away from a closed chamber compresses the air in the chamber.
-    # In gen3 the pressure ratio reaches 1.6.
+    # A closed chamber is compressed when the opposite chamber bends the segment. In
+    # gen3, the pressure ratio then reaches 1.6.
     max_pressure_ratio = 4.0
 
     def __init__(
@@ -195,14 +193,14 @@ class OrificePneumatics(Pneumatics):
         """Construct the chambers.
 
         Args:
-            spec: robot.
+            spec: robot specification.
             supply_pa: gauge supply pressure, Pa.
             layout: valve layout, a key of `LAYOUTS`.
             valve_delay_s: time between a command and the switching of the valve, s.
             **options: fields of `OrificeOptions`, such as flow_limit=2e-4.
 
         Raises:
-            InputError: the layout is unknown, or a number is out of range.
+            InputError: the layout is unknown, or an option is out of range.
         """
         valves = OrificeOptions(**options)
         critical = valves.critical_ratio
@@ -210,10 +208,11 @@ class OrificePneumatics(Pneumatics):
         limited = flow_limit is not None
         begins = valves.line_pressure(supply_pa)
         self._substep = valves.substep or _SUBSTEP_S * spec.scale.time
-        # A closed chamber is a stiff spring, which limits the coupling step. Without a
-        # flow limit, the speed of gen2 differs by 0.5 % between steps of 1 ms and
-        # 0.25 ms, and the simulation diverges with 2 ms. A flow limit couples all
-        # chambers, and the solution oscillates with a step of 1 ms.
+        # A closed chamber acts as a stiff spring, which limits the coupling step.
+        # Without a flow limit, the speed of gen2 differs by 0.5 % between coupling
+        # steps of 1 ms and 0.25 ms, and the simulation diverges with a step of 2 ms.
+        # A flow limit couples all chambers, so that the solution oscillates with a
+        # step of 1 ms.
         self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
         self.stiffness = _closed_stiffness(spec, supply_pa)
         nominal = conductances(spec, critical)
@@ -246,11 +245,11 @@ class OrificePneumatics(Pneumatics):
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
 
     def reset(self) -> None:
-        """Vent all chambers, close all inlets, and fill the line."""
+        """Vent all chambers, close all inlets, and set the initial line pressure."""
         super().reset()
         self._state = np.zeros((self._segments, 3))
         self._fill(self.pressure, self.parameters.bias)
-        # Amounts of air in the line, delivered by the supply, and lost.
+        # The entries are the air in the line, the delivered air and the lost air.
         self._amounts = np.array(
             [self._initial_line_pressure * self.parameters.line_volume, 0.0, 0.0]
         )
@@ -282,12 +281,12 @@ class OrificePneumatics(Pneumatics):
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
 
     def leak(self, segment: int, side: int, per_s: float) -> None:
-        """Add a permanent leak to one chamber.
+        """Set the leak of one chamber. The leak persists after `reset`.
 
         Args:
             segment: segment number, counted from 1 at the head.
             side: 0 for the + chamber, 1 for the − chamber.
-            per_s: relative rate at which the pressure of the held chamber falls, 1/s.
+            per_s: relative rate at which the pressure in the closed chamber falls, 1/s.
         """
         leaks = self.parameters.leak.copy()
         leaks[segment - 1, side] = per_s * self._capacity
@@ -295,7 +294,7 @@ class OrificePneumatics(Pneumatics):
 
     @property
     def line_pressure(self) -> float:
-        """Current gauge pressure between supply and inlets, Pa."""
+        """Current gauge pressure in the supply line, Pa."""
         return float(self._amounts[LINE]) / self.parameters.line_volume - AMBIENT_PA
 
     @property
@@ -305,11 +304,11 @@ class OrificePneumatics(Pneumatics):
 
     @property
     def lost(self) -> float:
-        """Amount of air P V that was vented or leaked since `reset`, J."""
+        """Amount of air P V vented or leaked since `reset`, J."""
         return float(self._amounts[LOST])
 
     def describe(self) -> dict[str, object]:
-        """Return the settings as JSON values for the provenance of a run."""
+        """Return the settings that are recorded with a run, as JSON values."""
         return super().describe() | self._settings
 
     def _simulate(
@@ -341,7 +340,10 @@ class OrificePneumatics(Pneumatics):
 
 
 def _closed_stiffness(spec: RobotSpec, supply_pa: float) -> float:
-    """Return the stiffness k G P A/V₀ of a closed chamber at supply pressure."""
+    """Return the stiffness k G P A/V₀ of a closed chamber (N·m/rad).
+
+    P is the absolute supply pressure.
+    """
     chamber = spec.chamber
     strongest = float(chamber_gains(spec).max()) * spec.bending.stiffness
     return (
@@ -356,7 +358,7 @@ def _chamber_conductances(
 ) -> tuple[np.ndarray, np.ndarray]:
     modules = spec.modules
     actuator = spec.actuator
-    # Chambers with equal parameters share their conductances.
+    # The conductances are computed once for all chambers with equal parameters.
     rows = np.stack(
         [modules.array(name).ravel() for name in ("gain", "tau_fill", "tau_vent")],
         axis=1,

@@ -1,8 +1,9 @@
-"""Compiled equations of the orifice chambers and their integration (`orifice`).
+"""Compiled kernels that integrate the equations of the orifice chambers (`orifice`).
 
-The state y of a segment is (n⁺, n⁻, x): two amounts of air (J) and the linear bend
-(rad). The volumes depend either on the free bends or on the actual bends of a plant.
-Actual bends are extrapolated from the start of a schedule (`ActualBends`).
+The state y of a segment consists of the amounts of air n⁺ and n⁻ in the two chambers
+(J) and the linear bend x (rad). The chamber volumes depend either on the free bends or
+on the actual bends of a plant. Actual bends are extrapolated linearly from the start of
+a schedule (`ActualBends`).
 """
 
 from __future__ import annotations
@@ -17,15 +18,18 @@ from srs_twin.pneumatics.chambers import AMBIENT_PA, BendLaw, apply_bend_law, vo
 from srs_twin.pneumatics.flow import flow
 
 GAMMA = 1 - math.sqrt(0.5)
-"""Diagonal γ of SDIRK2, dimensionless. The stages lie at γ h and h."""
+"""Diagonal coefficient γ of SDIRK2, dimensionless.
+
+In a step of length h, the two stages are at the times γ h and h.
+"""
 
 _MAX_NEWTON = 40  # Maximum number of Newton iterations per stage.
 _NEWTON_TOLERANCE = 1e-12
-"""Maximum absolute update for which Newton's method stops, J and rad."""
+"""Absolute update below which Newton's method stops, J or rad."""
 
 _X = 2  # Column of y that contains the linear bend.
 
-# Indices of amounts of air (J) and flows (J/s) of the whole robot.
+# Indices of the amounts of air (J) and the flows (J/s) of the whole robot.
 LINE = 0  # Air in the line.
 DRAWN = 1  # Air delivered by the supply.
 LOST = 2  # Air vented and leaked.
@@ -33,11 +37,11 @@ AMOUNTS = 3
 _SUPPLY_FLOW = 3
 _INFLOW = 4
 
-# Indices of the last axis of the corrections in a Newton iteration.
-_ALONE = 0  # Correction at a fixed pressure of the line.
-_BY_LINE = 1  # Derivative with respect to the pressure of the line.
+# Indices along the last axis of `_Workspace.linear`.
+_ALONE = 0  # Correction at constant line pressure.
+_BY_LINE = 1  # Derivative of the correction with respect to the line pressure.
 
-# Indices of the chamber terms that the back substitution uses.
+# Indices along the last axis of `_Workspace.terms`.
 _COUPLING = 0
 _FLOW = 1
 _FLOW_BY_LINE = 2
@@ -53,16 +57,17 @@ class OrificeParameters(NamedTuple):
         dead, displacement: dead volume V₀ (m³) and displacement A (m³/rad).
         gain: gain of each chamber, shape (segments, 2), rad/Pa.
         bias: rest bends b, shape (segments,), rad.
-        bend_law: bend law.
+        bend_law: parameters of the bend law.
         tau: mode time constant τ₂, s.
         critical: critical pressure ratio b of the valves, dimensionless.
-        fill, vent: P₀ C of each inlet and outlet, shape (segments, 2), m³/s.
+        fill, vent: reference pressure times conductance, P₀ C, of the inlets and of
+            the outlets, shape (segments, 2) each, m³/s.
         leak: leak conductance Λ of each chamber, shape (segments, 2), J/(s Pa).
         supply, max_flow: absolute pressure (Pa) and maximum flow (J/s) of the supply.
         band: pressure range over which the regulator closes, Pa.
         line_volume: volume of the line, m³.
-        limited: whether the flow is limited. Without a limit, the line is at the supply
-            pressure.
+        limited: whether the supply flow is limited. Without a limit, the line is always
+            at the supply pressure.
     """
 
     dead: float
@@ -86,10 +91,10 @@ class ActualBends(NamedTuple):
     """Actual bends of a plant.
 
     Attributes:
-        coupled: whether the volumes depend on the actual bends instead of the free
-            bends.
+        coupled: whether the chamber volumes depend on the actual bends instead of the
+            free bends.
         bend: actual bends at the start of the schedule, shape (segments,), rad.
-        rate: rates of the actual bends, shape (segments,), rad/s.
+        rate: constant rates of the actual bends, shape (segments,), rad/s.
     """
 
     coupled: bool
@@ -102,7 +107,8 @@ class OrificeState(NamedTuple):
 
     Attributes:
         y: state of each segment, shape (segments, 3).
-        amounts: amounts of air of the whole robot, shape (AMOUNTS,), J.
+        amounts: amounts of air in the line, delivered by the supply and lost, shape
+            (AMOUNTS,), J.
         pressure: gauge pressures, shape (segments, 2), Pa.
         bend: free bends, shape (segments,), rad.
     """
@@ -114,15 +120,16 @@ class OrificeState(NamedTuple):
 
 
 class _Workspace(NamedTuple):
-    """Work arrays of a step.
+    """Work arrays for an integration step.
 
     Attributes:
-        base, rates: constant terms of the stage equation, and ẏ, shape (segments, 3).
-        bend: actual bends at the time of a stage, rad.
-        linear: corrections of y as linear functions of the change of the line pressure,
-            shape (segments, 3, 2). The last axis has the indices `_ALONE` and
+        base, rates: constant terms of the stage equations, and time derivatives ẏ,
+            shape (segments, 3) each.
+        bend: actual bends at the time of a stage, shape (segments,), rad.
+        linear: corrections of y as linear functions of the line pressure change, shape
+            (segments, 3, 2). The indices along the last axis are `_ALONE` and
             `_BY_LINE`.
-        terms: terms of the chambers, shape (segments, 2, _TERMS).
+        terms: chamber terms for the back substitution, shape (segments, 2, _TERMS).
     """
 
     base: np.ndarray
@@ -133,16 +140,17 @@ class _Workspace(NamedTuple):
 
 
 class ChamberFlow(NamedTuple):
-    """Pressure and flows of one chamber, with their derivatives.
+    """Pressure of one chamber, flows through its valves, and their derivatives.
 
     Attributes:
         pressure: absolute pressure P, Pa.
         per_volume: inverse volume 1/V, 1/m³.
-        squeeze: derivative −∂P/∂q, Pa/rad.
-        inflow, outflow: flow from the line, and flow to the surroundings, J/s.
+        squeeze: derivative −∂P/∂q at a constant amount of air, Pa/rad.
+        inflow, outflow: flow from the supply line into the chamber, and flow from the
+            chamber to the surroundings, J/s.
         inflow_by_p, outflow_by_p: derivatives of the flows with respect to P, J/(s Pa).
-        inflow_by_line: derivative of the inflow with respect to the pressure of the
-            line, J/(s Pa).
+        inflow_by_line: derivative of the inflow with respect to the line pressure, J/(s
+            Pa).
     """
 
     pressure: float
@@ -160,13 +168,13 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     """Return the `ChamberFlow` of one chamber.
 
     Args:
-        n: amount of air, J.
-        bend: bend that determines the volume, rad.
-        j: segment index.
+        n: amount of air in the chamber, J.
+        bend: bend that determines the chamber volume, rad.
+        j: segment index, counted from 0.
         side: 0 for the + chamber, 1 for the − chamber.
         state: valve state.
-        line: absolute pressure in the line upstream of the inlets, Pa.
-        air: `OrificeParameters`.
+        line: absolute pressure in the supply line, Pa.
+        air: chamber parameters (`OrificeParameters`).
     """
     size, growth = volume(air.dead, air.displacement, bend, side)
     pressure = n / size
@@ -176,7 +184,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
     outflow = air.leak[j, side] * (pressure - AMBIENT_PA)
     outflow_by_p = air.leak[j, side]
     if state != 0:
-        # Flow into the chamber is positive.
+        # A positive value is a flow into the chamber.
         source = line if state == 1 else AMBIENT_PA
         value, by_source, by_here = flow(source, pressure, air.critical)
         if state == 1:
@@ -201,7 +209,7 @@ def chamber(n, bend, j, side, state, line, air):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def supply_flow(line, air):  # type: ignore[no-untyped-def]
-    """Return the supply flow into the line (J/s) and its pressure derivative."""
+    """Return the supply flow (J/s) and its derivative with respect to line pressure."""
     opening = (air.supply - line) / air.band
     if opening <= 0.0:
         return 0.0, 0.0
@@ -214,11 +222,11 @@ def supply_flow(line, air):  # type: ignore[no-untyped-def]
 def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # type: ignore[no-untyped-def]
     """Perform one Newton iteration for the stage equation y = base + weight · ẏ.
 
-    The function returns the maximum norm of the update. Chambers depend on each other
-    only through the bend of their segment and through the line. The unknowns of each
-    segment are therefore eliminated separately, as linear functions of the change of
-    the line pressure. The weight is γ h (s), and `line_base` contains the terms of the
-    amount of air in the line that do not depend on the unknowns.
+    Chambers are coupled only by the bend of their segment and by the line. The unknowns
+    of each segment are therefore eliminated separately, as linear functions of the line
+    pressure change. The weight is γ h (s), and `line_base` is the constant term of the
+    stage equation for the amount of air in the line (J). The function returns the
+    maximum norm of the update.
     """
     base = workspace.base
     linear = workspace.linear
@@ -231,7 +239,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # t
     line_residual = amounts[LINE] - line_base - weight * supply
     line_derivative = air.line_volume - weight * closing
     for j in range(y.shape[0]):
-        # A prescribed bend does not depend on x.
+        # Actual bends do not depend on x.
         q, bend_rate, _ = apply_bend_law(y[j, _X], air.bend_law)
         q, bend_rate = (
             (workspace.bend[j], 0.0) if coupled else (air.bias[j] + q, bend_rate)
@@ -241,7 +249,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # t
         bend_residual = y[j, _X] * bend_derivative - base[j, _X]
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
-            # The amount of air n of the chamber is eliminated by the linearised equation
+            # The amount of air n in a chamber is eliminated by the linearised equation
             # Δn = alone − coupling · Δx + by_line · Δ(line pressure).
             squeeze = c.squeeze * bend_rate
             rate_by_p = weight * (c.inflow_by_p - c.outflow_by_p)
@@ -261,7 +269,7 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # t
             terms[j, side, _FLOW_BY_LINE] = c.inflow_by_line
             terms[j, side, _FLOW_BY_AMOUNT] = c.inflow_by_p * c.per_volume
             terms[j, side, _FLOW_BY_BEND] = c.inflow_by_p * squeeze
-        # After n is eliminated, the equation for x depends only on the line pressure.
+        # After the elimination of n, Δx depends only on the line pressure.
         linear[j, _X, _ALONE] = -bend_residual / bend_derivative
         linear[j, _X, _BY_LINE] = bend_by_line / bend_derivative
         line_residual, line_derivative = _add_segment_to_line(
@@ -273,7 +281,10 @@ def _newton(y, amounts, line_base, weight, state, coupled, air, workspace):  # t
 
 @inlined
 def _add_segment_to_line(j, residual, derivative, weight, linear, terms):  # type: ignore[no-untyped-def]
-    """Correct the amounts of air of a segment, and add its inflow to the line."""
+    """Substitute Δx into Δn, and add the inflow of a segment to the line equation.
+
+    The function returns the new residual and derivative of the line equation.
+    """
     for side in range(2):
         coupling = terms[j, side, _COUPLING]
         inflow = terms[j, side, _FLOW]
@@ -297,13 +308,17 @@ def _add_segment_to_line(j, residual, derivative, weight, linear, terms):  # typ
 
 @kernel_only
 def _apply_correction(y, amounts, linear, change, air):  # type: ignore[no-untyped-def]
-    """Apply the corrections for a change of the line pressure (Pa) in place."""
+    """Apply all corrections in place, and return the maximum norm of the update.
+
+    The argument `change` is the change of the line pressure, Pa.
+    """
     amounts[LINE] += change * air.line_volume
     largest = abs(change * air.line_volume)
     for j in range(y.shape[0]):
         for k in range(3):
             step = linear[j, k, _ALONE] + linear[j, k, _BY_LINE] * change
-            # The decrease is limited so that the amount of air remains positive.
+            # An amount of air decreases by at most 90 % per iteration, so that it
+            # remains positive.
             if k == _X:
                 y[j, k] = y[j, k] + step
             else:
@@ -335,8 +350,8 @@ def _rates(y, line_amount, state, coupled, bend, air, dy):  # type: ignore[no-un
         for side in range(2):
             c = chamber(y[j, side], q, j, side, state[j, side], line, air)
             dy[j, side] = c.inflow - c.outflow
-            # The ambient pressure does not cancel if the two gains differ, so gauge
-            # pressures are needed.
+            # Gauge pressures are used, because the ambient pressure does not cancel if
+            # the two gains differ.
             gauge = c.pressure - AMBIENT_PA
             deviation += (1.0 - 2.0 * side) * air.gain[j, side] * gauge
             total_inflow = total_inflow + c.inflow
@@ -354,11 +369,12 @@ def _extrapolate_bends(bend, actual, time):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _step(now, h, begun, state, actual, air, workspace):  # type: ignore[no-untyped-def]
-    """Advance y and amounts in place by one step of SDIRK2 from the time `begun` (s).
+    """Advance the state by one SDIRK2 step of length h (s) from the time `begun` (s).
 
-    The array `workspace.rates` contains ẏ at the start of the step, and is overwritten
-    with ẏ at the end of the step. The function returns the flow from the supply and the
-    total inflow at the end of the step, J/s.
+    The state `now` is updated in place. The array `workspace.rates` contains ẏ at the
+    start of the step, and is overwritten with ẏ at the end of the step. The function
+    returns the supply flow and the total inflow of all chambers at the end of the step,
+    J/s.
     """
     y = now.y
     amounts = now.amounts
@@ -403,7 +419,7 @@ class _End(NamedTuple):
 
 
 class _StepRows(NamedTuple):
-    """Rows `first` to `until` − 1 of a trace, which lie within one step (s)."""
+    """Trace rows `first` to `until` − 1, and the step (s) that contains them."""
 
     first: int
     until: int
@@ -438,16 +454,17 @@ def _rows_until(times, row, finish, is_last):  # type: ignore[no-untyped-def]
 
 @allocating
 def simulate(now, schedule, times, substep, actual, air, trace):  # type: ignore[no-untyped-def]
-    """Simulate a schedule in place and write a trace at the given times.
+    """Simulate a schedule, update the state in place, and fill a trace.
 
     Args:
-        now: `OrificeState`, updated in place.
-        schedule: valve states with delay and faults.
-        times: ascending times, s.
-        substep: maximum step, s.
-        actual: actual bends.
-        air: `OrificeParameters`.
-        trace: output. The field `pneumatic_energy` receives the consumed air, J.
+        now: `OrificeState` at the start of the schedule, updated in place.
+        schedule: valve states that include the valve delay and faults.
+        times: ascending times of the trace rows, s.
+        substep: maximum integration step, s.
+        actual: `ActualBends` of the plant.
+        air: chamber parameters (`OrificeParameters`).
+        trace: `Trace` to fill. The field `pneumatic_energy` receives the amount of air
+            delivered by the supply, J.
     """
     y = now.y
     starts = schedule.starts

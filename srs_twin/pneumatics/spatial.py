@@ -1,14 +1,14 @@
-r"""Chambers of a spatial robot, which bend a segment in several directions.
+r"""Chambers that bend the segments of a spatial robot in several directions.
 
-Each chamber fills and vents with a first-order lag, as in `lag`. A second lag with the
-time constant τ₂ yields the lagged pressures p̂_c. The chamber directions are d_c
-(`Chamber.directions`), and φ is the bend law of `chambers`. The free bend of a segment
-is a vector with components to the left and upwards,
+Each chamber c fills and vents with a first-order lag, as in `lag`. A second lag with
+the time constant τ₂ yields the lagged pressure p̂_c. Chamber c bends the segment in the
+direction of the unit vector d_c (`Chamber.directions`), and φ is the bend law from
+`chambers`. The free bend q is a vector with components to the left and upwards:
 
-$$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| , $$
+$$ x = G \sum_c g_c\, \hat p_c\, d_c, \qquad q = b + \varphi(|x|)\, x / |x| . $$
 
-so that the bend limit applies to the magnitude of the bend. The volume of a chamber
-grows with the bend in the direction of the chamber: V = V₀ + A max(0, q · d_c).
+The bend limit therefore applies to the magnitude of the bend. A chamber has the volume
+V = V₀ + A max(0, q · d_c), which grows with the bend in the direction d_c.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class SpatialLagPneumatics(LagChambers):
-    """Chambers with a first-order lag that bend a segment in several directions.
+    """Chambers of a spatial robot with a first-order lag.
 
-    The arrays `bend` and `rest_bend` and the bends of a `Trace` have shape (…,
-    segments, 2), with components to the left and upwards.
+    All arrays of bends, including those in a `Trace`, have shape (…, segments, 2), with
+    components to the left and upwards. Arrays of pressures and valve states have shape
+    (…, segments, chambers).
     """
 
     state_attributes = ("_lagged", "_supply")
@@ -40,7 +41,7 @@ class SpatialLagPneumatics(LagChambers):
 
     def reset(self) -> None:
         """Vent all chambers to ambient pressure and close all inlets."""
-        if self.rest_bend.ndim == 1:  # Rest bends are lateral.
+        if self.rest_bend.ndim == 1:  # Rest bends have no upward component.
             self.rest_bend = np.stack(
                 [self.rest_bend, np.zeros_like(self.rest_bend)], axis=-1
             )
@@ -113,7 +114,7 @@ class SpatialLagPneumatics(LagChambers):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return rates (rad/s) and accelerations (rad/s²) of the free bends.
 
-        The bend law is linearised by the secant slope.
+        The bend law is approximated by a line with the secant slope φ(|x|)/|x|.
         """
         rate, end = self._relaxation(state)
         tau = self._spec.actuator.tau_mode
@@ -121,7 +122,6 @@ class SpatialLagPneumatics(LagChambers):
         speed = (pressure - lagged) / tau
         rise = (rate * (end - pressure) - speed) / tau
         linear = (gains * lagged) @ self._spec.chamber.axes
-        # The secant slope of the bend law is the free bend divided by the linear bend.
         size = np.maximum(np.linalg.norm(linear, axis=-1, keepdims=True), 1e-9)
         derivative = np.where(
             size > 1e-9,

@@ -1,7 +1,7 @@
 """Schedules of piecewise constant valve states, and valve faults.
 
-A valve state is +1 (filling), 0 (holding) or −1 (venting). The last axis of valve-state
-arrays is (+ chamber, − chamber).
+A valve state is +1 (filling), 0 (closed) or −1 (venting). In arrays of valve states,
+the last axis contains the + chamber and the − chamber, in this order.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class StuckValve:
     Attributes:
         segment: segment number, counted from 1 at the head.
         side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
-        state: valve state.
+        state: valve state in which the valve sticks.
         since: time of the fault, measured from `Pneumatics.reset`, s.
     """
 
@@ -33,12 +33,12 @@ class StuckValve:
 
 
 LAYOUTS = {"3/2": (-1, 1), "in_out": (-1, 0, 1)}
-"""Valve states of a 3/2 valve, and of separate inlet and outlet valves."""
+"""Possible states of a 3/2 valve, and of separate inlet and outlet valves."""
 
 SLOT_S = 1e-4
-"""Time grid of valve events for a robot with time unit 1 (`robot.scale`), s."""
+"""Intended duration of a valve slot for a robot with time unit 1 (`robot.scale`), s."""
 
-# Minimum time (s) between two valve events. Closer events differ only by rounding
+# Valve events that are closer together than this time (s) differ only by rounding
 # errors and are merged.
 _EVENT_TOLERANCE = 1e-9
 
@@ -50,14 +50,14 @@ def valve_slot(tick: float, scale: Scale) -> float:
     the start of a slot.
 
     Args:
-        tick: control tick, s.
-        scale: scale of the robot, which sets the slot duration.
+        tick: duration of a control tick, s.
+        scale: scale of the robot, which determines the intended slot duration.
     """
     return divide(tick, SLOT_S * scale.time)
 
 
 def count_slots(tick: float, scale: Scale) -> int:
-    """Return the number of valve slots per control tick (s).
+    """Return the number of valve slots in a control tick (s).
 
     Raises:
         InputError: the tick is not finite or not positive.
@@ -66,13 +66,13 @@ def count_slots(tick: float, scale: Scale) -> int:
 
 
 class Schedule(NamedTuple):
-    """Piecewise constant valve states over a time span, passed to kernels as a tuple.
+    """Piecewise constant valve states over a time span.
 
     Attributes:
         span: duration of the schedule, s.
         starts: start time of each interval with constant states, ascending from 0,
             shape (runs,), s.
-        states: valve states of each interval, shape (runs, segments, 2).
+        states: valve states in each interval, shape (runs, segments, 2).
     """
 
     span: float
@@ -81,9 +81,9 @@ class Schedule(NamedTuple):
 
     @classmethod
     def from_slots(cls, commands: np.ndarray, span: float) -> Schedule:
-        """Return the schedule of equally long commands that fill a time span (s).
+        """Return a schedule of commands that divide a time span (s) into equal slots.
 
-        The commands are valve states of shape (slots, segments, 2).
+        The commands are valve states, shape (slots, segments, 2).
         """
         if len(commands) == 1:
             return cls(span, np.zeros(1), np.ascontiguousarray(commands))
@@ -99,7 +99,7 @@ class Schedule(NamedTuple):
         return self.starts[1:]
 
     def slice(self, begin: float, end: float) -> Schedule:
-        """Return the part of the schedule between two times (s), starting at time 0."""
+        """Return the part of the schedule between two times (s), shifted to time 0."""
         if (
             begin == 0.0
             and end == self.span
@@ -117,14 +117,14 @@ class Schedule(NamedTuple):
     def with_stuck_valve(
         self, begin: float, segment: int, side: int, state: int
     ) -> Schedule:
-        """Return the schedule with one valve stuck in one state after a given time.
+        """Return a copy of the schedule in which one valve sticks from a given time on.
 
         Args:
-            begin: time of the fault, s. It may be negative. A fault after the end of
-                the schedule has no effect.
+            begin: time of the fault, s, which may be before the start or after the end
+                of the schedule.
             segment: segment index, counted from 0.
             side: 0 for the valve of the + chamber, 1 for the valve of the − chamber.
-            state: valve state.
+            state: valve state in which the valve sticks.
         """
         if begin >= self.span - _EVENT_TOLERANCE:
             return self
@@ -139,8 +139,9 @@ class Schedule(NamedTuple):
         return Schedule(self.span, starts, states)
 
     def followed_by(self, other: Schedule) -> Schedule:
-        """Return this schedule followed by another schedule."""
-        # Adjacent intervals of the two schedules are merged if their states are equal.
+        """Return a schedule that consists of this schedule followed by another."""
+        # The last interval of this schedule and the first interval of the other
+        # schedule are merged if their valve states are equal.
         merged = int((self.states[-1] == other.states[0]).all())
         starts = np.concatenate([self.starts, self.span + other.starts[merged:]])
         return Schedule(

@@ -61,11 +61,11 @@ class TableOptions:
     Options:
         map: YAML file (recording map) that states what the markers and columns of the
             recording mean (see docs/recordings.md).
-        units: Unit of lengths if the file does not state it: m, cm, mm, in or ft.
+        units: Unit of length if the file does not state one: m, cm, mm, in or ft.
         rate: Frame rate in Hz if the file contains no times.
         columns: Column names of a text file without a header, for example time,x_1,y_1.
-        separator: Cell separator of a text file: a comma, a semicolon, | or one of the
-            words tab and space. [default: detected]
+        separator: Cell separator of a text file: a comma, a semicolon, a vertical bar
+            (|), or the word tab or space. [default: detected]
         decimal: Decimal mark of a text file: a point or a comma. [default: detected]
     """
 
@@ -92,19 +92,19 @@ class TableOptions:
 
 @dataclass(frozen=True)
 class ReadingOptions(TableOptions):
-    """Options of `RecordingReader`.
+    """Options that set the attributes of `RecordingReader`.
 
     Options:
-        up: Axis of the recording that points upwards: x, y, z, -x, -y or -z, or auto to
-            detect it.
+        up: Axis of the file that points up: x, y, z, -x, -y or -z, or auto to detect
+            the axis.
         layout: Arrangement of the markers on the body: single, head, pair, middles or
-            head_middles (see docs/recordings.md), or auto to detect it.
+            head_middles (see docs/recordings.md), or auto to detect the arrangement.
         head: Name of the marker at the head. [default: the marker at the end that leads
             the motion]
         longest_gap: Maximum duration in seconds of a marker gap that is interpolated.
             [default: 0.2]
         marker: Position of a marker on the body, for example "tip=connector 3" or
-            "m1=middle 1". Can be repeated.
+            "m1=middle 1". Repeat the option for each marker.
     """
 
     up: Annotated[str, option("--up AXIS")] = "auto"
@@ -114,7 +114,7 @@ class ReadingOptions(TableOptions):
     marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
 
     def given(self) -> dict[str, Any]:
-        """Return the options that were given, by attribute of `RecordingReader`."""
+        """Return the given options, keyed by attribute of `RecordingReader`."""
         values = {
             "up": self.up,
             "layout": self.layout,
@@ -155,10 +155,11 @@ def inspect(
     whether the files can be read as recordings of this robot.
 
     Options:
-        robot: Robot for which the recordings are checked: name of a shipped robot, or
+        robot: Robot that the recordings should belong to: name of a shipped robot, or
             path of a robot file.
         picture: Draw the markers from above and write the picture to this file. With
-            several recordings, each file name is prefixed by the recording name.
+            several recordings, the name of each picture begins with the name of the
+            recording.
         write_map: Write the proposed recording map to this file.
     """
     from srs_twin.io.files import escape_unprintable, write_text
@@ -228,7 +229,7 @@ def _save_picture(scene: Scene, path: Path) -> None:
 _FORMATS = ("mcap", "csv", "npz")
 
 MAP_SUFFIX = ".map.yaml"
-"""Suffix of the recording map that `export` writes for an exported file."""
+"""Suffix of the recording map that `export` writes next to an MCAP file."""
 
 _LAYOUT_SUFFIX = ".foxglove.json"
 
@@ -248,7 +249,7 @@ class FormatOptions:
     npz: Annotated[bool, option("--npz")] = False
 
     def chosen(self, out: str | None) -> str:
-        """Return the chosen format. By default, the suffix of `out` determines it."""
+        """Return the chosen format, or the format that the suffix of `out` implies."""
         names = [name for name, chosen in vars(self).items() if chosen]
         if not names and out and Path(out).suffix[1:] in _FORMATS:
             return Path(out).suffix[1:]
@@ -273,12 +274,14 @@ def export(
 ) -> None:
     """Export a run as MCAP (ROS 2), CSV or NumPy archive.
 
-    An MCAP file contains all models of the run. With an MCAP file, the command also
-    writes a Foxglove layout, and a recording map for `inspect` and `replay`.
+    An MCAP file contains the trajectories of all models in the run. Next to an MCAP
+    file, the command also writes a Foxglove layout and a recording map for `inspect`
+    and `replay`.
 
     Options:
         run: Folder of a run, or name of a folder in runs/.
-        file: Output file, as with --out. The suffix selects the format.
+        file: Output file, as an alternative to --out. The suffix of the file selects
+            the format.
         plant: Trajectory to export: analytical, twin or measured. [default: all
             trajectories in an MCAP file, only the twin in other files]
         out: Output file. [default: a file in the folder of the run, such as

@@ -1,8 +1,8 @@
 """Plain tables whose columns are converted to SI units.
 
 The first line of a plain table contains the column names, for example ``x_1``,
-``x_1_mm``, ``pressure_plus_2 (kPa)`` or ``time_ms``. Columns without a unit in their
-name are assumed to be in SI units.
+``x_1_mm``, ``pressure_plus_2 (kPa)`` or ``time_ms``. A column without a unit in its
+name is assumed to be in SI units.
 """
 
 from __future__ import annotations
@@ -35,21 +35,20 @@ from srs_twin.recordings.signals.units import (
 )
 
 CLOCK = {"time": TIMES}
-"""Base name and units of the time column."""
+"""Base name of the time column and its accepted units."""
 
 _LISTED = 5
-"""Maximum number of columns listed in a message."""
 _NAME = re.compile(
     r"([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3}))?(?:[_ ]+([^\W\d_]+(?:/\w+)?|%))?"
 )
 
 
 class TimedRows(NamedTuple):
-    """Table rows and their times.
+    """Rows of a table with their times.
 
     Attributes:
-        values: numbers in SI units, shape (rows, columns).
-        epoch_ns: Unix time that was subtracted from the times, ns, or None if the file
+        values: cell values in SI units, shape (rows, columns).
+        epoch_ns: Unix time that corresponds to a time of 0 s, ns, or None if the file
             contains no Unix times.
     """
 
@@ -60,10 +59,7 @@ class TimedRows(NamedTuple):
 
 
 def first_line_names(path: StrPath, dialect: Dialect = AS_FOUND) -> list[str]:
-    """Return the column names of a table in lower case.
-
-    The list is empty if the table has no header.
-    """
+    """Return the column names of a table in lower case (empty without a header)."""
     return [name.lower() for name in laid_out(read_file(path), dialect).names]
 
 
@@ -73,7 +69,8 @@ class CsvColumn:
 
     Attributes:
         name: base name, for example "x".
-        number: numeric suffix of the column name, or 0 without a suffix.
+        number: number in the column name, for example 1 in "x_1_mm", or 0 if there is
+            none.
         unit: unit symbol from the column name or the recording map, or an empty string
             if no unit is stated.
     """
@@ -88,7 +85,7 @@ class CsvColumn:
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Recognized columns of a plain table, and the names of the unused columns."""
+    """Plain table with its recognized columns and the names of its unused columns."""
 
     file: RecordedFile
     columns: tuple[CsvColumn, ...]
@@ -98,7 +95,10 @@ class CsvTable:
     def error(
         self, column: CsvColumn, problem: str, row: int | None = None
     ) -> InputError:
-        """Return an error that points to a column header, or to a row (from 0)."""
+        """Return an error that points to a cell of a column.
+
+        `row` is the row index, counted from 0, or None for the column header.
+        """
         if row is None:
             line = self.file.header_lines or 1
         else:
@@ -144,7 +144,7 @@ class CsvTable:
         return [by_key[key] for key in required]
 
     def read(self, columns: Sequence[CsvColumn]) -> tuple[np.ndarray, list[str]]:
-        """Return columns in SI units, shape (rows, columns), and notes."""
+        """Return the column values in SI units, shape (rows, columns), and notes."""
         places = [column.place for column in columns]
         file = self.file
         values, notes = file.rows(file.header_lines, places, len(file.names))
@@ -160,8 +160,8 @@ class CsvTable:
     ) -> TimedRows:
         """Read columns in SI units with their times.
 
-        Without a time column, the times are computed from the row numbers and the frame
-        rate.
+        If `clock` is None, the times are computed from the row numbers and the frame
+        rate `rate_hz`.
         """
         values, notes = self.read(columns)
         if clock is None:
@@ -175,7 +175,7 @@ class CsvTable:
 
 
 def not_used(names: Sequence[str]) -> list[str]:
-    """Return a note on unused columns, as a list that may be empty."""
+    """Return a list with a note on unused columns, or an empty list."""
     if not names:
         return []
     listed = [*names[:_LISTED], *["…"] * (len(names) > _LISTED)]
@@ -189,8 +189,8 @@ def read_table(
 ) -> CsvTable:
     """Read the header of a plain table.
 
-    `known` maps each base name to its accepted units and their conversion factors to SI
-    units. `meanings` maps column names to the meanings stated in a recording map.
+    `known` maps each base name to its accepted units and their factors to SI units.
+    `meanings` maps each column name to the meaning that a recording map states.
     """
     file = laid_out(file)
     line = file.header_lines or 1
@@ -207,7 +207,7 @@ def read_table(
                 column, note = _mapped_column(place, text, known, meaning)
                 if note:
                     notes.append(note)
-            elif bracketed(text)[0] in taken:  # the column in the map has priority
+            elif bracketed(text)[0] in taken:  # a column in the map has priority
                 column = None
             else:
                 column = _own_column(place, text, known)

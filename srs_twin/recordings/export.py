@@ -1,21 +1,22 @@
-"""Export of runs as MCAP with ROS 2 messages, as CSV, or as NumPy archives.
+"""Export of runs as MCAP files with ROS 2 messages, CSV files or NumPy archives.
 
-The topics of a plant, for example ``twin``, are:
+An MCAP file contains the following topics for each plant, such as ``twin``:
 
 - ``/twin/connector_1/pose`` (geometry_msgs/PoseStamped): pose of each connector.
 - ``/twin/com/pose`` (geometry_msgs/PoseStamped): pose of the centre of mass.
-- ``/tf``: transforms from ``world`` to ``twin/connector_1`` etc.
-- ``/twin/body`` (visualization_msgs/MarkerArray): connectors, centre line of the soft
-  segments, and the name of the plant. Foxglove and RViz draw these shapes.
-- ``/twin/bends`` (sensor_msgs/JointState): bends, rad, positive to the left, and bend
-  rates, rad/s. The rates are finite differences of the recorded bends.
+- ``/tf``: transforms from ``world`` to each connector (``twin/connector_1``) and to
+  ``twin/com``.
+- ``/twin/body`` (visualization_msgs/MarkerArray): shapes of the connectors, centre line
+  of the soft segments, and name of the plant, for display in Foxglove and RViz.
+- ``/twin/bends`` (sensor_msgs/JointState): bends (rad, positive to the left) and their
+  finite-difference rates (rad/s).
 - ``/twin/pressure_plus_1`` (sensor_msgs/FluidPressure): absolute chamber pressure, Pa.
 - ``/twin/valves`` (std_msgs/Int8MultiArray): valve states in the order ``plus_1``,
-  ``minus_1``, ``plus_2`` and so on. The layout has the dimensions ``segments`` and
+  ``minus_1``, ``plus_2`` and so on, in an array with the dimensions ``segments`` and
   ``chambers``.
 
 Time stamps and log times are simulated times since the start of the run. All poses and
-shapes are given in the frame ``world``, where planar robots are at a height of 0.
+shapes are in the frame ``world``. The poses of planar robots have a height of 0.
 """
 
 from __future__ import annotations
@@ -56,7 +57,6 @@ _NUMBERED = (
 )
 
 _CHORDS = 6
-"""Number of straight lines that approximate the arc of a segment."""
 
 
 def write_csv(path: Path, run: Trajectory) -> None:
@@ -89,12 +89,10 @@ def write_npz(path: Path, run: Trajectory) -> None:
 def write_mcap(path: Path, runs: Mapping[str, Trajectory], geometry: Geometry) -> None:
     """Write the trajectories of plants as ROS 2 messages in an MCAP file.
 
-    An existing file is replaced.
-
     Args:
         path: output file.
-        runs: trajectory of each plant, keyed by name.
-        geometry: body dimensions for the drawn shapes.
+        runs: trajectory of each plant, keyed by plant name.
+        geometry: dimensions of the drawn bodies.
     """
     try:
         from mcap.writer import Writer
@@ -123,7 +121,7 @@ def write_mcap(path: Path, runs: Mapping[str, Trajectory], geometry: Geometry) -
 
 
 def recording_map(plant: str, run: Trajectory) -> dict[str, object]:
-    """Return the recording map for an exported MCAP file."""
+    """Return the recording map that describes a plant in an exported MCAP file."""
     connectors = range(1, run.position.shape[1] + 1)
     log = {
         f"pressure_{side}_{j}": {
@@ -184,19 +182,15 @@ def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Motion of one plant, prepared for messages.
+    """Motion of one plant in the form that the messages need.
 
     Attributes:
-        positions: positions of the connectors, shape (samples, N, 3), m. The height of
-            a planar robot is 0.
-        drawn: positions at which the connectors are drawn, above the floor, shape
-            (samples, N, 3), m.
-        rotations: quaternions x, y, z, w of the connectors, shape (samples, N, 4).
+        drawn: connector positions raised above the floor for drawing, shape (samples,
+            N, 3), m.
+        rotations: connector quaternions (x, y, z, w), shape (samples, N, 4).
         line: centre line of the body, shape (samples, points, 3), m.
-        rates: finite differences of the recorded bends, shape (samples, segments),
-            rad/s.
-        columns: numbered columns such as `bend_1…`, stacked under their base name,
-            shape (samples, segments).
+        columns: values of numbered columns such as `bend_1`, keyed by base name, each
+            of shape (samples, segments).
     """
 
     plant: str
@@ -239,7 +233,6 @@ class _Sample(NamedTuple):
     make: Mapping[str, Any]
 
     def values(self, name: str) -> np.ndarray:
-        """Return `name_1`, `name_2`, … in this row, or an empty array."""
         columns = self.motion.columns
         return columns[name][self.row] if name in columns else np.zeros(0)
 
@@ -336,7 +329,6 @@ def _body_messages(sample: _Sample) -> Iterator[_Message]:
 def _marker(
     sample: _Sample, number: int, shape: int, size: Sequence[float], **content: Any
 ) -> Any:
-    """Return a marker in the `world` frame. `content` overrides default fields."""
     make = sample.make
     no_time = make["Duration"](sec=0, nanosec=0)
     no_stamp = make["Time"](sec=0, nanosec=0)
@@ -399,7 +391,6 @@ def _segment_messages(sample: _Sample) -> Iterator[_Message]:
         dimension = make["MultiArrayDimension"]
         layout = make["MultiArrayLayout"](
             dim=[
-                # The stride of a dimension counts its elements and all inner elements.
                 dimension(label="segments", size=segments, stride=by_segment.size),
                 dimension(label="chambers", size=chambers, stride=chambers),
             ],

@@ -1,7 +1,8 @@
-"""Facts that `srs-twin inspect` prints as JSON, as text and as a proposed map.
+"""Facts about recordings, and their output as JSON, text and a proposed map.
 
-The JSON list contains one object per readable file. An object omits the keys that do
-not apply to its file. `srs-twin schema inspect` prints the JSON Schema of this list.
+The JSON output of `srs-twin inspect` is a list with one object per readable file. Each
+object omits the keys that do not apply to the file. `srs-twin schema inspect` prints
+the JSON Schema of this output.
 """
 
 from __future__ import annotations
@@ -39,167 +40,165 @@ class _Facts(StrictModel):
 
 
 class MarkerFacts(_Facts):
-    """Detected marker or rigid body, which may or may not belong to the robot."""
+    """Facts about a marker or a rigid body in a file."""
 
     name: str
     """Name of the column."""
     rigid_body: bool
-    """Whether the column is a rigid body with a rotation, rather than a marker."""
+    """Whether the column is a rigid body with an orientation."""
     coverage: Ratio
     """Fraction of the frames in which the marker was detected."""
     gaps: Count
-    """Number of gaps between the first and the last detection."""
+    """Number of gaps between the first and the last detection of the marker."""
     longest_gap_s: Seconds
-    """Duration of the longest gap."""
+    """Duration of the longest gap in the detections of the marker."""
     noise_mm: Millimetres | None
-    """Standard deviation of a coordinate due to noise (null without detections)."""
+    """Standard deviation of the noise in a marker coordinate (null if the marker is
+    never detected)."""
     noise_m: Metres | None
-    """Standard deviation of a coordinate due to noise, in m."""
+    """Standard deviation of the noise in a marker coordinate, in m."""
     height_mm: Millimetres | None
-    """Median height above the origin of the file."""
+    """Median height of the marker above the origin of the file."""
 
 
 class DistanceFacts(_Facts):
-    """Distance of two adjacent markers along the body."""
+    """Distance between two markers that are adjacent along the body."""
 
     markers: Pair
-    """Names of the markers."""
+    """Names of the two markers."""
     median_mm: Millimetres
-    """Median distance."""
+    """Median distance between the markers."""
     spread_mm: Millimetres
-    """Standard deviation of the distance, computed from quartiles."""
+    """Standard deviation of the distance, estimated from quartiles."""
 
 
 class HeadFacts(_Facts):
-    """Candidate for the head, at one end of the body."""
+    """End of the body that may be the head."""
 
     marker: str
-    """Name of the marker."""
+    """Name of the marker at this end."""
     why: str
     """Reason why this end may be the head."""
 
 
 class SignalFacts(_Facts):
-    """Column or topic that contains a numeric signal."""
+    """Facts about a signal in a column or topic."""
 
     name: str
     """Name of the column or topic."""
     looks_like: str
-    """Quantity according to the name, the unit or the map, or "unknown"."""
+    """Quantity that the name, the unit or the map indicates, or "unknown"."""
     understood: bool
     """Whether the name or the map states the meaning of the signal."""
     low: Annotated[float, _unit("of the file")] | None = None
-    """Lowest value."""
+    """Lowest value of the signal."""
     high: Annotated[float, _unit("of the file")] | None = None
-    """Highest value."""
+    """Highest value of the signal."""
     distinct: Count | None = None
-    """Number of different values."""
+    """Number of distinct values of the signal."""
     openings_per_s: Hertz | None = None
-    """Rate at which a signal with two or three values reaches its maximum."""
+    """Rate at which a signal with at most three values rises to its maximum."""
 
 
 class RobotFacts(_Facts):
-    """Result of reading the file as a recording of the robot in `--robot`."""
+    """Result of reading a file as a recording of the robot that `--robot` names."""
 
     name: str
     """Name of the robot."""
     reads: bool
     """Whether the file can be read as a recording of this robot."""
     says: str
-    """Summary of the recording, or the reason why it cannot be read."""
+    """Summary of the recording, or the reason why the file cannot be read."""
     layout: str | None = None
-    """Layout of the markers."""
+    """Layout of the markers on the body."""
     bend_error_rad: Radians | None = None
-    """Root mean square of the standard errors of the bends."""
+    """RMS standard error of the bends."""
     length_mm: list[Millimetres] | None = None
-    """Median arc length of each segment, ordered from the head."""
+    """Median arc length of each segment, in order from the head."""
     stretch: list[Ratio] | None = None
-    """Range of the arc length of each segment, relative to the nominal length.
-
-    A range is the difference of the 98 % and the 2 % quantile.
-    """
+    """Difference between the 98 % and 2 % quantiles of each segment's arc length,
+    relative to the nominal length."""
 
 
 class RecordingFacts(_Facts):
-    """Facts of one file."""
+    """Facts about one file."""
 
     file: str
-    """Path as given."""
+    """Path of the file, as given by the user."""
     format: str
-    """Name of the file format, with the version if the format has versions."""
+    """Name of the file format, including the version if there are several versions."""
     content: Literal["markers", "log"]
     """Whether the file contains marker positions or a log of other signals."""
     sha256: str
-    """Checksum of the file."""
+    """SHA-256 checksum of the file."""
     rate_hz: Hertz | None = None
-    """Frame rate computed from the median step, or mean number of log rows per second.
-
-    The value is null if the time does not increase.
-    """
+    """Frame rate from the median time step, or mean row rate of a log with increasing
+    times."""
     duration_s: Seconds | None = None
-    """Time from the first to the last frame or row."""
+    """Duration from the first to the last frame or row."""
     starts_s: Seconds | None = None
     """Time of the first row of a log."""
     rows: Count | None = None
-    """Number of rows of a log."""
+    """Number of rows in a log."""
     steps_back: Count | None = None
-    """Number of rows of a log whose time is earlier than in the previous row."""
+    """Number of log rows with an earlier time than the previous row."""
     repeated_times: Count | None = None
-    """Number of rows of a log whose time equals the time of the previous row."""
+    """Number of log rows with the same time as the previous row."""
     frames: Count | None = None
     """Number of frames in the file."""
     frames_missing: Count | None = None
-    """Number of frames that the file skips."""
+    """Number of frames that are missing in the file."""
     announced_frames: Count | None = None
-    """Number of frames that the header states (null if the header states none)."""
+    """Number of frames stated in the header (null if the header states none)."""
     units: str | None = None
-    """Unit of length of the file, as stated, given or assumed."""
+    """Unit of length in the file, which is stated, given by the user or assumed."""
     up: Up | None = None
     """Axis of the file that points up."""
     markers: list[MarkerFacts] | None = None
     """Markers and rigid bodies in the file."""
     bodies: list[str] | None = None
-    """Names of the rigid bodies with a rotation."""
+    """Names of the rigid bodies with an orientation."""
     tracks: Count | None = None
-    """Number of possible robot markers that are detected in at least 20 % of frames."""
+    """Number of markers that may belong to the robot and are visible in at least 20 %
+    of the frames."""
     positions_of_nothing: Count | None = None
-    """Number of positions that do not belong to a tracked marker."""
+    """Number of positions that do not belong to any tracked marker."""
     in_other_columns: Ratio | None = None
-    """Fraction of the robot's positions that are not in the column of their marker."""
+    """Fraction of the robot marker positions outside the usual column of the marker."""
     noise_mm: Millimetres | None = None
-    """Standard deviation of the noise of a coordinate over all tracked markers."""
+    """Standard deviation of the noise in the coordinates of all tracked markers."""
     rigid_pairs: list[Pair] | None = None
-    """Pairs of markers whose distance is constant."""
+    """Pairs of markers at a constant distance from each other."""
     order: list[str] | None = None
-    """Markers in their order along the body, or empty if they do not form a line."""
+    """Markers in order along the body, or an empty list if they do not form a line."""
     distances: list[DistanceFacts] | None = None
-    """Distances of adjacent markers in their order along the body."""
+    """Distances between adjacent markers, in order along the body."""
     layouts: dict[str, Count] | None = None
-    """Number of connectors for each layout that has this number of markers."""
+    """Number of connectors in each marker layout that fits the number of markers."""
     head: list[HeadFacts] | None = None
-    """Ends that may be the head, in order of likelihood."""
+    """Ends of the body that may be the head, with the most likely end first."""
     signals: list[SignalFacts] | None = None
-    """Signals in the file that are not positions."""
+    """Signals in the file other than positions."""
     robot: RobotFacts | None = None
-    """Result of reading the file as a recording of the robot in `--robot`."""
+    """Result of reading a file as a recording of the robot that `--robot` names."""
     proposals: list[str]
-    """Lines of a proposed map (YAML), which the user should check."""
+    """Lines of a proposed recording map (YAML), which the user should check."""
     notes: list[str]
-    """Notes on results, conversions, assumptions and data that were left out."""
+    """Notes on results, conversions, assumptions and ignored data."""
 
     def document(self) -> dict[str, object]:
-        """Return the facts that apply to the file as plain data."""
+        """Return the facts as plain data, without the keys that do not apply."""
         return self.model_dump(mode="json", exclude_unset=True)
 
 
 def facts_json_schema() -> dict[str, object]:
-    """Return the JSON Schema (draft 2020-12) of `inspect --json`."""
+    """Return the JSON Schema (draft 2020-12) for the output of `inspect --json`."""
     schema = TypeAdapter(list[RecordingFacts]).json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema"} | schema
 
 
 def proposed_map(facts: Sequence[RecordingFacts]) -> str:
-    """Return a proposed map for the files of one recording, as YAML with comments."""
+    """Return a proposed map for the files of one recording as commented YAML."""
     lines = ["# Proposed by srs-twin inspect: check it, then use it as --map."]
     for file in (file for file in facts if file.content == "markers"):
         lines.append(f"# {file.file}: {file.format}, {file.rate_hz:.4g} Hz")

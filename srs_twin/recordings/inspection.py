@@ -1,7 +1,7 @@
-"""Inspection of a recording without a robot.
+"""Inspection of recordings without a robot file.
 
-The inspection detects the format, clock, axes, markers and possible heads, and proposes
-a recording map. `srs-twin inspect --json` prints the results (see `facts`).
+The inspection detects the file format, clock, axes, markers and possible heads, and
+proposes a recording map.
 """
 
 from __future__ import annotations
@@ -82,10 +82,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _RIGID_NOISE_RATIO = 1.3
-"""Maximum variation of a constant distance, divided by the noise."""
+"""Maximum ratio of the spread of a constant distance to the spread due to noise."""
 _DISTANCE_FRAMES = 2000
 _MIN_CRAWLED = 0.3
-"""Minimum displacement from which the head is inferred, in marker spacings."""
+"""Minimum travelled distance for detecting the head, in marker spacings."""
 _MAX_SIGNALS = 200
 _QUANTITY_TEXTS = {
     "time": "time",
@@ -95,26 +95,19 @@ _QUANTITY_TEXTS = {
     "setpoint": "pressure, without a unit",
     "bend": "angle, without a unit",
 }
-"""Description of each quantity of a signal whose unit is not stated."""
 _CHARACTER_HEIGHT_IN = 0.06
-"""Height per character of a marker name in the picture, inches.
-
-The font size is 7 pt, and the names are rotated by 60°.
-"""
+"""Height per character of a marker name (7 pt, rotated by 60°), inches."""
 _MAX_NAME_HEIGHT_IN = 2.0
-"""Maximum height reserved for marker names in the picture, inches."""
 _MAX_NEIGHBOUR_M = 2.0
-"""Maximum plausible distance of adjacent markers, m."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Markers seen from above.
+    """Top view of the markers in a recording.
 
     Attributes:
         places: marker positions, m, shape (frames, markers, 2 or 3).
-        order: marker indices in order along the body, or an empty tuple if the order is
-            unknown.
+        order: marker indices in order along the body, or an empty tuple if unknown.
     """
 
     places: np.ndarray
@@ -133,9 +126,10 @@ def inspect(
     """Describe a recording and propose a map, like the command `srs-twin inspect`.
 
     Args:
-        path: path of a motion recording, or of a valve, pressure or bend log.
-        map: recording map, its entries, or its path.
-        robot: robot for which the file is checked, or None to skip this check.
+        path: path of a motion recording, or of a log with valve states, pressures or
+            bends.
+        map: recording map, given as an object, a mapping or a path.
+        robot: robot that the recording should belong to, or None to skip this check.
 
     Raises:
         InputError: the file cannot be read.
@@ -147,9 +141,9 @@ def inspect(
 def inspect_file(
     path: StrPath, recording_map: RecordingMap, spec: RobotSpec | None
 ) -> tuple[RecordingFacts, Scene | None]:
-    """Return the facts of a file, and the scene if the file contains markers.
+    """Return the facts about a file, and the scene if the file contains markers.
 
-    If `spec` is given, the file is also checked as a recording of this robot.
+    If `spec` is given, the file is also read as a recording of this robot.
     """
     facts, scene = _file_facts(path, recording_map)
     if spec is not None and facts.content == "markers":
@@ -503,7 +497,7 @@ def _stated_quantity(name: str, values: np.ndarray, meaning: Meaning | None) -> 
 
 
 def markers_view(scene: Scene) -> Figure:
-    """Plot the marker paths from above, the body at three times, and rigid pairs."""
+    """Plot marker paths from above, with the body and rigid pairs at three times."""
     from srs_twin.viewing.plots.style import PLUS_COLOR, finish, panels
 
     places = scene.places
@@ -550,7 +544,6 @@ def markers_view(scene: Scene) -> Figure:
             axes.annotate(
                 name, place, (1, 4), textcoords="offset points", rotation=60, fontsize=7
             )
-        # The names above the markers need this space, or they would cover the title.
         metres_per_inch = max(wide / 8.0, deep / (5.6 - name_height))
         top = places[complete[0], :, 1].max() + name_height * metres_per_inch
         axes.update_datalim([(low[0], top)])

@@ -1,7 +1,7 @@
-"""Recorded files in memory, and the rows of plain tables.
+"""Recorded files in memory, with readers for the rows of plain tables.
 
-`laid_out` detects comments, cell separator and decimal mark unless a `Dialect` states
-them. Error messages state the line and column.
+`laid_out` skips comment lines, and detects the cell separator and the decimal mark
+unless a `Dialect` states them.
 """
 
 from __future__ import annotations
@@ -33,28 +33,23 @@ if TYPE_CHECKING:
     from pyarrow.csv import InvalidRow
 
 MAX_BYTES = 256 << 20
-"""Maximum file size in bytes, twice the size of one hour of ten markers at 120 Hz."""
+"""Maximum file size in bytes (one hour of ten markers at 120 Hz needs half of it)."""
 
 MAX_HEADER_BYTES = 4 << 20
-"""Maximum header size in bytes.
-
-The header of a recording with thousands of columns has about 1 MB.
-"""
+"""Maximum header size in bytes (thousands of columns need about 1 MB)."""
 
 MAX_VALUES = 1 << 26
-"""Maximum number of cells of a table. This many numbers need half a gigabyte."""
+"""Maximum number of cells in a table, which need half a gigabyte of memory."""
 
 MAX_COLUMNS = 20_000
 
 BLANK = ["", "NaN", "nan", "NAN", "-nan", "null", "NULL", "N/A", "n/a"]
-"""Cell texts that mean a missing value."""
+"""Cell contents that denote a missing value."""
 
 _PEEK = 1 << 16
-"""Number of bytes that are read to detect the format."""
 _BLOCK = 8 << 20
-"""Number of bytes per block that Arrow reads, and maximum length of a line."""
+"""Block size of the Arrow reader and maximum length of a line, bytes."""
 _BLANKS = re.compile(rb"(?<=[,;|\t\n]) +(?=[,;|\t\r\n])|^ +(?=[,;|\t])")
-"""Pattern of a cell that contains only spaces."""
 _EMPTY_LINE = re.compile(rb"^[ \t,]*\r?$", re.MULTILINE)
 _NUMBER = re.compile(
     r"\s*(?:[-+]?(?=.?\d)[\d.,]+(?:[eE][-+]?\d+)?|nan|\d{4}-\d\d-\d\d[T"
@@ -80,18 +75,21 @@ _SEPARATOR_NAMES = {
     "|": "bars",
 }
 _EPOCH_RANGE = (1e9, 4.2e9)
-"""Range of times that are interpreted as seconds since 1970 (years 2001 to 2103)."""
+"""Range of times that are interpreted as Unix times, s (years 2001 to 2103)."""
 _MAX_EPOCH_STEP = 100.0
-"""Maximum step between times since 1970, s. A longer step indicates a wrong unit."""
+"""Maximum median step between Unix times without a unit, s.
+
+Times with longer steps are not in seconds.
+"""
 _MAX_COMMENT_LINES = 1000
 
 
 class Dialect(NamedTuple):
-    """Layout of a plain table. Empty attributes are detected from the file.
+    """Layout of a plain table. Attributes left empty are detected from the file.
 
     Attributes:
         columns: column names of a file without a header.
-        separator: cell separator. A space means any number of spaces and tabs.
+        separator: cell separator. A space stands for any sequence of spaces and tabs.
     """
 
     columns: tuple[str, ...] = ()
@@ -100,14 +98,14 @@ class Dialect(NamedTuple):
 
 
 AS_FOUND = Dialect()
-"""Dialect in which every attribute is detected."""
+"""Dialect whose attributes are all detected from the file."""
 
 
 class Times(NamedTuple):
-    """Times of the rows.
+    """Times of the rows in a table.
 
     Attributes:
-        epoch_ns: Unix time that was subtracted from the times, ns, or None if the file
+        epoch_ns: Unix time that corresponds to a time of 0 s, ns, or None if the file
             contains no Unix times.
     """
 
@@ -121,9 +119,9 @@ class RecordedFile:
     """Recorded file in memory.
 
     Attributes:
-        body: contents in which each sequence of spaces is replaced by one separator.
-        problem: reason why the file is not a table, or an empty string if it is a
-            table.
+        body: contents of a space-separated table with one space between cells, or None
+            for other files.
+        problem: reason why the file cannot be read as a table, or an empty string.
     """
 
     name: str
@@ -138,11 +136,11 @@ class RecordedFile:
 
     @cached_property
     def raw(self) -> bytes:
-        """Contents without a byte order mark. All lines end with a line feed."""
+        """File contents without a byte order mark, with a line feed after each line."""
         if self.body is not None:
             return self.body
         text = self.data.removeprefix(b"\xef\xbb\xbf")
-        # In files of the classic Mac OS, lines end with a carriage return only.
+        # In files of the classic Mac OS, each line ends with a single carriage return.
         if b"\n" in text:
             return text
         return text.replace(b"\r", b"\n")
@@ -165,22 +163,25 @@ class RecordedFile:
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the file as a hexadecimal string."""
+        """SHA-256 checksum of the file as a hexadecimal string."""
         return hashlib.sha256(self.data).hexdigest()
 
     def error(
         self, problem: str, line: int | None = None, column: int | None = None
     ) -> InputError:
-        """Return an error with its position. Line and column are counted from 1."""
+        """Return an error that states a position in the file.
+
+        `line` and `column` are counted from 1.
+        """
         position = "".join(
             f":{number}" for number in (line, column) if number is not None
         )
         return InputError(f"{self.name}{position}: {problem}")
 
     def head(self, lines: int, after: int = 0) -> list[list[str]]:
-        """Return the cells of header lines, without the first `after` lines.
+        """Return the cells of at most `lines` header lines, without surrounding spaces.
 
-        Spaces around cells are removed.
+        The first `after` lines of the file are skipped.
         """
         start = self.offset_of(after)
         split = self.raw[start : start + MAX_HEADER_BYTES].split(b"\n", lines)
@@ -204,7 +205,7 @@ class RecordedFile:
         return rows
 
     def offset_of(self, line: int) -> int:
-        """Return the byte offset of a line, or of the end of the file."""
+        """Return the byte offset of a line (from 0), or of the end of the file."""
         start = 0
         for _ in range(line):
             start = self.raw.find(b"\n", start) + 1 or len(self.raw)
@@ -220,8 +221,8 @@ class RecordedFile:
     ) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
 
-        A last line without a line end is ignored, because it may be cut off inside a
-        number.
+        The last line is ignored if it has no line end, because the line may be cut off
+        inside a number.
 
         Args:
             header_lines: number of header lines.
@@ -231,12 +232,12 @@ class RecordedFile:
                 file.
 
         Returns:
-            Numbers of shape (rows, columns), and notes. A blank or non-finite cell
-            becomes NaN.
+            Cell values, shape (rows, columns), and notes. Blank and infinite values are
+            replaced by NaN.
 
         Raises:
-            InputError: there are no rows or too many values, a row has the wrong number
-                of cells, or a cell is not a number.
+            InputError: the table is empty or too large, a row has the wrong number of
+                cells, or a cell is not a number.
         """
         raw = self.raw
         start = self.offset_of(header_lines)
@@ -271,10 +272,11 @@ class RecordedFile:
         return max(start, end.start() if end else self.raw.rfind(b"\n") + 1)
 
     def times(self, clock: int, unit: str) -> Times:
-        """Read the times of the rows of a plain table.
+        """Read the times of the rows in a plain table.
 
-        The column `clock` contains numbers or dates. If `unit` is empty, the numbers
-        are in seconds. Times since 1970 are shifted to start at 0.
+        The column with the index `clock` contains numbers or dates. If `unit` is empty,
+        the numbers are in seconds. Unix times are shifted so that the earliest time is
+        0.
         """
         import pyarrow as pa
 
@@ -296,8 +298,8 @@ class RecordedFile:
         if not _are_since_1970(time, unit):
             with np.errstate(over="ignore"):
                 return Times(time * TIMES[unit or "s"], notes, None)
-        # Unix times are parsed as exact numbers, because a double resolves them only to
-        # 256 ns.
+        # Unix times are parsed as decimal numbers, because double precision resolves
+        # them only to 256 ns.
         (texts,) = self._parsed(cut, top, [clock], width, pa.string())
         numbers = (text.replace(self.decimal, ".") for text in texts.to_pylist())
         return _since_1970([*map(Decimal, numbers)], unit or "s", notes)
@@ -349,7 +351,7 @@ class RecordedFile:
             try:
                 return read(cut)
             except pa.ArrowInvalid:
-                # Arrow does not accept a cell of spaces as blank. Such cells are rare,
+                # Arrow does not treat a cell of spaces as blank. Such cells are rare,
                 # so the spaces are removed only after an error.
                 return read(_BLANKS.sub(b"", bytes(cut)))
         except (pa.ArrowException, OSError) as error:
@@ -365,7 +367,7 @@ class RecordedFile:
     ) -> InputError:
         """Return an error that points to the cell reported by Arrow.
 
-        Arrow does not count empty lines.
+        The row number that Arrow reports does not include empty lines.
         """
         cell = _REPORTED_CELL.search(reported)
         if cell is None:
@@ -385,10 +387,7 @@ class RecordedFile:
 
 
 def recording_file(path: StrPath) -> Path:
-    """Return the path of a recording.
-
-    If `path` is a folder, the result is the path of the ROS 2 bag in the folder.
-    """
+    """Return the path of a recording, or of the ROS 2 bag in a folder."""
     place = Path(path)
     inside = place.glob("*") if (place / "metadata.yaml").is_file() else ()
     bags = sorted(file for file in inside if file.suffix in (".db3", ".mcap"))
@@ -402,7 +401,7 @@ def recording_file(path: StrPath) -> Path:
 
 
 def start_of(path: StrPath, dialect: Dialect = AS_FOUND) -> RecordedFile:
-    """Read the first bytes of a file as a table."""
+    """Read the first bytes of a file, and detect the layout of a plain table."""
     place = recording_file(path)
     return laid_out(RecordedFile(display_path(place), _bytes(place, _PEEK)), dialect)
 
@@ -456,10 +455,7 @@ def read_file(path: StrPath) -> RecordedFile:
 
 
 def laid_out(file: RecordedFile, dialect: Dialect = AS_FOUND) -> RecordedFile:
-    """Return a file with its column names, cell separator and decimal mark.
-
-    Attributes that `dialect` leaves empty are detected.
-    """
+    """Return a file with known column names, cell separator and decimal mark."""
     if file.names or file.problem:
         return file
     start = file.raw[:MAX_HEADER_BYTES].split(b"\n", _MAX_COMMENT_LINES)

@@ -1,8 +1,9 @@
 r"""Chamber model that drives a plant with recorded pressures.
 
 The pressures are interpolated linearly between the samples of the log, and are constant
-before and after the log. The linear bend x responds to the drive u = G (g⁺p⁺ − g⁻p⁻)
-with time constant τ₂, as in `lag`. If the drive is u₀ + m t,
+before the first and after the last sample. The bend x before the nonlinear bend law
+follows the drive u = G (g⁺p⁺ − g⁻p⁻) with a first-order lag of time constant τ₂ (see
+`lag`). For a drive u₀ + m t, the solution is
 
 $$ x(t) = u_0 + m (t - \tau_2) + (x_0 - u_0 + m \tau_2)\, e^{-t/\tau_2}. $$
 
@@ -39,9 +40,9 @@ class RecordedPressures(Pneumatics):
         """Construct the chambers.
 
         Args:
-            spec: recorded robot.
-            time: sample times since the start of the run, s, in ascending order. Times
-                before the start are negative.
+            spec: specification of the recorded robot.
+            time: sample times relative to the start of the run, s, in ascending order.
+                Samples before the start have negative times.
             pressure: gauge pressures, Pa, shape (samples, segments, 2).
             supply_pa: gauge supply pressure, Pa, used only for `max_pressure_ratio`.
             layout: valve layout of the controller commands.
@@ -71,7 +72,7 @@ class RecordedPressures(Pneumatics):
         super().__init__(spec, layout=layout)
 
     def reset(self) -> None:
-        """Set the chambers to the recorded initial pressures."""
+        """Reset the pressures and bends to the start of the run."""
         super().reset()
         trace = self._at(np.zeros(1))
         self.pressure = trace.pressure[0]
@@ -127,12 +128,11 @@ class RecordedPressures(Pneumatics):
 def _linear_bend_at_samples(
     time: np.ndarray, drive: np.ndarray, derivative: np.ndarray, tau: float
 ) -> np.ndarray:
-    """Return the linear bend at the samples of a log that starts in equilibrium."""
+    """Return the bends x at the samples of a log that starts in equilibrium."""
     linear = np.empty_like(drive)
     linear[0] = drive[0]
     decay = np.exp(-np.diff(time) / tau)
     for k, factor in enumerate(decay):
-        # This is the exact solution if the drive changes linearly.
         lag = derivative[k] * tau
         linear[k + 1] = drive[k + 1] - lag + (linear[k] - drive[k] + lag) * factor
     return linear
@@ -145,7 +145,6 @@ def _fill_bends(motion, bias, bend_law, trace):  # type: ignore[no-untyped-def]
         for j in range(linear.shape[1]):
             bend, derivative, curve = apply_bend_law(linear[k, j], bend_law)
             trace.bend[k, j] = bias[j] + bend
-            # The derivatives of the nonlinear bend are computed by the chain rule.
             trace.bend_rate[k, j] = derivative * speed[k, j]
             trace.bend_acceleration[k, j] = (
                 derivative * acceleration[k, j] + curve * speed[k, j] * speed[k, j]

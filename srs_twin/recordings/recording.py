@@ -48,31 +48,28 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 LONGEST_GAP = 0.2
-"""Default maximum duration of an interpolated gap, s.
+"""Default maximum duration of a gap that is interpolated, s.
 
-A longer gap ends the trajectory.
+The trajectory ends at a longer gap.
 """
 
 _BODY_MARKER_OFFSET = 0.01
-"""Distance from the centre of a rigid body to the two markers that replace it, m."""
+"""Distance from the centre of a rigid body to the markers that replace it, m."""
 _MIN_JUMP = 0.06
-"""Minimum displacement of an outlier, relative to the segment length."""
+"""Minimum distance of an outlier from its track, relative to the segment length."""
 _REACH = 0.8
 """Maximum distance of a marker from its expected position, in segment lengths."""
 
 _MIN_OPENINGS = 4
-"""Minimum number of openings per chamber for estimating the gait frequency."""
 _MAX_UNEVENNESS = 0.05
-"""Maximum deviation of an opening time from a periodic pattern, in periods."""
+"""Maximum relative deviation of the opening intervals in a periodic log."""
 _CARRIER_S = 0.07
-"""Minimum interval between two openings due to the gait, s.
+"""Minimum interval between two valve openings of a gait, s.
 
-Shorter intervals are due to a carrier.
+Shorter intervals are due to pulse-width modulation.
 """
 _STILL_S = 1e-9
-"""Tolerance for comparing times, s."""
 _MAX_EMPTY_PA = 1e3
-"""Maximum gauge pressure of an empty chamber, Pa."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +77,15 @@ class ValveLog:
     """Log of valve states or pressures.
 
     Attributes:
-        kind: "valve" or "pressure".
+        kind: kind of the log, "valve" or "pressure".
         time: times of the rows in ascending order, s, shape (rows,).
         values: valve states or gauge pressures (Pa), shape (rows, segments, 2). The
-            last axis is (+ chamber, − chamber). A valve state is valid until the next
-            row.
-        epoch_ns: Unix time at 0 s, ns, or None if the file contains no Unix times.
-        holds: whether the values are pressure set points, which hold until the next
-            row. Measured pressures are interpolated.
+            last axis contains the + and the − chamber. A valve state holds until the
+            next row.
+        epoch_ns: Unix time that corresponds to a time of 0 s, ns, or None if the file
+            contains no Unix times.
+        holds: whether pressures hold until the next row, as set points do. Otherwise,
+            pressures are interpolated.
     """
 
     kind: str
@@ -124,24 +122,22 @@ class ValveLog:
         return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
 
     def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the times and pressures of the breakpoints.
+        """Return times and pressures whose linear interpolation gives `at`.
 
-        Linear interpolation between the breakpoints gives the values that `at` returns.
-        A step between set points has two breakpoints.
+        A step between set points is represented by two breakpoints.
         """
         if not self.holds:
             return self.time, self.values
         time = np.repeat(self.time, 2)[1:]
-        # The first of the two breakpoints is immediately before the step.
         time[1::2] = np.nextafter(time[1::2], -np.inf)
         return time, np.repeat(self.values, 2, axis=0)[:-1]
 
     def gait_frequency(self) -> float | None:
-        """Return the gait frequency (Hz), or None if the log is not periodic.
+        """Return the gait frequency (Hz), or None without periodic valve states.
 
-        The gait frequency is the frequency at which each chamber opens. The first
+        The gait frequency is the rate at which each valve opens for filling. The first
         opening is ignored, because a gait may start within a period. Openings in quick
-        succession are due to a carrier and are counted as one opening.
+        succession are due to pulse-width modulation and are counted as one opening.
         """
         if self.kind != "valve":
             return None
@@ -168,7 +164,7 @@ class ValveLog:
 def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the values of the last row at or before each time.
 
-    Before the first row, the values of the first row are returned.
+    Times before the first row have the values of the first row.
     """
     return np.asarray(
         values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)]
@@ -180,12 +176,12 @@ class Recording:
     """Measured motion of a robot.
 
     Attributes:
-        trajectory: measured motion with the columns of a plant and the bend rates
-            ``bend_rate_1…``. A motion measured with markers also has the columns
+        trajectory: measured motion with the columns of a simulated motion and the bend
+            rates ``bend_rate_1…``. A motion from markers also has the columns
             ``residual``, ``com_velocity_x``, ``com_velocity_y``, ``yaw_rate`` and
             ``filled_1…`` (1 if a marker of the connector was interpolated).
         valves: log of valve states or pressures on the clock of the trajectory, or None
-            before `join`.
+            before `join` adds the log.
     """
 
     trajectory: Trajectory
@@ -199,11 +195,11 @@ class Recording:
         return bool(self.trajectory.metadata.get("bends_only"))
 
     def pressures(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the recorded pressures, or None if valve states were recorded.
+        """Return the recorded pressures, or None if there are none.
 
         Returns:
-            Times since the first sample, s, shape (rows,), and gauge pressures, Pa,
-            shape (rows, segments, 2).
+            Times since the first sample of the trajectory, s, shape (rows,), and gauge
+            pressures, Pa, shape (rows, segments, 2).
         """
         if self.valves is None or self.valves.kind == "valve":
             return None
@@ -211,9 +207,9 @@ class Recording:
         return time - self.trajectory.time[0], values
 
     def commands(self, name: str) -> Schedule:
-        """Return the valve states since the first sample.
+        """Return the valve states from the first sample of the trajectory.
 
-        If pressures were recorded instead, all chambers vent. `name` identifies the
+        If pressures were recorded instead, all valves vent. `name` identifies the
         recording in error messages.
         """
         log = self.valves
@@ -231,7 +227,7 @@ class Recording:
         return schedule.slice(begin, schedule.span)
 
     def starts_at_rest(self) -> bool:
-        """Return whether all chambers are empty at the start."""
+        """Return whether all chambers are empty at the start of the trajectory."""
         if self.valves is None:
             return True
         before = self.valves.values[
@@ -244,7 +240,7 @@ class Recording:
         return bool(empty.all())
 
     def start_pose(self) -> Pose:
-        """Return the mean pose of the body before the first valve opens."""
+        """Return the mean pose of the body before the first chamber is filled."""
         trajectory = self.trajectory
         log = self.valves
         moves = trajectory.time[0]
@@ -263,7 +259,7 @@ class Recording:
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Prefix a file name to errors raised in a `with` block."""
+    """Add a file name to the messages of errors raised in a `with` block."""
     try:
         yield
     except UnknownNameError as error:
@@ -284,25 +280,26 @@ def read_motion(
     longest_gap_s: float = LONGEST_GAP,
     gait_frequency_hz: float | None = None,
 ) -> Recording:
-    """Read a measured motion.
+    """Read a measured motion from a file.
 
     Args:
         path: recording in one of `formats.FORMATS`.
-        spec: recorded robot.
+        spec: specification of the recorded robot.
         up: vertical axis of the file, one of `floor.UPS`.
         layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: column name of the marker at the head. If `head` is None, the head is the
-            end in the direction of motion.
-        map: recording map, its entries, or its path. The map states the places of
-            markers and rigid bodies, and information that the file lacks.
+        head: column name of the marker at the head, or None to detect the head from the
+            markers and their motion.
+        map: recording map, given as an object, a mapping or a path. The map states the
+            places of markers and rigid bodies, and adds information that the file
+            lacks.
         longest_gap_s: maximum duration of a gap that is interpolated, s.
         gait_frequency_hz: gait frequency, Hz, or None if the motion is not periodic.
 
     Returns:
-        Longest interval of the motion in which all markers are known.
+        Longest part of the motion in which all marker positions are known.
 
     Raises:
-        InputError: the file cannot be used.
+        InputError: the file cannot be used, or `longest_gap_s` is out of range.
         UnknownNameError: the value of `up`, `layout` or `head` is unknown.
     """
     if not 0 <= longest_gap_s <= 10:
@@ -355,8 +352,8 @@ def _captured_markers(
 ) -> tuple[CapturedMarkers, list[str]]:
     geometry = spec.geometry
     slots = in_slots(table, points)
-    # A wrong unit of length must be reported before the tracking, which compares
-    # distances with the robot.
+    # A wrong unit of length is reported before the tracking, because the tracking
+    # compares distances with the size of the robot.
     check_scale(slots.points[..., :2], spec)
     tracks, notes = robot_tracks(
         table, slots, longest_gap_s / frames.period, _REACH * geometry.pitch
@@ -384,7 +381,6 @@ def _captured_markers(
 
 
 def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) -> slice:
-    """Return the longest interval in which no marker position is extrapolated."""
     kept = longest_complete(frames.time, points, longest_gap_s)
     if kept.stop - kept.start < MIN_FRAMES:
         complete = 100 * (~np.isnan(points[..., 0])).all(axis=1).mean()
@@ -398,10 +394,10 @@ def _kept_frames(frames: FrameGrid, points: np.ndarray, longest_gap_s: float) ->
 
 
 def bodies_as_pairs(table: MarkerTable) -> MarkerTable:
-    """Replace each rigid body that has a rotation by two markers on one of its axes.
+    """Replace each rigid body with an orientation by two markers on a body axis.
 
-    The axis whose direction varies most is used, because the direction of a vertical
-    axis does not depend on the heading.
+    The markers lie on the axis whose direction varies most, because a vertical axis
+    does not indicate the heading.
     """
     if table.rotations is None:
         return table
@@ -463,9 +459,10 @@ def _counts(
 
 
 def in_slots(table: MarkerTable, points: np.ndarray) -> Tracks:
-    """Combine the columns of markers that reappear in new columns (see `pack_slots`).
+    """Combine columns that may contain the same marker (see `pack_slots`).
 
-    Rigid bodies and columns whose place on the robot is known are not combined.
+    Columns stay separate if they contain rigid bodies or have known places on the
+    robot.
     """
     slots = Tracks(
         points, np.where(np.isnan(points[..., 0]), -1, np.arange(len(table.labels))), 0
@@ -485,9 +482,10 @@ def robot_tracks(
 ) -> tuple[Tracks, list[str]]:
     """Return the tracks that may belong to the robot, and notes on other tracks.
 
-    Rigid bodies are identified by their names and are not tracked. Columns whose place
-    on the robot is known always belong to the robot. The returned positions do not
-    include the height. `longest_gap` is in frames, and `reach` is in m.
+    Rigid bodies are not tracked, because their names identify them. Columns with known
+    places always belong to the robot. The returned positions omit the height.
+    `longest_gap` is the maximum length of a gap in frames. `reach` is the maximum
+    distance of a marker from its expected position in m.
     """
     tracks = slots
     if not table.bodies:

@@ -1,4 +1,4 @@
-"""Recording map (`--map FILE.yaml`), which states what columns and markers measure."""
+"""Recording map (`--map FILE.yaml`) with the meaning of columns and markers."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class MarkerPlace(StrictModel):
     """Place of a marker or a rigid body on the robot."""
 
     connector: Annotated[int, Field(ge=1, le=999)] | None = None
-    """Number of the connector, counted from 1 at the head."""
+    """Connector number, counted from 1 at the head."""
     middle: Annotated[int, Field(ge=1, le=999)] | None = None
-    """Number of the segment whose middle carries the marker, counted from the head."""
+    """Number of the segment with a marker at its middle, counted from 1 at the head."""
     side: Literal["ahead", "behind", "left", "right"] | None = None
-    """Side of the centre of the connector (default: centre, or both sides for a pair).
-    """
+    """Side of the connector on which the marker lies (default: the centre, or both
+    sides for a pair of markers)."""
 
     @property
     def station(self) -> tuple[int, str]:
@@ -58,41 +58,43 @@ class MarkerPlace(StrictModel):
 
 
 class LogColumn(StrictModel):
-    """Log column or signal with its unit."""
+    """Column or signal of a log, with its unit."""
 
     column: str
     """Name of the column."""
     unit: str = ""
-    """Unit of the column (s, ms, kPa, bar, deg, …), if the column name states none."""
+    """Unit of the column (s, ms, kPa, bar, deg, …), if its name does not state one."""
 
 
 class RecordingMap(StrictModel):
-    """Meaning of each column and marker in a recording (docs/recordings.md#recording-map)."""
+    """Meaning of recorded columns and markers (docs/recordings.md#recording-map)."""
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
-    """Unit of length of a file that does not state it."""
+    """Unit of length, if the file does not state one."""
     scale_m: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Size of a pixel, m (for the unit px)."""
+    """Size of a pixel, m, if the unit of length is px."""
     up: Up | None = None
     """Vertical axis of the file (default: determined from the markers)."""
     level: bool | None = None
-    """Whether the tilt of the floor is removed (default: if the tilt is certain)."""
+    """Whether the tilt of the floor is removed (default: only if it is certain)."""
     rate_hz: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Frame rate of a file without times, Hz."""
     markers: dict[str, MarkerPlace | Literal["ignore"]] = {}
-    """Place of each marker: {connector: 1}, {middle: 1}, {connector: 1, side: ahead} or
-    ignore. If any marker has a place, all markers without a place are ignored."""
+    """Place of each marker on the robot: {connector: 1}, {middle: 1}, {connector: 1,
+    side: ahead} or ignore. If any marker has a place, all markers without a place are
+    ignored."""
     bodies: dict[str, MarkerPlace | Literal["ignore"]] = {}
-    """Place of each rigid body, in the format of markers."""
+    """Place of each rigid body on the robot, in the same format as for markers."""
     log: dict[str, str | Annotated[float, Field(gt=0, le=1e4)] | LogColumn] = {}
-    """Columns of a log, given as a name or as {column: P1, unit: bar}. Keys are time,
-    valve_plus_1, duty_plus_1, pressure_kpa_plus_1, setpoint_kpa_plus_1, bend_1 and so
-    on. The key carrier_hz sets the carrier frequency of duties, and ambient_kpa the
-    pressure that is subtracted from absolute pressures."""
+    """Column of each logged quantity, given as a name or as {column: P1, unit: bar}.
+    Possible keys are time, valve_plus_1, duty_plus_1, pressure_kpa_plus_1,
+    setpoint_kpa_plus_1, bend_1 and so on. The key carrier_hz sets the carrier frequency
+    of duties. The key ambient_kpa sets the pressure that is subtracted from absolute
+    pressures."""
     columns: list[str] = []
     """Column names of a plain file without a header."""
     separator: Literal[",", ";", "|", "tab", "space"] | None = None
-    """Separator of the cells of a plain file (default: detected)."""
+    """Cell separator of a plain file (default: detected)."""
     decimal: Literal[".", ","] | None = None
     """Decimal mark of a plain file (default: detected)."""
 
@@ -113,7 +115,7 @@ class RecordingMap(StrictModel):
 
     @property
     def carrier_hz(self) -> float | None:
-        """Carrier frequency of duties, Hz."""
+        """Carrier frequency of duties, Hz, or None if the map does not state it."""
         value = self.log.get("carrier_hz")
         if isinstance(value, float):
             return value
@@ -121,7 +123,7 @@ class RecordingMap(StrictModel):
 
     @property
     def ambient(self) -> float:
-        """Pressure that is subtracted from absolute pressures, Pa, by default 0."""
+        """Pressure that is subtracted from absolute pressures, Pa (default 0)."""
         value = self.log.get("ambient_kpa")
         if isinstance(value, float):
             return 1e3 * value
@@ -129,7 +131,7 @@ class RecordingMap(StrictModel):
 
     @property
     def dialect(self) -> Dialect:
-        """Layout of plain tables."""
+        """Layout of plain tables, as stated in the map."""
         separator = self.separator or ""
         return Dialect(
             tuple(self.columns),
@@ -139,11 +141,11 @@ class RecordingMap(StrictModel):
 
     @property
     def unstated(self) -> Unstated:
-        """Information that a marker file may lack."""
+        """Information in the map that a marker file may lack."""
         return Unstated(self.rate_hz, self.units, self.scale_m, self.dialect)
 
     def meanings(self, kinds: Collection[str]) -> dict[str, Meaning]:
-        """Return the meanings of the log columns that contain the given quantities."""
+        """Return the meanings of log columns with one of the given quantities."""
         meanings = {}
         for key, value in self.log.items():
             meaning = log_meaning(key)
@@ -158,7 +160,8 @@ class RecordingMap(StrictModel):
     def applied(self, table: MarkerTable) -> MarkerTable:
         """Return the markers that belong to the robot according to the map.
 
-        If no marker has a place, only the markers marked as "ignore" are removed.
+        If the map states no places, only the markers with the entry "ignore" are
+        removed.
         """
         named = {**self.markers, **self.bodies}
         for name in named:
@@ -216,7 +219,7 @@ def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
 
 
 def log_meaning(key: str) -> Meaning | None:
-    """Return the meaning of a log key such as `pressure_kpa_plus_1`."""
+    """Return the meaning of a log key such as `pressure_kpa_plus_1`, or None."""
     if key == "time":
         return Meaning("time", "time")
     match = _LOG_NAME.fullmatch(key)
@@ -231,9 +234,8 @@ def given_map(
 ) -> dict[str, object]:
     """Combine a map file, options and marker places into plain data.
 
-    The options override the values of the file unless they are None. A marker place has
-    the form "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or
-    "NAME=ignore".
+    Options that are not None override the values in the file. A marker place has the
+    form "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or "NAME=ignore".
     """
     data: dict[str, object] = {}
     places: dict[str, object] = {}
@@ -277,7 +279,7 @@ def read_map(data: Mapping[str, object]) -> RecordingMap:
 
 
 def as_map(given: RecordingMap | Mapping[str, object] | StrPath) -> RecordingMap:
-    """Return a recording map from a map, its entries as plain data, or its path.
+    """Return a recording map that is given as an object, a mapping or a path.
 
     Raises:
         InputError: the map is not valid, or `given` has another type.
@@ -295,7 +297,7 @@ def as_map(given: RecordingMap | Mapping[str, object] | StrPath) -> RecordingMap
 
 
 def canonical_key(name: str) -> str:
-    """Return the map key of a column without the unit, such as `pressure_plus_1`."""
+    """Return the map key without a unit for a column, such as `pressure_plus_1`."""
     match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
     if match:
         return match[1]

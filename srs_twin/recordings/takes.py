@@ -1,6 +1,6 @@
-"""Recordings with their logs, for parameter fits and replay scenarios.
+"""Recordings and their logs, for parameter fits and replay scenarios.
 
-The default log of ``walk.csv`` is ``walk.valves.csv`` in the same folder.
+By default, the log of ``walk.csv`` is ``walk.valves.csv`` in the same folder.
 """
 
 from __future__ import annotations
@@ -48,25 +48,19 @@ from srs_twin.trajectory import Trajectory
 _LOG = ".valves.csv"
 NO_MARKERS = "bends alone do not determine where a robot crawls; record markers"
 _ROUNDING_S = 1e-6
-"""Rounding tolerance when the durations of a run and a recording are compared, s."""
 Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
 class RecordingReader:
-    """Reader of recordings and logs with common settings.
+    """Reader that applies common settings to recordings and logs.
+
+    Attributes that are not listed here are arguments of `read_motion`.
 
     Attributes:
-        up: vertical axis of the file, one of `floor.UPS`.
-        layout: marker layout, one of `body.layout.LAYOUTS`.
-        head: column name of the marker at the head. If `head` is None, the head is the
-            end in the direction of motion.
-        map: recording map, which states what markers and columns measure.
-        longest_gap_s: maximum duration of a gap that is interpolated, s.
-        offset_s: clock offset that is added to the times of the log, s, or None to
-            estimate the offset.
-        gait_frequency_hz: gait frequency, Hz, or None to compute the frequency from the
-            valve states.
+        offset_s: clock offset added to the times of the log, s, or None to estimate it.
+        gait_frequency_hz: gait frequency, Hz, or None to compute it from the valve
+            states.
     """
 
     up: str = "auto"
@@ -80,9 +74,10 @@ class RecordingReader:
     def motion(
         self, path: str, spec: RobotSpec, frequency: float | None = None
     ) -> Recording:
-        """Read a captured motion with `read_motion`.
+        """Read a motion capture file with `read_motion`.
 
-        `frequency` (Hz) is used if `gait_frequency_hz` is None.
+        `frequency` is the gait frequency (Hz) that is used if `gait_frequency_hz` is
+        None.
         """
         return read_motion(
             path,
@@ -98,7 +93,7 @@ class RecordingReader:
     def body(
         self, path: str, spec: RobotSpec, frequency: float | None = None
     ) -> Recording:
-        """Read a motion from a file with markers or from a bend log."""
+        """Read a motion from a motion capture file or a bend log."""
         if not is_bend_log(path, self.map):
             return self.motion(path, spec, frequency)
         gap = self.longest_gap_s
@@ -117,7 +112,7 @@ class RecordingReader:
     ) -> Recording:
         """Synchronise a motion with a log.
 
-        If motion and log are in one file, the default clock offset is 0.
+        If the motion and the log are in one file, the clock offset is 0 by default.
         """
         offset = 0.0 if one_file and self.offset_s is None else self.offset_s
         return join(body, log, spec, offset=offset)
@@ -140,10 +135,10 @@ class RecordingReader:
 
 
 def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
-    """Return the path of the log of each recording.
+    """Return the log path of each recording.
 
-    `given` contains the paths of the logs in the order of the recordings. If `given` is
-    empty, the default paths are returned.
+    `given` contains the log paths in the order of the recordings, or is empty to select
+    the default paths.
     """
     if not given:
         return [_log_of(Path(take)) for take in takes]
@@ -200,33 +195,33 @@ class ReplayFile(ControllerSection):
 
 
 class RecordingFile(ExtensionSection):
-    """Recorded motion of a robot with its log (docs/recordings.md)."""
+    """Recorded robot motion and the log that belongs to it (docs/recordings.md)."""
 
     constructors = (RecordingReader,)
     measures = True
 
     motion: FilePath
-    """Motion capture file (docs/recordings.md#file-formats), or a CSV file with the columns
-    time,bend_1,… of a robot on a bench."""
+    """Motion capture file (docs/recordings.md#file-formats), or CSV file with the
+    columns time,bend_1,… for a robot on a bench."""
     valves: FilePath | None = None
-    """Plain CSV or MCAP log of valves or pressures (default: NAME.valves.csv in the
-    folder of the recording)."""
+    """Log of valve states or pressures in a plain CSV file or a bag (default:
+    NAME.valves.csv in the folder of the recording)."""
     offset_s: float | None = quantity(-1e9, 1e9)
-    """Clock offset added to the times of the log (default: estimated)."""
+    """Clock offset that is added to the times of the log (default: estimated)."""
     gait_frequency_hz: float | None = quantity(0.01, 50.0)
-    """Gait frequency (default: the frequency of the valve pattern)."""
+    """Gait frequency (default: computed from the valve states)."""
     up: Literal["auto", Up] = constructor_default()
-    """Upward axis of the file."""
+    """Axis of the file that points up."""
     layout: Literal["auto", Layout] = constructor_default()
-    """Marker layout."""
+    """Layout of the markers on the body."""
     map: RecordingMap = constructor_default()
-    """Recording map, which states what markers, rigid bodies and columns measure
+    """Recording map with the meaning of markers, rigid bodies and columns
     (docs/recordings.md#recording-map)."""
     head: Line | None = constructor_default()
-    """Column name of the marker at the head (default: end in the direction of motion).
-    """
+    """Column name of the marker at the head (default: the marker at the end that leads
+    the motion)."""
     longest_gap_s: float = quantity(0.0, 10.0)
-    """Maximum duration of a gap that is interpolated."""
+    """Maximum duration of a gap in the data that is interpolated."""
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
         """See `ExtensionSection.contradictions_with`."""

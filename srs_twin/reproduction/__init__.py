@@ -1,1 +1,1 @@
-"""Comparison of the dissertation's claims with the results of both plants."""
+"""Comparison of claims in the dissertation with simulations of both plants."""

@@ -1,6 +1,6 @@
-"""Claims of the dissertation, and the runs and rules with which they are checked.
+"""Claims of the dissertation, with the runs and rules that check the claims.
 
-Each number in a table of the dissertation is checked separately.
+Each number in a table of the dissertation is a separate claim.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
 
 
 COMPUTATIONS = _functions(computations)
-"""Functions that compute a claim's values without a run (key `computation`).
+"""Functions for the key `computation`, which replace the run of a scenario.
 
 Each function receives the entries of `set` as arguments, and returns numbers keyed by
 ``<column>.<metric>``.
 """
 
 TRACES = _functions(traces)
-"""Functions that compute the metrics `trace.…` from a trajectory.
+"""Functions that compute the metrics ``trace.<name>`` from a trajectory, keyed by name.
 
-Each function returns a number or None.
+A function returns None if the trajectory does not contain the required data.
 """
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
@@ -71,30 +71,28 @@ def _check_answer(text: str) -> str:
 
 
 Falsifiability = Annotated[str, Field(max_length=500), AfterValidator(_check_answer)]
-"""Sentence that states whether the check of a claim could have failed."""
+"""Statement on whether a check could have failed, beginning with "Yes: " or "No: "."""
 
 _BOUND = 1e9
-"""Maximum magnitude of a published value."""
+"""Maximum absolute value of published values and absolute tolerances."""
 
 CLAIMS_BYTES = 128 * 1024
-"""Maximum size of a claims file, bytes. A file with 166 claims takes 72 kB."""
+"""Maximum size of a file with claims or figures, bytes."""
 
 
 class RunRequest(Section):
-    """Runs of a scenario or sweep, or a computation, that a claim requires."""
+    """Request for runs of a scenario or sweep, or for a computation."""
 
     scenario: Name | None = None
-    """Shipped scenario."""
     sweep: Name | None = None
-    """Shipped sweep."""
     computation: Name | None = None
-    """Computation that replaces runs."""
+    """Name of a function in `COMPUTATIONS`."""
     set: Changes = {}
-    """Changed fields of the scenario, or arguments of the computation."""
+    """Changed fields of the scenario or sweep, or arguments of the computation."""
     periods: float | None = quantity(3.0, 1000.0, None)
-    """Simulated time in periods."""
+    """Simulated time in gait periods."""
     where: Fields = {}
-    """Values of the varied fields that select points of the sweep."""
+    """Values of varied fields, which select points of the sweep."""
 
     @model_validator(mode="after")
     def _check_source(self) -> Self:
@@ -117,11 +115,11 @@ class RunRequest(Section):
 
     @property
     def name(self) -> str:
-        """Scenario, sweep or computation."""
+        """Name of the scenario, sweep or computation."""
         return str(getattr(self, self.kind))
 
     def check_names(self, document: Document, loc: Loc) -> None:
-        """Report an unknown scenario, sweep or computation to the document."""
+        """Report an unknown scenario, sweep or computation as a file problem."""
         names = COMPUTATIONS if self.kind == "computation" else shipped_names(self.kind)
         if self.name not in names:
             document.report(
@@ -130,21 +128,23 @@ class RunRequest(Section):
 
 
 class Measure(RunRequest):
-    """Number taken from a run, from the runs of a sweep, or from a computation."""
+    """Number that is taken from runs or from a computation."""
 
     metric: Name
-    """Metric, `comparison.…`, `trace.…` (computed from the trajectory), or name of a
-    computed result.
+    """Name of a metric or computed number.
+
+    The prefix ``comparison.`` denotes a metric that compares both plants, and the
+    prefix ``trace.`` denotes a function in `TRACES`.
     """
     take: Take | None = None
-    """Aggregation over the points of a sweep."""
+    """Aggregation of the values at all points of a sweep."""
     plant: Literal["analytical", "twin"] | None = None
-    """Plant whose value is used in all columns."""
+    """Plant that provides the value in all columns of results."""
     size: bool = False
-    """Whether the absolute value is compared."""
+    """Whether the absolute values of the results are used."""
 
     def check_names(self, document: Document, loc: Loc) -> None:
-        """Report an unknown scenario, sweep, computation or metric to the document."""
+        """Report unknown names, including names of traces, as file problems."""
         super().check_names(document, loc)
         prefix, _, trace = self.metric.partition(".")
         if prefix == "trace" and trace not in TRACES:
@@ -154,25 +154,24 @@ class Measure(RunRequest):
 
 
 class Cause(Section):
-    """Reason why a plant's results contradict a claim.
+    """Reason why results contradict a claim.
 
-    A run with a changed assumption or a section of the documentation demonstrates the
-    reason. Otherwise the reason is only presumed.
+    The reason is demonstrated by a section of the documentation or by a run with a
+    changed assumption. Without such evidence, the reason is only presumed.
     """
 
     says: Name
-    """Description of the reason."""
     columns: list[Column] = ["analytical", "twin"]
-    """Columns of results that the reason explains."""
+    """Columns of results to which the reason applies."""
     docs: Name | None = None
     """Section of the documentation that demonstrates the reason, for example
     docs/verification.md#why-they-differ."""
     switch: Name | None = None
-    """Name of the assumption that is changed."""
+    """Name of the changed assumption."""
     set: Changes = {}
-    """Fields of the scenario that change the assumption.
+    """Scenario fields that change the assumption.
 
-    With these fields, the results must agree with the claim.
+    The reason is demonstrated if the claim is met with these fields.
     """
 
     @model_validator(mode="after")
@@ -186,30 +185,32 @@ class Cause(Section):
 
 
 class TableRows(Section):
-    """Rule that derives claims from the numbers of a table."""
+    """Rule that derives claims from the numbers in a table."""
 
     at: Name
-    """Key under which each row of the table contains the setting."""
+    """Table column that contains the setting of each row, for example the offset."""
     field: Name
-    """Field that the sweep varies, with the setting as its value."""
+    """Scenario field that the sweep sets to the setting of each row."""
     sweep: Name
     """Sweep with one point per setting."""
     columns: dict[Name, Name]
-    """Metric for each column of the table."""
+    """Metrics that are compared with the table, keyed by table column."""
     signed: list[Name] = []
-    """Columns whose numbers are printed without a sign. These numbers take the sign of
-    `at`. If `at` is 0, absolute values are compared.
+    """Table columns in which the dissertation prints numbers without a sign.
+
+    The numbers get the sign of the setting. At a setting of 0, absolute values are
+    compared.
     """
     fit: list[Name] = []
-    """Columns whose values calibration may use."""
+    """Table columns whose numbers may be used for calibration."""
     fit_at: list[float] = []
-    """Settings of the rows in which calibration may use the columns of `fit`."""
+    """Settings at which the table columns in `fit` may be used for calibration."""
     could_fail: dict[Name, Falsifiability]
-    """Sentence for each column that states whether its claims could have failed."""
+    """Statement on whether claims could have failed, keyed by table column."""
     could_fail_fit: Falsifiability
-    """Sentence that states whether claims used for calibration could have failed."""
+    """Statement on whether claims that are used for calibration could have failed."""
     cause: dict[Name, list[Cause]] = {}
-    """Known reasons for missed claims, for each column."""
+    """Known reasons for missed claims, keyed by table column."""
 
     @model_validator(mode="after")
     def _check_columns(self) -> Self:
@@ -225,9 +226,9 @@ class TableRows(Section):
     def is_fitted(
         self, column: str, at: float, rows: Sequence[Mapping[str, float]]
     ) -> bool:
-        """Return whether calibration may use the value of `column` in the row at `at`.
+        """Return whether a number in the table may be used for calibration.
 
-        This is also true if calibration may use an equal value of the same column.
+        Numbers that equal a calibration number in the same column are included.
         """
         if column not in self.fit:
             return False
@@ -238,28 +239,28 @@ class TableRows(Section):
 
 
 class Claim(Section):
-    """Statement of the dissertation and the rule that checks it."""
+    """Statement of the dissertation, and the rule that checks the statement."""
 
     id: Annotated[str, Field(pattern=r"^[a-z0-9]+([.-][a-z0-9]+)*$", max_length=80)]
-    """Name of the claim."""
     source: Name
-    """Section, figure or table of the dissertation, or erratum."""
+    """Section, figure or table of the dissertation, or an erratum."""
     robot: Literal["gen1", "gen2", "gen3", "gen4"] | None = None
-    """Generation of the robot."""
     says: Annotated[str, Field(min_length=1, max_length=600)]
-    """Text of the claim."""
     use: Use
-    """Use of the claim: `fit`, `holdout`, `law` or `shape`."""
+    """Use of the claim as calibration data (`fit`), prediction (`holdout`), law (`law`)
+    or trend (`shape`).
+    """
     could_fail: Falsifiability | None = None
-    """Whether the check of the claim could have failed. "Yes: …" describes which
-    results would contradict the claim, and where the tolerance comes from. "No: …"
-    states why no result could contradict the claim.
+    """Statement on whether the check of the claim could have failed.
+
+    "Yes: …" states which results would contradict the claim, and where the tolerance
+    comes from. "No: …" states why no result could contradict the claim.
     """
     tolerance: Tolerance | None = None
-    """Origin of the tolerance of a prediction.
+    """Origin of a prediction's tolerance.
 
-    The tolerance is stated in the dissertation, follows from its measurement error, or
-    was chosen by us.
+    The tolerance is stated in the dissertation, derived from the difference between two
+    of its values, or chosen by us.
     """
     limitation: Limitation | None = None
     """Reason why the claim is not a headline prediction, regardless of its tolerance.
@@ -267,33 +268,32 @@ class Claim(Section):
     value: float | None = quantity(-_BOUND, _BOUND, None, unit="the unit")
     """Published value."""
     unit: Name = "1"
-    """Unit of the value."""
     tol: float | None = quantity(0.0, 100.0, None)
     """Relative tolerance."""
     abs: float | None = quantity(0.0, _BOUND, None, unit="the unit")
     """Absolute tolerance."""
     rule: Rule | None = None
-    """Rule: `near`, `below`, `above`, or `ordering` (each measure exceeds the next
-    measure).
+    """Rule that decides whether the claim is met.
+
+    With the rule `ordering`, each measure must exceed the next measure.
     """
     measure: Measure | None = None
-    """Measure that is compared with the value."""
+    """Measure that is compared with the published value."""
     measures: list[Measure] = []
     """Measures that are combined into one number or compared with each other."""
     combine: Combine = "value"
-    """Combination of the measures into one number."""
+    """Operation that combines the measures into one number."""
     columns: list[Column] = ["analytical", "twin"]
-    """Columns of results that are compared with the claim."""
+    """Columns of results in which the claim is judged."""
     quick: bool = False
     """Whether the option `--quick` includes the claim."""
     cause: list[Cause] = []
-    """Known reasons why the results contradict the claim."""
+    """Known reasons why results contradict the claim."""
     table: TableRows | None = None
     """Rule that derives claims from the numbers in `rows`."""
     rows: list[dict[Name, float]] = []
-    """Numbers of a table."""
+    """Rows of a table, with numbers keyed by column."""
     note: Annotated[str, Field(max_length=1000)] | None = None
-    """Note for readers."""
 
     @model_validator(mode="after")
     def _check_evidence(self) -> Self:
@@ -354,12 +354,12 @@ class Claim(Section):
         return self
 
     def is_named(self, name: str) -> bool:
-        """Return whether `name` is the claim's name or its beginning up to a dot."""
+        """Return whether `name` is the claim's name, or a part of it before a dot."""
         return f"{self.id}.".startswith(f"{name}.")
 
     @property
     def fitted(self) -> bool:
-        """Whether calibration may use the claim, which is then not a prediction."""
+        """Whether the claim may be used for calibration."""
         return self.use == "fit"
 
     @property
@@ -378,7 +378,7 @@ class Claim(Section):
 
     @property
     def category(self) -> Category:
-        """Group if the claim is a prediction, otherwise the use of the claim."""
+        """Category of the claim, which is the group if the claim is a prediction."""
         if self.group is not None:
             return self.group
         if self.use == "shape" and not self.falsifiable:
@@ -387,11 +387,11 @@ class Claim(Section):
 
     @property
     def all_measures(self) -> list[Measure]:
-        """All measures of the claim, in a list."""
+        """List of all measures of the claim."""
         return [self.measure] if self.measure else self.measures
 
     def with_switch(self, cause: Cause) -> Claim:
-        """Return the claim with the scenario changes that `cause` specifies."""
+        """Return a copy of the claim with the changed scenario fields of a cause."""
         measures = [
             measure.model_copy(update={"set": {**measure.set, **cause.set}})
             for measure in self.all_measures
@@ -400,7 +400,7 @@ class Claim(Section):
 
     @property
     def allowed(self) -> AllowedRange:
-        """Range of allowed values. A tolerance extends a one-sided bound."""
+        """Range of allowed values, which includes the tolerance."""
         if self.value is None:
             return AllowedRange()
         near = AllowedRange.near(self.value, self.tol, self.abs)
@@ -412,23 +412,23 @@ class Claim(Section):
 
     @property
     def allowed_text(self) -> str:
-        """Text that describes the allowed values."""
+        """Description of the allowed values."""
         if self.rule == "ordering":
             return "each above the next"
         return self.allowed.text
 
 
 COLUMNS = get_args(Column)
-"""Result columns: the plants, and "alone" for computations without a plant."""
+"""Columns of results, one per plant and "alone" for computations without a plant."""
 
 
 def claims_file() -> Path:
-    """Return the path of `claims.yaml` in the package data."""
+    """Return the path of the shipped claims file."""
     return data_root() / "calibration/published/claims.yaml"
 
 
 def load_claims(path: Path | None = None) -> tuple[Claim, ...]:
-    """Load the claims of a claims file.
+    """Load claims from a file, by default from the shipped claims file.
 
     Raises:
         InputError: the file cannot be read.
@@ -455,7 +455,7 @@ def load_list(
     """Read a list of sections from a YAML file.
 
     Returns:
-        Document with its problems, and index and section of each valid entry.
+        Document with the problems found, and the index and section of each valid entry.
 
     Raises:
         InputError: the file cannot be read.
@@ -474,16 +474,16 @@ def load_list(
 def select_claims(
     claims: tuple[Claim, ...], only: tuple[str, ...], *, quick: bool
 ) -> tuple[Claim, ...]:
-    """Select claims by name or by the beginning of the name. Laws come first.
+    """Select claims by name, and list the selected laws first.
 
     Args:
         claims: all claims.
-        only: names, or beginnings of names that end before a dot. An empty tuple
+        only: names of claims, or the parts of names before a dot. An empty tuple
             selects all claims.
         quick: whether to select only quick claims.
 
     Raises:
-        UnknownNameError: no claim has such a name.
+        UnknownNameError: a name matches no claim.
     """
     selected = [claim for claim in claims if claim.quick or not quick]
     if only:

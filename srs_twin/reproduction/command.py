@@ -40,15 +40,15 @@ def reproduce(
 
     Options:
         --only ID: Judge only the claim with this name, or the claims whose names begin
-            with ID and a dot, for example gen3. Can be repeated.
+            with ID and a dot, for example gen3-yaw. Can be repeated.
         --quick: Judge only the claims that need short simulations.
-        --out DIR: Output folder. Finished runs are kept there and reused.
+        --out DIR: Output folder, in which finished runs are kept and reused.
         --no-figures: Omit the figures, and skip simulations that are needed only for
             figures.
         --write-baseline: Store the verdicts as the new baseline.
-        --scorecard: Print only the credibility grades according to NASA-STD-7009,
-            without running simulations.
-        --others: Print only the predicted and published motion of robots from other
+        --scorecard: Print the credibility grades according to NASA-STD-7009, without
+            running simulations.
+        --others: Print the predicted and the published motion of robots from other
             laboratories, without running simulations.
     """
     if others or scorecard:
@@ -58,8 +58,8 @@ def reproduce(
         return
     from srs_twin.compute.workers import start_server
 
-    # The server imports the modules of the workers while this process imports its own
-    # modules.
+    # The server imports the worker modules while this process imports the modules
+    # below.
     start_server("srs_twin.studies.sweep.warm")
     from srs_twin.reproduction.printing import print_rows
     from srs_twin.reproduction.reproduce import reproduce as judge_claims

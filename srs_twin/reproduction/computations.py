@@ -19,30 +19,30 @@ if TYPE_CHECKING:
 Numbers = dict[str, float | None]
 
 _PULL_S = 1.0
-"""Duration for which the robot is pulled, s."""
 
 _MIN_GAIN_M_S = 1e-3
-"""Increase of speed in the second half of a pull above which a robot slides, m/s.
+"""Speed increase in the second half of a pull above which the robot counts as sliding,
+m/s.
 
-Below the friction limit, axles creep at a constant speed proportional to the force. In
-generation 1 the maximum creep speed is 13 mm/s.
+Below the friction limit, the axles creep at a constant speed that is proportional to
+the force. The maximum creep speed of generation 1 is 13 mm/s.
 """
 
 _BISECTIONS = 12
-"""Number of bisection steps for the pulling force."""
 
 
 def spring_car(robot: str) -> Numbers:
-    """Return friction coefficients μ = F/(m g) from pulling a straight snake.
+    """Return the friction coefficients μ = F/(m g) of a straight snake in a pull test.
 
-    The experiment is described in Section 3.4 (Eq. 17). The twin is pulled by a
-    horizontal component of gravity, which is a force on every body proportional to its
-    mass. The coefficient at which the twin starts to slide is found by bisection. The
-    analytical model prescribes a friction law, so its coefficient is the maximum ratio
-    of force to load of any connector during a gait.
+    Section 3.4 describes the experiment (Eq. 17). In the simulation of the twin, a
+    horizontal component of gravity pulls the snake, and bisection finds the coefficient
+    at which the snake starts to slide. The analytical model prescribes the friction
+    law, so the coefficient of this model is the maximum ratio of contact force to load
+    of any connector during a gait.
 
     Returns:
-        ``mu_t`` and ``mu_n`` of both plants.
+        Coefficients ``mu_t`` (along the body) and ``mu_n`` (across the body) for both
+        plants.
     """
     mu_t, mu_n = _analytical_coefficients(robot)
     return {
@@ -99,10 +99,10 @@ def _analytical_coefficients(robot: str) -> tuple[float, float]:
 
 
 def tail_load(scenario: str, frequency_hz: float) -> Numbers:
-    """Return the minimum tail load of the twin, divided by the load at rest.
+    """Return the ratio of the minimum wheel load at the tail to the load at rest.
 
     Section 3.4.3 of the dissertation describes the experiment. If the ratio is
-    negative, a wheel lifts off.
+    negative, a wheel of the twin would lift off without its preload.
     """
     from srs_twin.plants.twin.snake import TwinSnake
     from srs_twin.rollout import rollout
@@ -127,17 +127,17 @@ def tail_load(scenario: str, frequency_hz: float) -> Numbers:
 def change_of_offset(
     scenario: str, before: float, after: float, at_period: float
 ) -> Numbers:
-    """Return the path curvature after a change of offset with learning (Section 5.3).
+    """Return the path curvature after an offset change during learning (Section 5.3).
 
     Args:
         scenario: scenario with iterative learning.
-        before: initial offset.
-        after: final offset.
+        before: initial steering offset.
+        after: final steering offset.
         at_period: time of the change, in gait periods.
 
     Returns:
-        Number ``first`` for both plants: curvature over the first period after the
-        change, divided by the final curvature.
+        Ratio ``first`` of the curvature over the first gait period after the change to
+        the curvature over the last period, for both plants.
     """
     from srs_twin.control.commands import ScheduledOffset
     from srs_twin.control.gait import Gait
@@ -161,7 +161,7 @@ def change_of_offset(
 
 
 def _curvature(run: Trajectory, begin: float, period: float) -> float:
-    """Return the turn over one period divided by the distance travelled, 1/m."""
+    """Return the heading change per distance travelled during one period, 1/m."""
     times = np.array([begin, begin + period])
     heading = np.interp(times, run.time, run["heading"])
     x, y = (np.interp(times, run.time, run[name]) for name in ("com_x", "com_y"))
@@ -189,8 +189,8 @@ def contact_force(
         connector: number of the connector, counted from 1 at the head.
 
     Returns:
-        Detection score ``score``, and the ratio ``ratio`` of the estimated to the
-        applied force.
+        Maximum detection score ``score``, and the corresponding ratio ``ratio`` of the
+        estimated to the applied force.
     """
     from srs_twin.control.gait import Gait
     from srs_twin.live.contact_observer import ContactObserver
@@ -220,21 +220,22 @@ def contact_force(
 
 
 def bend_at(robot: str, pressure_psi: float) -> Numbers:
-    """Return the bend of an unloaded module at a pressure, degrees (Section 2.1)."""
+    """Return the bend of an unloaded module at a pressure (Section 2.1), degrees."""
     actuator = load_robot(robot).actuator
     pascal = 6894.757 * pressure_psi
     return {"alone.bend_deg": math.degrees(actuator.gain * pascal)}
 
 
 def turn_limit(speed_m_s: float, radius_m: float) -> Numbers:
-    """Return the yaw rate on a circle of Table 8, degrees per second (Section 5.3)."""
+    """Return the yaw rate on a circle of Table 8 (Section 5.3), degrees per second."""
     return {"alone.turn_deg_s": math.degrees(speed_m_s / radius_m)}
 
 
 def footprint_edges(footprint: str) -> Numbers:
-    """Return the straight width of a footprint and its shift at maximum curvature, m.
+    """Return the width (m), edge shift (m) and yaw rate (degrees/s) of a footprint.
 
-    Width and shift are listed in Table 9 of the dissertation.
+    The width is measured on a straight path, and the other values are measured at
+    maximum curvature. Table 9 of the dissertation lists the width and the edge shift.
     """
     from srs_twin.planning.footprint_file import load_footprint
 
@@ -249,7 +250,7 @@ def footprint_edges(footprint: str) -> Numbers:
 
 
 def primitive_error(count: int, turn_rad: float, length_m: float) -> Numbers:
-    """Return the maximum deviation of the planner's arcs from Eq. 33, m.
+    """Return the maximum distance between arc ends from the planner and from Eq. 33, m.
 
     Eq. 33 is evaluated with the signs of the erratum E7.
     """

@@ -1,7 +1,6 @@
 """Figures of the dissertation, drawn from finished runs.
 
-A figure is omitted if its runs are missing. Runs that only a figure needs are requested
-by `figure_jobs`.
+A figure is omitted if its runs are missing.
 """
 
 from __future__ import annotations
@@ -44,21 +43,20 @@ class FigureEntry(Section):
     """Figure of the dissertation, with the runs from which it is drawn."""
 
     figure: Name
-    """Number in the dissertation, for example 31a."""
+    """Number of the figure in the dissertation, for example 31a."""
     caption: Name
-    """Caption."""
     draw: Name
     """Kind of drawing, which is a key of `DRAWINGS`."""
     of: Annotated[list[RunRequest], Field(min_length=1, max_length=10)]
     """Runs that the figure shows."""
     metric: Name | None = None
-    """Metric of a sweep. If given, the figure is the sweep's plot of this metric."""
+    """Metric that is plotted if the figure shows a sweep."""
     names: list[Name] = []
-    """Labels of the runs if one figure shows several runs."""
+    """Labels of the runs if the figure shows several runs."""
 
 
 def load_figures(path: Path | None = None) -> tuple[FigureEntry, ...]:
-    """Load a file of figures, by default the shipped file.
+    """Load figure entries from a file, by default from the shipped file.
 
     Raises:
         InputError: the file cannot be read.
@@ -189,9 +187,9 @@ def _readings(runs: Trajectories) -> Figure:
 
 
 def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
-    """Draw the response to a step of 8 psi, and Eq. 14 (Fig. 20).
+    """Draw the response to a pressure step of 8 psi, and Eq. 14 (Fig. 20).
 
-    Eq. 14 is evaluated with the published time constants of the robot.
+    Eq. 14 is evaluated with the time constants of the robot's actuator.
     """
     figure = _over_time(runs, lambda run: run["bend_1"], "bend (rad)")
     axes = figure.axes[0]
@@ -238,4 +236,4 @@ DRAWINGS: Mapping[str, Drawing] = {
     "tail": _from_runs(_tail),
     "tracking": _from_runs(tracking_plot),
 }
-"""Drawing functions for the key `draw` of figures.yaml."""
+"""Drawing functions, keyed by the value of `draw` in figures.yaml."""

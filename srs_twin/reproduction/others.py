@@ -1,10 +1,10 @@
 """Predicted and published motion of robots from other laboratories.
 
-Each prediction is a file in calibration/predictions. The published values are in a file
-of the same name in calibration/published/others. In a git checkout, the commits of the
-two files prove that the prediction is older than the published values. The folder
-calibration/predictions/recomputed contains numbers that are not predictions, because
-they were computed after the published values were known.
+The predictions for a robot are stored in a file in calibration/predictions, and the
+published values in a file with the same name in calibration/published/others. The git
+history proves that the predictions were committed before the published values. The
+folder calibration/predictions/recomputed contains values that are not predictions,
+because they were computed after the published values were known.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from srs_twin.scenario.expectation import IntervalVerdict, interval_verdict
 from srs_twin.studies.uncertainty.metric_uncertainty import MIN_BOUNDING_SAMPLES
 
 _GIT_SECONDS = 10.0
-"""Time limit of a git command, s."""
 
 
 class PublishedValue(StrictModel):
-    """Published motion of a robot."""
+    """Published value of a quantity that describes the motion of a robot."""
 
     value: Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
     """Value in the unit of the quantity."""
     of: Literal["robot", "simulation"]
-    """Origin of the value: "robot" is a measurement on the robot. "simulation" is a
-    simulation by the builders of the robot."""
+    """Origin of the value, which was measured on the robot ("robot") or simulated by
+    the builders of the robot ("simulation").
+    """
     known: bool
     """Whether we knew the value at the time of the prediction."""
     source: Annotated[str, Field(min_length=1, max_length=300)]
-    """Publication, and section or page."""
+    """Publication, with the section or page."""
 
 
 class PublishedFile(StrictModel):
-    """Published values of a robot."""
+    """File with the published values of a robot."""
 
     values: Annotated[dict[str, PublishedValue], Field(min_length=1)]
-    """Published value of each predicted quantity."""
+    """Published values, keyed by quantity."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ class Quantiles:
     Attributes:
         median: median of the quantity.
         interval_95: lower and upper end of the 95 % interval.
-        interval_95_error: standard errors of the two ends, or None.
+        interval_95_error: standard errors of both ends, or None if they are unknown.
         robots: number of sampled robots, or 0 if the number is unknown.
     """
 
@@ -70,10 +70,10 @@ class Quantiles:
         return low <= published.value <= high
 
     def verdict(self, published: PublishedValue) -> IntervalVerdict:
-        """Return the verdict on a published value.
+        """Return the verdict on whether the 95 % interval contains a published value.
 
-        The verdict is undecided if too few robots were sampled for an accurate
-        interval.
+        The verdict is undecided if too few robots were sampled or the value is too
+        close to an end of the interval.
         """
         if self.robots < MIN_BOUNDING_SAMPLES:
             return IntervalVerdict.UNDECIDED
@@ -92,18 +92,17 @@ class Quantiles:
 
 @dataclass(frozen=True, kw_only=True)
 class PredictedQuantity:
-    """Prediction of a quantity, together with its published value.
+    """Predicted quantity of a robot, together with the published value.
 
     Attributes:
         robot: name of the robot file.
         quantity: name of the quantity.
         predicted: predicted quantiles.
         recomputed: quantiles computed after the published value was known, or None.
-        published: published value, or None.
+        published: published value, or None if there is no published value.
         prediction_commit: last commit that changed a predicted value, or None outside a
             git checkout.
-        comparison_commit: first commit that contains published values of the robot, or
-            None.
+        comparison_commit: commit that added the published values of the robot, or None.
     """
 
     robot: str
@@ -115,7 +114,7 @@ class PredictedQuantity:
     comparison_commit: str | None
 
     def document(self) -> dict[str, object]:
-        """Return the prediction as JSON values."""
+        """Return the predicted quantity as JSON values."""
         document: dict[str, object] = {
             "robot": self.robot,
             "quantity": self.quantity,
@@ -153,7 +152,7 @@ class PredictedQuantity:
 
 
 def load_predicted_quantities() -> list[PredictedQuantity]:
-    """Return all predicted quantities, ordered by robot.
+    """Load all predicted quantities, ordered by robot.
 
     Raises:
         UnknownNameError: a published quantity was not predicted.
@@ -190,8 +189,8 @@ def load_predicted_quantities() -> list[PredictedQuantity]:
 def _predictions(path: Path) -> dict[str, Quantiles]:
     """Return the quantiles of each quantity in a file, or {} for a missing file.
 
-    The first prediction was for a spatial snake. It has different keys, because a
-    committed prediction must not be edited.
+    The file spatial_530mm.yaml keeps an older format, because a committed prediction
+    must not be edited.
     """
     if not path.exists():
         return {}

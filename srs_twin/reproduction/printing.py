@@ -1,4 +1,4 @@
-"""Printed results of `srs-twin reproduce`."""
+"""Console output of `srs-twin reproduce`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _FORMAT = "{:<30} {:>9} {:>11} {:>11} {:>6}  {}"
 
 
 def print_scorecard(*, as_json: bool) -> None:
-    """Print the grades of all capabilities."""
+    """Print the credibility grades of all capabilities."""
     grades = scorecard(load_claims(), load_baseline())
     if as_json:
         print_json(
@@ -53,7 +53,7 @@ def print_scorecard(*, as_json: bool) -> None:
 
 
 def print_others(*, as_json: bool) -> None:
-    """Print predicted and published motion of robots from other laboratories."""
+    """Print the predicted and published motion of robots from other laboratories."""
     rows = load_predicted_quantities()
     if as_json:
         print_json({"robots": [row.document() for row in rows]})
@@ -118,7 +118,7 @@ def print_rows(rows: Sequence[JudgedClaim]) -> None:
 
 
 def _short_text(outcome: ClaimOutcome | None) -> str:
-    """Return an outcome in at most 11 characters. An ordering is shortened."""
+    """Return an outcome as text, shortening a long ordering to its end values."""
     if outcome is None:
         return ""
     text = outcome_text(outcome)

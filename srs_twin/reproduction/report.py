@@ -1,22 +1,23 @@
-"""Reports of a reproduction: reproduce.json, reproduce.html, text, and a scorecard.
+"""Reports of a reproduction as JSON, HTML and text, and a scorecard.
 
-The scorecard lists credibility grades of each capability according to NASA-STD-7009,
-with the reasons for the grades. Grades range from 0 (nothing is known) to 4. They are
-computed from stored results: verdicts of the baseline, intervals of `srs-twin
-uncertainty`, and sources of the robots' parameters.
+The scorecard grades the credibility of each capability according to NASA-STD-7009 and
+states the reason for each grade. Grades range from 0 (nothing is known) to 4. They are
+computed from the verdicts of the baseline, the intervals of `srs-twin uncertainty`, and
+the sources of the robot parameters.
 
-- Verification has grade 2 if all laws of the dissertation are met. It has grade 3 if a
-  smaller time step also changes a prediction by less than a fifth of the prediction's
-  input uncertainty.
-- Validation has grade 2 if three quarters of the headline predictions are met, grade 1
-  if fewer are met, and grade 0 if none is met. Predictions in other groups (own
-  tolerance, fitted robot, …) are listed but not counted. A higher grade would require
-  our own measurements, because nothing has been validated against hardware.
+- Verification has grade 1 if a law of the dissertation is missed, and otherwise grade 2
+  or 3. Grade 3 requires that a smaller time step changes a prediction by less than a
+  fifth of the prediction's input uncertainty.
+- Validation has grade 2 if at least three quarters of the headline predictions are met,
+  grade 1 if fewer are met, and grade 0 if none is met. Other predictions are listed,
+  but do not affect the grade. A higher grade would require validation against our own
+  hardware measurements.
 - Input pedigree has grade 3 if at least three quarters of the robot parameters are
   measured, grade 2 for at least two fifths, and grade 1 for a smaller fraction.
-- Uncertainty has grade 2 if intervals were propagated from the inputs, otherwise 0.
-- Robustness has grade 2 if sensitivities are known, grade 1 if only trends were
-  checked, and otherwise grade 0. Only checks that could have failed are counted.
+- Uncertainty has grade 2 if input uncertainties were propagated to the results, and
+  otherwise grade 0.
+- Robustness has grade 2 if sensitivities are known, grade 1 if only orders and trends
+  were checked, and otherwise grade 0. Checks that could not have failed are ignored.
 """
 
 from __future__ import annotations
@@ -72,16 +73,16 @@ _OTHER_GROUPS: dict[Category, str] = {
     "chosen_obstacles": "own obstacles",
     "between_models": "models",
 }
-"""Labels for the categories of predictions that are not headlines."""
+"""Short labels for the categories of predictions that are not headline predictions."""
 
 _MOST = 0.75
-"""Minimum fraction for the highest grade in validation and in input pedigree."""
+"""Minimum fraction for grade 2 of validation and for grade 3 of input pedigree."""
 
 _MANY = 0.4
-"""Minimum fraction for grade 2 in input pedigree."""
+"""Minimum fraction for grade 2 of input pedigree."""
 
 _SMALL_NUMERICAL_ERROR = 0.2
-"""Maximum ratio of numerical error to input uncertainty for verification grade 3."""
+"""Maximum ratio of numerical error to input uncertainty for grade 3 of verification."""
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,12 @@ def _count_met(
 def verification_grade(
     law_counts: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
 ) -> Grade:
-    """Return the verification grade."""
+    """Return the verification grade.
+
+    Args:
+        law_counts: number of met laws, and number of all laws.
+        intervals: results of `srs-twin uncertainty`.
+    """
     met, rows = law_counts
     text = "its laws are tests of the program"
     if rows:
@@ -231,7 +237,7 @@ TITLES: dict[Category, str] = {
     "law": "Laws",
     "fit": "Calibration data, not predictions",
 }
-"""Headings of the categories, in the order of the HTML page."""
+"""Headings of the categories, in the order in which reports list the categories."""
 
 MEANINGS: dict[Category, str] = {
     "headline": (
@@ -268,7 +274,7 @@ MEANINGS: dict[Category, str] = {
     "law": "Laws are true by construction or theory; they test the program.",
     "fit": "Robots were, or may be, calibrated with these values.",
 }
-"""Descriptions of the claims in each category."""
+"""Description of the claims in each category."""
 
 _NOTHING = "–"
 
@@ -276,7 +282,7 @@ _NOTHING = "–"
 def count_verdicts(
     rows: Sequence[JudgedClaim], column: str, uses: Sequence[str] = USES
 ) -> dict[str, int]:
-    """Return the number of claims that are "met", "explained", "missed", and "all"."""
+    """Return the number of claims in a column, by verdict and in total ("all")."""
     verdicts = [
         row.outcomes[column].verdict
         for row in rows
@@ -327,7 +333,7 @@ def summary_line(rows: Sequence[JudgedClaim]) -> str:
 
 
 def published_text(claim: Claim) -> str:
-    """Return the published value of a claim, or the rule if there is no value."""
+    """Return the published value of a claim as text, or "order" for an ordering."""
     if claim.value is None:
         return "order"
     sign = {"below": "≤ ", "above": "≥ "}.get(str(claim.rule), "")
@@ -335,7 +341,7 @@ def published_text(claim: Claim) -> str:
 
 
 def outcome_text(outcome: ClaimOutcome | None) -> str:
-    """Return the value of an outcome as text, or all values of an ordering."""
+    """Return the value of an outcome as text, or the values of an ordering."""
     if outcome is None:
         return _NOTHING
     if math.isfinite(outcome.value):
@@ -347,7 +353,7 @@ def outcome_text(outcome: ClaimOutcome | None) -> str:
 
 
 def number_text(value: float) -> str:
-    """Return a number with three significant digits. Integers keep all digits."""
+    """Return a number with three significant digits, or an integer with all digits."""
     if value == 0:
         return "0"
     if float(value).is_integer() and abs(value) < 1e6:
@@ -356,7 +362,10 @@ def number_text(value: float) -> str:
 
 
 def error_text(claim: Claim, outcome: ClaimOutcome | None) -> str:
-    """Return the relative error in per cent, or an empty string if it is undefined."""
+    """Return the relative error in per cent as text.
+
+    The text is empty if the error is undefined or the rule is not `near`.
+    """
     if outcome is None or claim.rule != "near" or not math.isfinite(outcome.error):
         return ""
     rounded = round(100 * outcome.error)
@@ -364,7 +373,7 @@ def error_text(claim: Claim, outcome: ClaimOutcome | None) -> str:
 
 
 def verdict_text(row: JudgedClaim) -> str:
-    """Return the verdict on a claim, or one verdict per plant if they differ."""
+    """Return the verdict on a claim, or one verdict per column if verdicts differ."""
     verdicts = [row.outcomes[name].verdict for name in COLUMNS if name in row.outcomes]
     if len(set(verdicts)) == 1:
         return verdicts[0]
@@ -386,7 +395,7 @@ _HEADINGS = (
 
 
 def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) -> None:
-    """Write claims and outcomes to a JSON file atomically.
+    """Write the claims and their outcomes to a JSON file atomically.
 
     Raises:
         InputError: the file cannot be written.
@@ -439,7 +448,7 @@ def write_html(
     figures: Sequence[tuple[FigureEntry, Figure]],
     changes: Sequence[str],
 ) -> None:
-    """Write the self-contained HTML page atomically.
+    """Write the report as a self-contained HTML page atomically.
 
     Raises:
         InputError: the file cannot be written.

@@ -56,20 +56,21 @@ def reproduce(
     write_baseline: bool = False,
     progress: Progress = quiet,
 ) -> Reproduction:
-    """Check the dissertation's claims on both plants, like `srs-twin reproduce`.
+    """Check the dissertation's claims on both plants, as `srs-twin reproduce` does.
 
     Args:
-        only: names of claims, or beginnings of names that end before a dot. An empty
-            sequence selects all claims.
-        quick: whether to check only the claims with short runs.
+        only: names of claims, or the parts of names before a dot. An empty sequence
+            selects all claims.
+        quick: whether to check only the claims that need short runs.
         out: output folder for reports and finished runs, or None to keep no files.
         workers: number of parallel runs, by default one per processor.
         figures: whether to draw figures.
         write_baseline: whether to store the verdicts as the new baseline.
-        progress: progress callback.
+        progress: function that is called to report the progress of the runs.
 
     Raises:
-        InputError: a claim does not exist, or the folder is not usable.
+        InputError: a claim does not exist, the folder is not usable, or
+            `write_baseline` is combined with `only` or `quick`.
     """
     if write_baseline and (only or quick):
         raise InputError("--write-baseline needs all rows; remove --only and --quick")

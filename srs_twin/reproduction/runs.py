@@ -1,7 +1,7 @@
-"""Runs that claims require, stored under a hash of all inputs.
+"""Runs that claims and figures require, stored under a hash of all inputs.
 
-Several claims may use the same run. Worker processes simulate missing runs, and each
-result is stored as soon as the run is finished.
+Several claims can share a run. Worker processes execute missing runs, and each result
+is stored as soon as its run is finished.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ from srs_twin.trajectory import Trajectory
 Document = dict[str, Any]
 
 DocumentChange = Callable[[Document], Document]
-"""Function that modifies a scenario document, which tests use to introduce faults."""
+"""Function that changes a scenario document, for example to inject a fault in a test.
+"""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class ReproductionJob:
     """Scenario or computation that a worker process runs.
 
     Attributes:
-        key: SHA-256 of all inputs.
+        key: SHA-256 hash of all inputs.
         experiment: complete scenario, or None for a computation.
         computation: name of the computation, or None for a scenario.
         arguments: arguments of the computation.
@@ -54,14 +55,14 @@ class ReproductionJob:
 
     @property
     def stores_trajectories(self) -> bool:
-        """Whether the trajectories of the run are stored."""
+        """Whether the job stores trajectories."""
         return self.experiment is not None and self.experiment.trajectories
 
     @property
     def steps(self) -> float:
-        """Number of time steps.
+        """Number of time steps of the twin, or infinity for a computation.
 
-        Long jobs are started first, so that no processor is idle at the end.
+        Jobs with many steps are started first, so that no processor is idle at the end.
         """
         if self.experiment is None:
             return math.inf
@@ -72,7 +73,7 @@ class ReproductionJob:
 
 @cache
 def sweep_of(name: str) -> Sweep:
-    """Load a sweep once and return it from the cache afterwards."""
+    """Return a sweep, which is loaded once and then cached."""
     return load_sweep(name)
 
 
@@ -125,7 +126,7 @@ def open_store(
 
 
 class RunStore:
-    """Requested jobs and stored results."""
+    """Store of requested jobs and their results."""
 
     def __init__(self, store: RowStore, change: DocumentChange | None) -> None:
         self._store = store
@@ -136,9 +137,7 @@ class RunStore:
         self._keys: dict[str, tuple[str, ...]] = {}
 
     def jobs(self, request: RunRequest) -> tuple[ReproductionJob, ...]:
-        """Return the job for a request, or one job per point if it requests a sweep.
-
-        Equal requests share jobs.
+        """Return the job of a request, or one job per point if a sweep is requested.
 
         Raises:
             InputError: the scenario or sweep is invalid.
@@ -149,7 +148,8 @@ class RunStore:
         if text not in self._keys:
             jobs = list(self._make_jobs(request))
             for job in jobs:
-                # If two jobs are equal, the one that stores trajectories is kept.
+                # Of two jobs with the same key, the job that stores trajectories is
+                # kept.
                 if job.key not in self._jobs or job.stores_trajectories:
                     self._jobs[job.key] = job
             self._keys[text] = tuple(job.key for job in jobs)
@@ -190,9 +190,9 @@ class RunStore:
         workers: int | None = None,
         progress: Progress = quiet,
     ) -> None:
-        """Run the jobs without a stored result, and store each result immediately.
+        """Run the jobs that have no stored result, and store each result immediately.
 
-        If a job raises an error, a row with the error is stored.
+        If a job raises an error, the error is stored instead of a result.
 
         Raises:
             InputError: a result cannot be stored.
@@ -221,7 +221,7 @@ class RunStore:
         return self._rows.get(key)
 
     def failure(self, key: str) -> str:
-        """Return why a job failed, or an empty string."""
+        """Return why a job failed, or an empty string if the job has not failed."""
         return self._failures.get(key, "")
 
     def trajectory(self, key: str, plant: str) -> Trajectory | None:
@@ -242,7 +242,7 @@ class RunStore:
 
 
 def run_job(job: ReproductionJob) -> Row:
-    """Run a job in this process. If the job fails, the row contains the error."""
+    """Run a job in this process, and return the result or the error as a row."""
     if job.experiment is not None:
         return run_point(job.experiment, Point(job.key, {}))
     assert job.computation is not None, "a job is a scenario or a computation"

@@ -1,4 +1,4 @@
-"""Quantities of a trajectory that claims require but that no metric provides."""
+"""Quantities of trajectories that claims require but no metric provides."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ _ARC_POINTS = 101
 
 
 def tail_drift(run: Trajectory) -> float | None:
-    """Return the derivative of the tail's period-mean heading, rad/s (Fig. 30)."""
+    """Return the mean drift rate of the tail heading (Fig. 30), rad/s.
+
+    Before the drift rate is computed, the heading is averaged over a gait period.
+    """
     window = GaitWindow.from_trajectory(run)
     if window is None:
         return None
@@ -43,9 +46,9 @@ def speed_regularity(run: Trajectory) -> float | None:
 
 
 def third_harmonic(run: Trajectory) -> float | None:
-    """Return the ratio of third to first harmonic, maximised over all bends.
+    """Return the maximum ratio of the third to the first harmonic among all bends.
 
-    The ratio is 1/3 for a square wave.
+    A square wave has a ratio of 1/3.
     """
     window = GaitWindow.from_trajectory(run)
     if window is None:
@@ -73,16 +76,16 @@ def sensor_error(run: Trajectory) -> float | None:
 
 
 def algorithm_1_error(run: Trajectory) -> float | None:
-    """Return the maximum error in the bends computed by Algorithm 1 (Table 3), rad."""
+    """Return the maximum error of the bends from Algorithm 1 (Table 3), rad."""
     heading = _marker_headings(run)
     bend = measured_bend(heading[:, :-1], heading[:, 1:])
     return float(np.abs(bend - run.stack("bend")).max())
 
 
 def algorithm_2_error(run: Trajectory) -> float | None:
-    """Return the maximum relative error of arc lengths from Algorithm 2 (Table 4).
+    """Return the maximum relative error of the arc lengths from Algorithm 2 (Table 4).
 
-    The arcs pass through the connectors and have the curvature computed by Algorithm 1.
+    Each arc joins two neighbouring connectors and has the curvature from Algorithm 1.
     The robot must have no rigid gaps, so that each segment is a single arc.
     """
     length = body_length(run) / (run.position.shape[1] - 1)
@@ -95,7 +98,6 @@ def algorithm_2_error(run: Trajectory) -> float | None:
 
 
 def _marker_headings(run: Trajectory) -> np.ndarray:
-    """Return headings computed from two markers on each connector, rad."""
     theta = run.stack("connector_heading")
     offset = _MARKER_M * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
     return pair_heading(run.position - offset, run.position + offset)
@@ -117,7 +119,7 @@ def step_c0(run: Trajectory) -> float:
 
 
 def step_c1(run: Trajectory) -> float:
-    """Return C₁ of Eq. 14, for which bend and bend rate are initially zero (E2)."""
+    """Return C₁ of Eq. 14 for an initial bend and bend rate of zero (E2), rad."""
     slow, fast = _time_constants(run)
     return -step_c0(run) * slow / (slow - fast)
 
@@ -128,27 +130,27 @@ def step_c2(run: Trajectory) -> float:
 
 
 def step_a(run: Trajectory) -> float:
-    """Return a = 1/(τ₁τ₂) in the dissertation's notation, 1/s² (E1)."""
+    """Return the coefficient a = 1/(τ₁τ₂) of the dissertation (E1), 1/s²."""
     slow, fast = _time_constants(run)
     return 1 / (slow * fast)
 
 
 def step_b(run: Trajectory) -> float:
-    """Return b = 1/τ₁ + 1/τ₂ in the dissertation's notation, 1/s (E1)."""
+    """Return the coefficient b = 1/τ₁ + 1/τ₂ of the dissertation (E1), 1/s."""
     slow, fast = _time_constants(run)
     return 1 / slow + 1 / fast
 
 
 def step_c(run: Trajectory) -> float:
-    """Return C₀/(τ₁τ₂), rad/s² (Eq. 16)."""
+    """Return the coefficient C₀/(τ₁τ₂) of Eq. 16, rad/s²."""
     return step_c0(run) * step_a(run)
 
 
 def _time_constants(run: Trajectory) -> tuple[float, float]:
-    """Return τ₁ and τ₂ of an overdamped step response y from the moments of 1 − y.
+    """Return the time constants τ₁ and τ₂ of an overdamped step response y, s.
 
-    The moments are ∫(1 − y) dt = τ₁ + τ₂ and ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂². This
-    method needs neither a fit nor initial values.
+    The time constants follow from the moments ∫(1 − y) dt = τ₁ + τ₂ and
+    ∫ t (1 − y) dt = τ₁² + τ₁τ₂ + τ₂², so no fit is needed.
     """
     remainder = 1 - run["bend_1"] / run["bend_1"][-1]
     total = float(np.trapezoid(remainder, run.time))
@@ -161,8 +163,9 @@ def _time_constants(run: Trajectory) -> tuple[float, float]:
 def learning_law_error(run: Trajectory) -> float:
     """Return the maximum difference between the duty cycles and Eq. 32 with k = 0.3.
 
-    The equation computes a chamber's duty cycle from the error and the duty cycle in
-    the previous period, limited to values from 0 to 1.
+    Eq. 32 computes the duty cycle of a chamber from the error and the duty cycle in the
+    previous period, and limits the result to values from 0 to 1. Duty cycles of 1 are
+    ignored.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     expected = np.clip(periods.duty[:-1] + 0.3 * periods.error[:-1], 0, 1)
@@ -171,35 +174,35 @@ def learning_law_error(run: Trajectory) -> float:
 
 
 def free_periods(run: Trajectory) -> float:
-    """Return the number of periods at full duty cycle before the first target."""
+    """Return the number of periods before the first reduction of a duty cycle."""
     periods = PeriodAmplitudes.from_trajectory(run)
     full = (periods.duty == 1).all(axis=(1, 2))
     return float(np.argmin(full) if not full.all() else len(full))
 
 
 def target_left(run: Trajectory) -> float:
-    """Return the final target of the + chambers, rad."""
+    """Return the mean final target amplitude of the + chambers, rad."""
     return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 0]))
 
 
 def target_right(run: Trajectory) -> float:
-    """Return the final target of the − chambers, rad."""
+    """Return the mean final target amplitude of the − chambers, rad."""
     return float(np.nanmean(PeriodAmplitudes.from_trajectory(run).target[-1, :, 1]))
 
 
 def smallest_amplitude(run: Trajectory) -> float:
-    """Return the ratio of target to minimum amplitude in the third period.
+    """Return the mean final target divided by the minimum amplitude in period 3.
 
-    Section 5.1 of the dissertation records the amplitudes in the third period.
+    In Section 5.1 of the dissertation, the amplitudes are recorded in the third period.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     return float(np.nanmean(periods.target[-1]) / periods.amplitude[2].min())
 
 
 def saturated_after(run: Trajectory) -> float:
-    """Return the number of periods in which a chamber exceeds its target by over 5 %.
+    """Return the number of periods with an amplitude more than 5 % above its target.
 
-    Periods are counted from the first update of the duty cycles.
+    The count begins with the first period in which a duty cycle is below 1.
     """
     periods = PeriodAmplitudes.from_trajectory(run)
     begin = int(free_periods(run))

@@ -1,4 +1,4 @@
-"""Verdicts on claims, reasons for failed claims, and comparison with the baseline."""
+"""Verdicts on claims, reasons for missed claims, and comparison with a baseline."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ EXPLAINED: Final = "explained"
 MISSED: Final = "missed"
 
 _NOTHING = 1e-12
-"""Magnitude below which a number is treated as zero in a division."""
+"""Absolute value below which a denominator counts as zero."""
 
 
 def _json(value: float, info: SerializationInfo) -> float | None:
@@ -42,7 +42,7 @@ Number = Annotated[
     BeforeValidator(lambda value: math.nan if value is None else value),
     PlainSerializer(_json),
 ]
-"""Number that JSON files contain as null if it is not finite."""
+"""Number that is written to JSON files as null if it is not finite."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class ClaimOutcome:
     Attributes:
         verdict: "met", "missed", or "explained" if the reason for a miss is
             demonstrated.
-        values: values of the measures, in the unit of the claim. A missing value is
-            NaN.
-        value: number that is compared with the published value, or NaN for an ordering
-            or if a measure is missing.
-        error: (value − published)/|published|, or NaN.
-        why: reason for a miss or for a missing value, or an empty string if the reason
-            is unknown.
+        values: values of the measures in the unit of the claim, or NaN for missing
+            values.
+        value: number that is compared with the published value. The number is NaN for
+            an ordering or if a measure is missing.
+        error: relative error (value − published)/|published|, or NaN if it is
+            undefined.
+        why: known reason for a miss or a missing value, or an empty string.
     """
 
     verdict: Literal["met", "explained", "missed"]
@@ -70,7 +70,7 @@ class ClaimOutcome:
 
 @dataclass(frozen=True)
 class JudgedClaim:
-    """Claim with its outcomes."""
+    """Claim with its outcomes, keyed by column of results."""
 
     claim: Claim
     outcomes: Mapping[str, ClaimOutcome] = field(default_factory=dict)
@@ -132,12 +132,12 @@ def _missing_reason(store: RunStore, claim: Claim) -> str:
 
 
 def combine(combination: str, values: tuple[float, ...]) -> float:
-    """Combine one or two measured values. A division by zero gives NaN.
+    """Combine one or two measured values, or return NaN for a division by zero.
 
     Args:
         combination: "value", "ratio" a/b, "excess" a/b − 1, "difference" a − b, or
             "unevenness" |a + b|/|a|.
-        values: measured values.
+        values: measured values a and b, or a single value.
     """
     a = values[0]
     b = values[-1]
@@ -160,7 +160,7 @@ def _ratio(numerator: float, denominator: float) -> float:
 
 
 def aggregate(name: str | None, values: np.ndarray) -> float:
-    """Return the maximum, minimum, relative range ("spread") or mean of values."""
+    """Return the maximum ("most"), minimum ("least"), range/mean ("spread") or mean."""
     if name == "most":
         return float(values.max())
     if name == "least":
@@ -171,20 +171,19 @@ def aggregate(name: str | None, values: np.ndarray) -> float:
 
 
 _OUTCOMES = TypeAdapter(Mapping[str, Mapping[str, ClaimOutcome]])
-"""Outcomes, keyed by claim and column."""
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """Stored outcomes to which later reproductions are compared."""
+    """Stored outcomes with which later reproductions are compared."""
 
     outcomes: Mapping[str, Mapping[str, ClaimOutcome]]
 
     def changes(self, rows: Sequence[JudgedClaim]) -> list[str]:
-        """Return one line for each changed verdict, including improved verdicts.
+        """Return one line for each verdict that differs from the baseline.
 
-        An improved verdict may be due to a larger tolerance. Claims that the baseline
-        does not contain are ignored.
+        Improved verdicts are included, because an improvement may be due to a larger
+        tolerance. Claims that the baseline does not contain are ignored.
         """
         lines = []
         for row in rows:
@@ -198,7 +197,7 @@ class Baseline:
 
 
 def baseline_file() -> Path:
-    """Return the shipped baseline file."""
+    """Return the path of the shipped baseline file."""
     return data_root() / "calibration/published/baseline.json"
 
 
@@ -220,7 +219,7 @@ def load_baseline(path: Path | None = None) -> Baseline:
 
 
 def write_baseline(rows: Sequence[JudgedClaim], path: Path | None = None) -> Path:
-    """Write outcomes as the new baseline atomically, and return the path.
+    """Write the new baseline to a file atomically, and return the path.
 
     Raises:
         InputError: the file cannot be written.
@@ -251,8 +250,8 @@ def judge(
 ) -> tuple[JudgedClaim, ...]:
     """Run and judge claims, and find the reasons for missed claims.
 
-    If a claim is missed for a reason that a changed assumption can demonstrate, the
-    claim is run again with this change.
+    If a missed claim has a cause with a changed assumption, the claim is judged again
+    with this change.
 
     Raises:
         InputError: a scenario or sweep is invalid, or a result cannot be stored.

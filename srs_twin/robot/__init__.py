@@ -1,1 +1,1 @@
-"""Robot parameters, and robot files in which every number has a source."""
+"""Robot parameters, and robot files that store them with units and sources."""

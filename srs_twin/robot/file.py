@@ -1,8 +1,7 @@
-"""Robot files, which contain the parameters of a snake with units, status and sources.
+"""Robot files, which store robot parameters with their units, status and sources.
 
-A robot is specified by name, by the path of a robot file, or by overriding parameters
-of another robot. The published robots are stored in `calibration/robots`. The module
-`sections` defines the sections of a robot file.
+A robot is selected by its name or by the path of its file, or defined as a modification
+of another robot. The shipped robot files are in `calibration/robots`.
 """
 
 from __future__ import annotations
@@ -59,36 +58,36 @@ from srs_twin.robot.spec import (
 )
 
 _SUSPICIOUS_RATIO = 300.0
-"""Ratio of an override to the overridden number above which the override is probably
-written in a wrong unit, such as mm or Pa."""
+"""Factor between an overriding and an overridden number above which a wrong unit is
+suspected."""
 
 PA_PER_KPA = 1000.0
 M3_PER_ML = 1e-6
 
 
 SERVO_PRESSURE_KPA = 100.0
-"""Pressure that represents the full command of a servo, kPa. Servos need such a
-pressure because all robots are commanded by valve states."""
-
-_SERVO_VOLUME_M3 = 1e-12
-"""Volume of a servo's fictitious chambers, m³, so small that they consume hardly any
-air."""
-
-_ROUND_TRACK = 1e-3
-"""Half the distance between paired contact points of a round body, divided by the body
-width. The ratio is small because a round body touches the floor almost below its axis.
+"""Fictitious chamber pressure at which a servo reaches its maximum angle, kPa. Servos
+need this pressure because they are commanded by valve states, like pneumatic actuators.
 """
 
+_SERVO_VOLUME_M3 = 1e-12
+"""Volume of the fictitious chambers of a servo, m³. It is so small that the air
+consumption is negligible."""
+
+_ROUND_TRACK = 1e-3
+"""Ratio of half the track width to the body width of a round body. The ratio is small
+because a round body touches the floor almost directly below its axis."""
+
 _ROUNDNESS = 0.01
-"""Maximum relative difference between width and height of a round cross-section."""
+"""Maximum relative difference between the width and height of a round cross-section."""
 
 _TWIST_RATIO = 2 / 3
-"""Ratio GJ/EI of a solid, incompressible, round cross-section, for which J = 2 I and
-G = E/3."""
+"""Ratio GJ/EI of torsional to bending stiffness for a solid, incompressible rod with a
+round cross-section, where J = 2 I and G = E/3."""
 
 _RIGID_RATIO = 1000.0
-"""Stiffness of a servo joint, divided by weight times body length. Floor loads bend such
-a joint by less than 1 mrad."""
+"""Stiffness of a servo joint, divided by the product of robot weight and body length.
+With this stiffness, floor loads bend the joint by less than 1 mrad."""
 
 
 _KEY_OF: dict[str, tuple[str, ...]] = {
@@ -100,12 +99,10 @@ _KEY_OF: dict[str, tuple[str, ...]] = {
     "wheel": ("mass", "wheel_kg"),
     "com": ("tail", "com_m"),
 }
-"""Path in a robot file of each parameter named by a violation (see `rules`)."""
+"""Path of each parameter in a robot file, keyed by its name in a `Violation`."""
 
 
 class _Body(NamedTuple):
-    """Parameters of a `RobotSpec` that depend on the kind of contact."""
-
     geometry: Geometry
     mass: Mass
     friction: Friction
@@ -113,8 +110,6 @@ class _Body(NamedTuple):
 
 
 class _Drive(NamedTuple):
-    """Parameters of a `RobotSpec` that depend on the kind of actuator."""
-
     bending: Bending
     actuator: Actuator
     chamber: Chamber
@@ -122,35 +117,37 @@ class _Drive(NamedTuple):
 
 
 class RobotFile(StrictModel):
-    """Parameters of one robot as stored in a file."""
+    """Parameters of one robot, as stored in a robot file."""
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", min_length=1, max_length=40)
-    """Short name."""
+    """Short name of the robot."""
     title: str = Field(min_length=1, max_length=200)
-    """Description on one line."""
+    """One-line description of the robot."""
     geometry: GeometryFile
     mass: MassFile
     friction: FrictionFile = FrictionFile()
-    """Friction of the wheels on the floor, and axial drag."""
+    """Wheel friction coefficients and axial drag."""
     contact: ContactFile | None = None
     """Kind of contact with the floor (default: wheels)."""
     bending: BendingFile
     actuator: ActuatorFile
     chamber: ChamberFile | None = None
-    """Air volume of one chamber; only for the actuator kind pressure."""
+    """Air volume of one chamber, required for pneumatic actuators and not allowed for
+    servos."""
     supply: SupplySection | None = None
-    """Supply pressures (gauge) and limits; only for the actuator kind pressure."""
+    """Supply pressure and pressure limits (gauge), required for pneumatic actuators and
+    not allowed for servos."""
     gait: GaitSection
     modules: ModulesFile | None = None
-    """Individual properties of the modules (default: identical nominal modules)."""
+    """Properties of the individual modules (default: identical nominal modules)."""
     tail: TailFile | None = None
-    """Tail assembly of the last connector (default: none)."""
+    """Tail assembly attached to the last connector (default: none)."""
     correlated: Annotated[list[CorrelationFile], Field(max_length=500)] | None = None
     """Correlations between uncertain numbers, for example from a fit (default: none).
     """
 
     def records(self) -> dict[str, Record[Any, Any]]:
-        """Return all records keyed by path, e.g. ``"bending.stiffness_nm_per_rad"``."""
+        """Return all records, keyed by paths such as "bending.stiffness_nm_per_rad"."""
         return {
             f"{name}.{key}": record
             for name, section in self
@@ -161,16 +158,17 @@ class RobotFile(StrictModel):
 
     @property
     def scale(self) -> Scale:
-        """Units of the numerical settings."""
+        """Units of the numerical settings, which depend on the robot's size."""
         return Scale.of_pitch(
             self.geometry.segment_length_m.value + self.geometry.rigid_gap_m.value
         )
 
     def spec(self, seed: int = 0) -> RobotSpec:
-        """Return the robot in SI units.
+        """Return the robot parameters in SI units.
 
-        If the section `modules` contains no seed, `seed` is the random seed of the
-        differences between modules.
+        Args:
+            seed: random seed of the differences between modules, unless the section
+                `modules` contains a seed.
         """
         drive = self._servos() if self.has_servos else self._air()
         body = self._body_with_skin() if self.has_skin else self._body_on_wheels()
@@ -203,7 +201,7 @@ class RobotFile(StrictModel):
         # A spatial robot has a round cross-section and touches the floor along a line.
         fraction = 1 / _ROUND_TRACK if self.is_spatial else 2 * math.sqrt(3)
         geometry["half_track"] = geometry["width"] / fraction
-        # The twin touches the floor with spheres around the body's centre line.
+        # The twin models the skin by spheres at the height of the body's centre line.
         geometry["wheel_radius"] = geometry["com_height"]
         return _Body(
             Geometry(**geometry),
@@ -251,9 +249,9 @@ class RobotFile(StrictModel):
     def _servos(self) -> _Drive:
         """Return the actuator parameters of a robot with servo joints.
 
-        Two equal time constants yield a critically damped response. The stiffness k is
-        so high that loads hardly bend the joints. With the damping k τ, the twin's
-        joints have the same critically damped response.
+        The equal time constants yield a critically damped response. The stiffness k is
+        so high that loads hardly bend the joints. The damping k τ gives the joints of
+        the twin the same response.
         """
         time = self.actuator.response_time_s
         assert time is not None, "`contradictions` reports a missing key"
@@ -281,7 +279,7 @@ class RobotFile(StrictModel):
 
     @property
     def is_spatial(self) -> bool:
-        """Whether the segments bend in two directions."""
+        """Whether the segments bend vertically as well as horizontally."""
         return self.chamber is not None and self.chamber.directions_deg is not None
 
     @property
@@ -291,7 +289,11 @@ class RobotFile(StrictModel):
         return len(self.chamber.directions_deg.value)
 
     def masses(self) -> list[float]:
-        """Return connector masses, or segment masses with skin, head first, kg."""
+        """Return the connector or segment masses, head first, kg.
+
+        A robot on wheels has connector masses, and a robot with skin has segment
+        masses.
+        """
         connectors = self.geometry.connectors.value
         if self.has_skin:
             record = self.mass.segments_kg
@@ -306,7 +308,7 @@ class RobotFile(StrictModel):
 
     @property
     def has_servos(self) -> bool:
-        """Whether servos instead of air pressure turn the joints."""
+        """Whether the joints are driven by servos instead of air pressure."""
         return self.actuator.kind == "position"
 
     def _contradictions_of_kinds(self) -> Iterator[tuple[Loc, str]]:
@@ -337,14 +339,14 @@ class RobotFile(StrictModel):
             yield _KEY_OF[violation.parameter], violation.reason
 
     def doubts(self) -> Iterator[Doubt]:
-        """Yield numbers that are probably written in a wrong unit."""
+        """Yield the numbers that are probably given in a wrong unit."""
         return find_doubts(
             {path: record.value for path, record in self.records().items()},
             self.masses(),
         )
 
     def contradictions(self) -> Iterator[tuple[Loc, str]]:
-        """Yield the path and message of each number that contradicts another number."""
+        """Yield the path and a message for each inconsistency in the file."""
         missing = list(self._contradictions_of_kinds())
         yield from missing
         if missing:
@@ -380,7 +382,6 @@ class RobotFile(StrictModel):
             yield from direction_violations(self.chamber.directions_deg.value)
 
     def _contradictions_of_delay(self) -> Iterator[tuple[Loc, str]]:
-        """Yield the damping time if it is too long for `lead: false`."""
         if self.bending.lead is not False:
             return
         numbers = self.bending.to_si() | self.actuator.to_si()
@@ -458,7 +459,7 @@ def _prior_violations(
 
 
 _PLAIN_KEYS = ("seed", "kind", "law", "lead")
-"""Keys whose values are plain, without unit and source."""
+"""Keys whose values have neither a unit nor a source."""
 
 
 def _section_model(name: str) -> type[Records] | None:
@@ -478,13 +479,13 @@ def section_units(section: str) -> dict[str, str]:
 
 
 def load_robot_file(name_or_path: StrPath) -> RobotFile:
-    """Load and validate a robot file.
+    """Load and validate a robot file, given by its name or path.
 
-    A `UnitWarning` is issued for each number that is probably in a wrong unit.
+    A `UnitWarning` is issued for each number that is probably given in a wrong unit.
 
     Raises:
         InputError: the file was not found or cannot be read.
-        InputFileError: the file is not valid. The message lists all problems.
+        InputFileError: the file is invalid. The message lists all problems.
     """
     file, doubts = _read_robot_file(name_or_path)
     for doubt in doubts:
@@ -506,7 +507,6 @@ def _read_robot_file(name_or_path: StrPath) -> tuple[RobotFile, list[str]]:
 
 
 def _check_kind(document: Document) -> None:
-    """Report a scenario or a robot override with a single message."""
     if not isinstance(document.data, Mapping):
         return
     if {"robot", "controller"} <= document.data.keys():
@@ -527,13 +527,13 @@ def _check_kind(document: Document) -> None:
 
 @checked
 def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
-    """Load a shipped robot by name (gen1 to gen4, gen4_module) or a robot file by path.
+    """Load a shipped robot by its name, such as gen2, or a robot file by its path.
 
     A `RobotSpec` is returned unchanged.
 
     Raises:
-        InputError: the file was not found or cannot be read. If the contents are
-            invalid, the error is an `InputFileError`.
+        InputError: the file was not found, cannot be read, or is invalid
+            (`InputFileError`).
     """
     if isinstance(robot, RobotSpec):
         return robot
@@ -543,18 +543,18 @@ def load_robot(robot: StrPath | RobotSpec) -> RobotSpec:
 def resolve_robot(
     document: Document, robot: object, *, prefix: Loc
 ) -> RobotFile | None:
-    """Return the robot of a scenario, or None if the scenario has problems.
+    """Return the robot of a scenario, or None if the robot is invalid.
 
-    Problems and implausible numbers are reported to the document.
+    Problems, and warnings about implausible numbers, are added to the document.
 
     Args:
         document: parsed scenario file.
-        robot: name or path of a robot, or a mapping. A mapping with the key `base`
-            overrides another robot. Any other mapping contains all parameters.
-        prefix: path of `robot` in the document.
+        robot: name of a robot, path of a robot file, or mapping. A mapping with the key
+            `base` modifies another robot. Any other mapping contains all parameters.
+        prefix: key path of the robot in the document.
 
     Raises:
-        InputFileError: the robot file itself is invalid.
+        InputFileError: the robot file named in the scenario is invalid.
     """
     if isinstance(robot, Mapping):
         base = robot.get("base")
@@ -596,10 +596,10 @@ def resolve_robot(
 
 
 def robot_in(document: Document, *loc: str) -> RobotFile:
-    """Return the robot stored at a path in a document.
+    """Return the robot stored under a key path in a document.
 
     Raises:
-        InputFileError: the robot is invalid.
+        InputFileError: the robot is invalid, or the document has other problems.
     """
     robot = resolve_robot(document, document.get(*loc), prefix=loc)
     document.raise_problems()
@@ -616,14 +616,14 @@ def _add_warnings(document: Document, prefix: Loc, mistakes: Mapping[str, str]) 
 def find_unit_mistakes(
     robot: RobotFile, base: RobotFile | None = None, override: Mapping[str, Any] = {}
 ) -> dict[str, str]:
-    """Return why each implausible number is doubtful and the likely unit, keyed by path.
+    """Return a message for each number with a doubtful unit, keyed by path.
 
     Args:
         robot: robot to check.
-        base: robot that was overridden. Numbers that are implausible in this robot too
-            are left out.
-        override: overriding entries. An entry is implausible if it differs from the
-            overridden number by a factor of more than 300.
+        base: robot that the override modifies. Numbers that are already implausible in
+            this robot are not reported.
+        override: entries that replace numbers of the base robot. An entry is reported
+            if it differs from the replaced number by a factor of more than 300.
     """
     known = {doubt.path for doubt in base.doubts()} if base else ()
     mistakes = {
@@ -651,9 +651,9 @@ def find_unit_mistakes(
 def _merge_override(
     base: Mapping[str, Any], override: Mapping[str, Any], source: Callable[[Loc], str]
 ) -> dict[str, Any]:
-    """Merge the entries of an override into the data of a base robot.
+    """Merge an override into the data of its base robot.
 
-    `source` returns the source text for a plain number at a given path.
+    A number without a source gets the text `source(path)` as its source.
     """
     merged = dict(base)
     if (

@@ -1,24 +1,28 @@
-"""Floor friction laws of a connector: forces and force derivatives.
+"""Friction laws for the contact between a connector and the floor.
 
-The arguments of a friction law are the contact velocity along (t) and across (n) the
-heading, the wheel load N and two friction coefficients. Each law returns ``(f_t, f_n,
+Each law takes the contact velocity along (t) and across (n) the heading, the wheel load
+N, the friction coefficients μ_t and μ_n, and a slip speed ε. It returns ``(f_t, f_n,
 df_t/dv_t, df_t/dv_n, df_n/dv_t, df_n/dv_n)``, because the implicit integrator needs the
-derivatives. The sign function sgn v is regularised to v/√(v² + ε²) with a slip speed ε.
-All functions are elementwise, accept arrays of any shape and compile in numba kernels.
+force derivatives. With the slip speed ε, the laws replace sgn v by v/√(v² + ε²), and
+|v| in a denominator by √(|v|² + ε²). All functions are elementwise, accept arrays of
+any shape and compile in numba kernels.
 
 - `axis`: independent Coulomb friction along and across the heading, f = −N (μ_t sgn
-  v_t, μ_n sgn v_n). The dissertation uses this law with one contact point.
-- `wheel`: rolling wheel on a floor with friction coefficient μ_n. The axial force
-  f_t = −N min(μ_t, μ_n |v_t|/|v|) sgn v_t is limited by the axle drag μ_t and by the
-  friction cone. The rest of the friction cone acts across the heading.
+  v_t, μ_n sgn v_n). The dissertation uses this law with one contact point per
+  connector.
+- `wheel`: rolling wheel on a floor with a friction coefficient μ_n. The axial force f_t
+  = −N min(μ_t, μ_n |v_t|/|v|) sgn v_t, with the exact sign of v_t, is limited by the
+  axle drag μ_t and by the friction cone. The lateral force is limited by the rest of
+  the friction cone.
 - `ellipse`: sliding skid with maximum dissipation. The force lies in the ellipse
-  (f_t/μ_t)² + (f_n/μ_n)² ≤ N² and maximises the dissipated power: f = −N
-  (μ_t² v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). To regularise the force, μ² ε² with the
-  larger of the two coefficients is added under the root.
-- `cosine`: sliding skin after Hu and Shelley (2012). Each component of the force is
-  proportional to the direction cosine of the slip, f = −N (μ_t v_t, μ_n v_n)/√(v_t² +
-  v_n²). The force has no potential, because df_t/dv_n ≠ df_n/dv_t. The force lies on the
-  ellipse of the law `ellipse`, but has a different direction.
+  (f_t/μ_t)² + (f_n/μ_n)² ≤ N² and maximises the dissipated power, so that f = −N (μ_t²
+  v_t, μ_n² v_n)/√(μ_t² v_t² + μ_n² v_n²). For regularisation, the term max(μ_t, μ_n)²
+  ε² is added under the root.
+- `cosine`: sliding skin according to Hu and Shelley (2012). Each force component is
+  proportional to the direction cosine of the slip velocity, f = −N (μ_t v_t, μ_n
+  v_n)/√(v_t² + v_n²). The force has no potential, because df_t/dv_n ≠ df_n/dv_t. It
+  lies on the same ellipse as the force of the law `ellipse`, but has a different
+  direction.
 - `viscous`: linear drag f = −N (μ_t v_t, μ_n v_n)/v₁ with v₁ = 1 m/s, intended for
   tests.
 """
@@ -34,19 +38,21 @@ FRICTION_LAWS: tuple[FrictionLaw, ...] = get_args(FrictionLaw)
 """Names of the friction laws and of the functions that implement them."""
 
 TWO_POINT_LAWS = ("wheel", "ellipse", "cosine")
-"""Laws with two contact points per connector, at ± half the track. The other laws have
-one contact point at the centre."""
+"""Friction laws with two contact points per connector, half the track width to the left
+and right of the centre line. The other laws use one contact point on the centre line.
+"""
 
 SkinLaw = Literal["ellipse", "cosine"]
 SKIN_LAWS: tuple[SkinLaw, ...] = get_args(SkinLaw)
-"""Friction laws of a skin, for which μ_t differs between forward and backward slip."""
+"""Friction laws for skins, whose μ_t may differ between forward and backward slip."""
 
 _MIN_COEFFICIENT = 1e-12
-"""Lower bound on μ under the root of `ellipse`, which avoids 0/0 without friction."""
+"""Lower bound on μ under the root of `ellipse`, which avoids 0/0 on a frictionless
+floor."""
 
 
 def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `axis` law.
+    """Return the force (N) and its derivatives (N·s/m) under the `axis` law.
 
     Args:
         v_t, v_lat: contact velocity along and across the heading, m/s.
@@ -56,7 +62,7 @@ def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def] 
     """
     r_t = 1 / np.sqrt(v_t * v_t + slip * slip)
     r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
-    # The drag coefficients k_t and k_lat are the forces divided by the velocities, N·s/m.
+    # The coefficients k_t and k_lat are ratios of force to velocity, N·s/m.
     k_t = load * mu_t * r_t
     k_lat = load * mu_lat * r_lat
     zero = 0.0 * v_t
@@ -71,20 +77,19 @@ def axis(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def] 
 
 
 def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `wheel` law."""
-    # a_t and a_lat are the direction cosines of the slip. The speed in their
-    # denominator is regularised and equals 1/r.
+    """Return the force (N) and its derivatives (N·s/m) under the `wheel` law."""
+    # a_t and a_lat are the direction cosines of the slip velocity. The regularised slip
+    # speed is 1/r.
     r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
     r_lat = 1 / np.sqrt(v_lat * v_lat + slip * slip)
     a_t = v_t * r
     a_lat = v_lat * r
     slide_t = mu_lat * a_t  # Axial friction coefficient of a locked wheel.
-    # A rolling wheel uses the part μ_t of the friction cone along the heading, so that
-    # √(μ_n² − μ_t²) remains across the heading.
+    # The axle drag of a rolling wheel uses the part μ_t of the friction cone, which
+    # leaves √(μ_n² − μ_t²) across the heading.
     rest = np.sqrt(np.maximum(mu_lat * mu_lat - mu_t * mu_t, 0.0))
-    # A rolling wheel has the full axle drag along the heading, whereas a skidding wheel
-    # has an isotropic friction cone. Unlike np.where, arithmetic also compiles for
-    # scalars.
+    # A skidding wheel has isotropic friction. Unlike np.where, the arithmetic selection
+    # with `roll` and `skid` also compiles for scalars.
     roll = 1.0 * (np.abs(slide_t) > mu_t)
     skid = 1.0 - roll
     iso = skid * load * mu_lat * r
@@ -100,7 +105,7 @@ def wheel(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]
 
 
 def viscous(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `viscous` law."""
+    """Return the force (N) and its derivatives (N·s/m) under the `viscous` law."""
     zero = 0.0 * v_t
     k_t = load * mu_t
     k_lat = load * mu_lat
@@ -108,8 +113,7 @@ def viscous(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-de
 
 
 def ellipse(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `ellipse` law."""
-    # The weights μ² and the common root 1/r define the direction of the force.
+    """Return the force (N) and its derivatives (N·s/m) under the `ellipse` law."""
     w_t = mu_t * mu_t
     w_lat = mu_lat * mu_lat
     smooth = slip * np.maximum(np.maximum(mu_t, mu_lat), _MIN_COEFFICIENT)
@@ -128,7 +132,7 @@ def ellipse(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-de
 
 
 def cosine(v_t, v_lat, load, mu_t, mu_lat, slip):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return force (N) and derivatives (N·s/m) of the `cosine` law."""
+    """Return the force (N) and its derivatives (N·s/m) under the `cosine` law."""
     r = 1 / np.sqrt(v_t * v_t + v_lat * v_lat + slip * slip)
     a_t = v_t * r
     a_lat = v_lat * r

@@ -1,16 +1,17 @@
-r"""Constant-curvature geometry of a segment and of the body.
+r"""Constant-curvature geometry of a segment and of the whole body.
 
-A segment of length l and bend q is an arc, whose chord is parallel to the mean heading
-of the two ends. The rigid gap L_o adds a straight piece of length L_o/2 at each end and
-does not change the direction of the chord. The distance between the connectors is
+A segment of length l and bend q is a circular arc, whose chord is parallel to the mean
+of the two end headings. The rigid gap L_o adds a straight piece of length L_o/2 at each
+end and does not change the direction of the chord. The distance between the connectors
+at both ends of a segment is
 
 $$ L(q) = l\,\frac{\sin(q/2)}{q/2} + L_o \cos(q/2). $$
 
-Connectors are numbered from the head, and a bend q_j = θ_j − θ_{j+1} > 0 turns the head
-end to the left. The bend is defined by Eqs. 2 and 3 with the signs of E9 and E20, the
-chord by Eq. 7. All functions are elementwise and accept arrays with any leading axes.
-The functions `pair_heading`, `measured_bend` and `arc_between` implement Algorithms 1
-and 2 of Section 3.4.1, which compute curvature and shape from markers.
+Connectors are numbered from the head. A positive bend q_j = θ_j − θ_{j+1} turns the
+head end to the left. Eqs. 2 and 3 define the bend, with the corrections E9 and E20, and
+Eq. 7 defines the chord. All functions accept arrays with any leading axes. The
+functions `pair_heading`, `measured_bend` and `arc_between` implement Algorithms 1 and 2
+of Section 3.4.1, which compute curvature and shape from marker positions.
 """
 
 from __future__ import annotations
@@ -27,20 +28,21 @@ Number = TypeVar("Number", float, Array)
 def half_angle_terms(bend: Number) -> tuple[Number, ...]:
     r"""Return cos x, sin x, A = sin x/x, dA/dq and d²A/dq² for x = q/2.
 
-    All terms are smooth at q = 0. The function uses the even functions a = (1 − A)/x²
-    and b = (1 − cos x)/x², which have no pole at x = 0 and satisfy
+    The terms are computed from the even functions a = (1 − A)/x² and b = (1 − cos
+    x)/x², which are smooth at x = 0 and satisfy
 
     $$ a(2x) = \tfrac14\,(a + A b), \qquad b(2x) = \tfrac12\,A^2, \qquad
        \tfrac{dA}{dx} = x\,(a - b), \qquad \tfrac{d^2A}{dx^2} = -A - 2\,(a - b). $$
 
-    The series of a and b are evaluated at x/4, and the argument is doubled twice, which
-    is faster than computing sine, cosine and quotients. The result is exact up to
-    rounding for |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
+    The power series of a and b are evaluated at x/4, and the argument is then doubled
+    twice, which is faster than computing sine, cosine and quotients. The results are
+    exact up to rounding for |q| ≤ 2π, and to 1e-11 for |q| ≤ 4π.
 
-    The bend q (rad) may be an array of any shape, or a scalar in compiled code.
+    Args:
+        bend: bend q as an array of any shape, or as a scalar in compiled code, rad.
     """
     x = bend / 2
-    # The truncated series in p = (x/4)² are exact up to rounding for |x/4| ≤ π/4.
+    # For |x/4| ≤ π/4, the truncated series in p = (x/4)² are exact up to rounding.
     p = x * x / 16
     a = (
         1
@@ -54,7 +56,7 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
         / 12
         * (1 - p / 30 * (1 - p / 56 * (1 - p / 90 * (1 - p / 132 * (1 - p / 182)))))
     ) / 2
-    # `arc` is A. Doubling the argument twice leads from x/4 to x.
+    # `arc` is A, first at x/4, then at x/2 and finally at x.
     arc = 1 - p * a
     a = (a + arc * b) / 4
     b = arc * arc / 2
@@ -69,10 +71,10 @@ def half_angle_terms(bend: Number) -> tuple[Number, ...]:
 def chord_from_half_angle(
     terms: tuple[Number, ...], length: float, gap: float
 ) -> tuple[Number, Number, Number]:
-    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) from `half_angle_terms`.
+    """Return L (m), dL/dq (m/rad) and d²L/dq² (m/rad²) from half-angle terms.
 
     Args:
-        terms: cos x, sin x, A, dA/dq and d²A/dq² as returned by `half_angle_terms`.
+        terms: result of `half_angle_terms`.
         length: segment length l, m.
         gap: rigid gap L_o, m.
     """
@@ -98,14 +100,18 @@ def chord_derivatives(
 
 
 def chord(bend: Array, length: float, gap: float) -> Array:
-    """Return the distance between the connectors of a segment, m."""
+    """Return the distance between the connectors at both ends of a segment, m."""
     return chord_derivatives(bend, length, gap)[0]
 
 
 def relative_headings(bend: Array) -> Array:
-    """Compute the connector headings relative to the mean heading, rad.
+    """Return the connector headings relative to the mean heading.
 
-    `bend` (rad) has shape (…, N − 1), and the result has shape (…, N).
+    Args:
+        bend: bends q, shape (…, N − 1), rad.
+
+    Returns:
+        Relative headings, shape (…, N), rad.
     """
     from_head = np.concatenate(
         [np.zeros_like(bend[..., :1]), -np.cumsum(bend, axis=-1)], axis=-1
@@ -115,7 +121,7 @@ def relative_headings(bend: Array) -> Array:
 
 
 def body_shape(bend: Array, mass: Array, length: float, gap: float) -> Array:
-    """Return connector positions relative to the centre of mass at zero mean heading.
+    """Return connector positions relative to the centre of mass, for zero mean heading.
 
     Args:
         bend: bends q, shape (…, N − 1), rad.
@@ -140,7 +146,9 @@ def body_shape(bend: Array, mass: Array, length: float, gap: float) -> Array:
 
 
 def pair_heading(rear: Array, front: Array) -> Array:
-    """Return the direction between two markers, rad (Algorithm 1 with atan2, E10).
+    """Return the direction from a rear to a front marker, rad.
+
+    The function implements Algorithm 1 with atan2 (E10).
 
     Args:
         rear: position of the rear marker, shape (…, 2), m.
@@ -151,9 +159,7 @@ def pair_heading(rear: Array, front: Array) -> Array:
 
 
 def measured_bend(front: Array, rear: Array) -> Array:
-    """Return the bends q = θ_A − θ_B, wrapped to [−π, π) (Algorithm 1, E9).
-
-    The curvature κ is the bend divided by the segment length l.
+    """Return the bends q = θ_A − θ_B, wrapped to [−π, π), rad (Algorithm 1, E9).
 
     Args:
         front: heading θ_A of the front end of the segment, rad.
@@ -163,17 +169,17 @@ def measured_bend(front: Array, rear: Array) -> Array:
 
 
 def arc_between(front: Array, rear: Array, curvature: Array, points: int = 21) -> Array:
-    r"""Return points on an arc between two ends (Algorithm 2 with E10 and E23).
+    r"""Return points on the arc of a segment (Algorithm 2 with E10 and E23).
 
-    With the distance d between the ends and the direction α from the rear to the front
-    end, the points on the arc are
+    For a distance d between the ends and a direction α from the rear to the front end,
+    the points on the arc with 0 ≤ s ≤ 1 are
 
     $$ \sin\beta = \kappa d / 2, \qquad
        P(s) = P_A - d\,s\,\frac{\operatorname{sinc} \beta s}{\operatorname{sinc}
-       \beta}\, (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s), $$
+       \beta}\, (\cos\gamma, \sin\gamma), \qquad \gamma = \alpha + \beta\,(1 - s). $$
 
-    These equations need no arc centre and no special case for κ = 0. Due to noise,
-    |κ d / 2| may exceed 1, which is impossible for an arc. The function then returns a
+    These equations need neither the centre of the arc nor a special case for κ = 0. If
+    noise makes |κ d / 2| greater than 1, no such arc exists, and the function returns a
     half circle with β = ±π/2.
 
     Args:

@@ -1,10 +1,11 @@
-"""Detection of robot parameters that are probably written in a wrong unit.
+"""Detection of robot parameters that are probably given in a wrong unit.
 
-The lengths of a robot are compared with each other, and so are times, pressures and
-stiffnesses. A robot that is scaled as a whole therefore remains plausible. Each number
-yields an estimate of the robot's size, after division by a typical ratio. The median of
-the estimates is robust against a single mistake. A number is implausible if the ratio
-of the estimate to the median exceeds `above` or is less than 1/`below`.
+All numbers of one physical quantity, such as all lengths, are compared with each other.
+A robot that is scaled as a whole therefore remains plausible. Each number is divided by
+a typical ratio, which yields an estimate of the robot's size. The median of these
+estimates is robust against a single mistake. A number is implausible if the ratio of
+its size estimate to the median exceeds `_Quantity.above` or is less than
+1/`_Quantity.below`.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 
 from srs_twin.robot.spec import GRAVITY
 
-# Units that users may confuse with the unit of a key, with conversion factors.
+# Conversion factors from units that users may confuse with the unit of a key.
 _OTHER_UNITS = {
     "m": {"cm": 0.01, "mm": 0.001, "": 0.1},
     "kg": {"g": 0.001},
@@ -28,11 +29,11 @@ _OTHER_UNITS = {
 
 
 class _Quantity(NamedTuple):
-    """Parameters of one physical quantity.
+    """Robot parameters of one physical quantity, with plausibility limits.
 
     Attributes:
         name: plural name of the quantity, used in messages.
-        unit: unit in which the robot file states the quantity.
+        unit: unit of the quantity in robot files.
         below: maximum plausible ratio of the median size to a size estimate.
         above: maximum plausible ratio of a size estimate to the median size.
         usual: typical ratio of each parameter to the robot's size, keyed by path.
@@ -87,18 +88,18 @@ _QUANTITIES = (
 )
 
 _CERTAIN = 100.0
-"""Factor outside the plausible range above which a number is certainly wrong."""
+"""Minimum factor by which a certainly wrong number exceeds the plausible range."""
 
 _DENSITY = 500.0
-"""Typical density of a connector including the adjacent half segments, kg/m³."""
+"""Typical density of a connector with the adjacent half segments, kg/m³."""
 
 _DENSITY_RATIO = 50.0
-"""Maximum plausible ratio of a density to `_DENSITY`. Four times this ratio is certainly
-wrong, because osmium has 22 600 kg/m³."""
+"""Maximum plausible ratio of a density to `_DENSITY`. A density above four times this
+limit is certainly wrong, because even osmium has only 22 600 kg/m³."""
 
 
 class Doubt(NamedTuple):
-    """Number that is probably written in a wrong unit."""
+    """Number that is probably given in a wrong unit."""
 
     path: str
     text: str
@@ -106,7 +107,7 @@ class Doubt(NamedTuple):
 
 
 def likely_unit(value: float, unit: str, expected: float) -> str:
-    """Suggest another unit for a number, for example "0.4 bar would be 40 kPa"."""
+    """Suggest the unit that a number probably has, as in "0.4 bar would be 40 kPa"."""
     factors = {unit: 1.0} | _OTHER_UNITS.get(unit, {})
     other = min(
         factors, key=lambda name: abs(math.log(factors[name] * value / expected))
@@ -118,7 +119,7 @@ def likely_unit(value: float, unit: str, expected: float) -> str:
 
 
 def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[Doubt]:
-    """Yield the numbers of a robot that do not fit the other numbers.
+    """Yield the numbers that do not fit the other numbers of a robot.
 
     Args:
         values: values in the robot file, keyed by path.
@@ -129,7 +130,7 @@ def find_doubts(values: Mapping[str, Any], masses: Sequence[float]) -> Iterator[
         "weight times body length": GRAVITY * sum(masses) * pitch * len(masses)
     }
     if "chamber.air_volume_ml" in values and "actuator.at_pressure_kpa" in values:
-        # With pressures in kPa and volumes in ml, the moment p dV/dq is in mJ.
+        # The product of a pressure in kPa and a volume in ml is in mJ.
         moment = (
             1e-3
             * values["actuator.at_pressure_kpa"]

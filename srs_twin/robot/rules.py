@@ -1,4 +1,4 @@
-"""Consistency rules between the parameters of a robot.
+"""Consistency rules for the parameters of a robot.
 
 The constructor of `RobotSpec` raises an error if a rule is violated. When a robot file
 is loaded, each violation is reported at the key of the parameter.
@@ -14,27 +14,27 @@ import numpy as np
 from srs_twin.errors import InputError
 
 WHEEL_FRACTION = 0.9
-"""Maximum mass of the two wheels of a connector, as a fraction of the connector mass."""
+"""Maximum mass of a connector's two wheels, as a fraction of the connector mass."""
 
 _MAX_GAP_DEG = 180.0 - 1e-6
 """Maximum angle between the directions of two neighbouring chambers, degrees."""
 
 
 class Violation(NamedTuple):
-    """Parameter that violates a consistency rule."""
+    """Violation of a consistency rule by one parameter."""
 
     parameter: str
     reason: str
 
 
 def raise_violations(violations: Iterable[Violation]) -> None:
-    """Raise an `InputError` that lists the reasons if there are violations."""
+    """Raise an `InputError` that lists all violations, if there are any."""
     if reasons := [violation.reason for violation in violations]:
         raise InputError("; ".join(reasons))
 
 
 def spatial_refusal(robot: str, feature: str) -> str:
-    """Return a message that a feature does not support a spatial robot."""
+    """Return the error message for a feature that does not support a spatial robot."""
     return (
         f"{feature} does not support the spatial robot '{robot}' (with"
         " `chamber.directions_deg`); use a robot that bends only to the left and right"
@@ -44,7 +44,7 @@ def spatial_refusal(robot: str, feature: str) -> str:
 def kind_violations(
     *, is_spatial: bool, has_skin: bool, has_tail: bool, extends: bool
 ) -> Iterator[Violation]:
-    """Yield contradictions between chamber directions and contact kind."""
+    """Yield a violation for each combination of features that is not supported."""
     if is_spatial and not has_skin:
         yield Violation(
             "directions",
@@ -76,7 +76,10 @@ def mass_violations(
 
 
 def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Violation]:
-    """Yield a violation if two wheels are too heavy for the lightest connector (kg)."""
+    """Yield a violation if two wheels are too heavy for the lightest connector.
+
+    All masses are in kg.
+    """
     lightest = min(connectors)
     if 2 * wheel > WHEEL_FRACTION * lightest:
         yield Violation(
@@ -88,7 +91,7 @@ def wheel_violations(wheel: float, connectors: Sequence[float]) -> Iterator[Viol
 
 
 def tail_violations(com: float, axle: float) -> Iterator[Violation]:
-    """Yield a violation if the tail's centre of mass is not between its axles."""
+    """Yield a violation if the tail's centre of mass is behind its second axle."""
     if com > axle:
         yield Violation(
             "com",

@@ -1,9 +1,9 @@
 """Sections of robot files, with bounds on all numbers.
 
-A file may list individual module properties, and standard deviations of random
-differences between modules. Each quantity has a separate random stream, so that adding
-a standard deviation does not change the random numbers of other quantities. Random
-numbers are truncated at three standard deviations. Random factors multiply the listed
+The section `modules` may list properties of individual modules, and standard deviations
+of random differences between modules. Each property has a separate random stream, so a
+new standard deviation does not change the random numbers of other properties. Random
+numbers are clipped at three standard deviations. Random factors multiply the listed
 factors, and random biases are added to the listed biases.
 """
 
@@ -46,19 +46,19 @@ RelativeStd = Record[Annotated[float, bounded(0.0, 0.3)], Literal["1"]]
 AngleStd = Record[Annotated[float, bounded(0.0, 0.5)], Literal["rad"]]
 
 _MAX_DEVIATIONS = 3.0
-"""Truncation limit of the random numbers, in standard deviations."""
+"""Limit at which random numbers are clipped, in standard deviations."""
 
-# The bounds allow robots from 1/40 to 100 times the size s of the shipped robots, where
-# lengths scale with s, masses with s³ and stiffnesses with s⁴.
+# The bounds allow robots from 1/40 to 100 times the size of the shipped robots. Lengths
+# scale with the robot size s, masses with s³ and stiffnesses with s⁴.
 LENGTHS_M = (1e-5, 100.0)
-"""Minimum and maximum of all lengths, m."""
+"""Minimum and maximum length, m."""
 MASSES_KG = (1e-10, 1e6)
 """Minimum and maximum mass of a part, kg."""
 STIFFNESSES_NM_PER_RAD = (1e-10, 1e9)
 """Minimum and maximum stiffness of a segment, N·m/rad."""
 
-# Key of the standard deviation of each quantity. The order determines which random
-# stream a quantity uses, so new quantities must be appended.
+# Key of the standard deviation for each module property. The order determines which
+# random stream a property uses, so new properties must be appended.
 SPREAD_KEYS = {
     "gain": "gain_spread",
     "tau_fill": "tau_spread",
@@ -70,17 +70,18 @@ SPREAD_KEYS = {
 
 
 class ModulesFile(Records):
-    """Individual properties of the modules and their random differences."""
+    """Properties of individual modules, and random differences between modules."""
 
     gain: ChamberFactors | None = None
-    """Gain relative to the nominal gain, 0.1 to 10 for each chamber of each segment,
-    head first; + before -, or in the order of chamber.directions_deg."""
+    """Ratio of each chamber's gain to the nominal gain, 0.1 to 10, as one list per
+    segment, head first. Each list contains the + and the - chamber of a planar robot,
+    or the chambers of a spatial robot in the order of chamber.directions_deg."""
     tau_fill: ChamberFactors | None = None
-    """tau_fill relative to the nominal value, 0.1 to 10 for the + and - chamber of each
-    segment, head first."""
+    """Ratio of each chamber's fill time constant to the nominal value, 0.1 to 10, in
+    the same order as gain."""
     tau_vent: ChamberFactors | None = None
-    """tau_vent relative to the nominal value, 0.1 to 10 for the + and - chamber of each
-    segment, head first."""
+    """Ratio of each chamber's vent time constant to the nominal value, 0.1 to 10, in
+    the same order as gain."""
     bias_rad: BendList | None = None
     """Rest bend of each segment, rad, -1 to 1, head first."""
     sensor_gain: SegmentFactors | None = None
@@ -91,8 +92,8 @@ class ModulesFile(Records):
     gain_spread: RelativeStd | None = None
     """Standard deviation of the relative chamber gains, 0 to 0.3."""
     tau_spread: RelativeStd | None = None
-    """Standard deviation of the relative tau_fill and tau_vent of the chambers, 0 to
-    0.3."""
+    """Standard deviation of the relative fill and vent time constants of the chambers,
+    0 to 0.3."""
     bias_spread_rad: AngleStd | None = None
     """Standard deviation of the rest bends, rad, 0 to 0.5."""
     sensor_gain_spread: RelativeStd | None = None
@@ -106,7 +107,7 @@ class ModulesFile(Records):
     def draw(self, segments: int, seed: int, chambers: int = 2) -> Modules:
         """Return modules with the listed properties and random differences.
 
-        `seed` is used if the file contains no seed.
+        The argument `seed` is ignored if the file contains a seed.
         """
         seed = seed if self.seed is None else self.seed
         arrays = {}
@@ -131,7 +132,7 @@ class ModulesFile(Records):
         return Modules.from_arrays(**arrays)
 
     def contradictions(self, segments: int, chambers: int) -> Iterator[tuple[Loc, str]]:
-        """Yield lists whose length differs from the number of segments or chambers."""
+        """Yield the path and a message for each list that has the wrong length."""
         for name, record in self:
             values = record.value if isinstance(record, Record) else None
             if name in PER_CHAMBER and isinstance(values, list):
@@ -172,19 +173,21 @@ class GeometryFile(Records):
     """Dimensions of the body."""
 
     connectors: Number = number_field(2, 64, int)
-    """Number of connectors N ("links" in the dissertation); one more than segments."""
+    """Number of connectors, called "links" in the dissertation (number of segments plus
+    one)."""
     segment_length_m: Number = number_field(*LENGTHS_M)
     """Length of the bending part of a segment."""
     rigid_gap_m: Number = number_field(0.0, LENGTHS_M[1])
-    """Length of the straight part of a segment; half of this length is at each end."""
+    """Total length of the two equal, straight end pieces of a segment."""
     half_track_m: Number | None = number_field(*LENGTHS_M, needed_by="wheels")
-    """Distance between a wheel and the centre line; wheels only."""
+    """Distance between a wheel and the centre line; only for robots on wheels."""
     wheel_radius_m: Number | None = number_field(*LENGTHS_M, needed_by="wheels")
-    """Radius of a wheel; wheels only."""
+    """Radius of a wheel; only for robots on wheels."""
     com_height_m: Number = number_field(*LENGTHS_M)
     """Height of the centre of mass above the floor."""
     width_m: Number = number_field(*LENGTHS_M)
-    """Width of the soft body; it affects the motion only if the robot has a skin."""
+    """Width of the soft body; only the motion of robots with skin depends on this
+    width."""
 
 
 class MassFile(Records):
@@ -193,33 +196,37 @@ class MassFile(Records):
     connectors_kg: Number | None = number_field(
         *MASSES_KG, shape=_one_or_each, needed_by="wheels"
     )
-    """Mass of a connector including the wheels and the adjacent half segments; one
-    number for all connectors or a list, head first. Wheels only."""
+    """Mass of a connector with its wheels and the adjacent half segments, as one number
+    for all connectors or as a list, head first; only for robots on wheels."""
     wheel_kg: Number | None = number_field(*MASSES_KG, needed_by="wheels")
-    """Mass of one wheel, which is included in the connector mass; wheels only."""
+    """Mass of one wheel, which is part of the connector mass; only for robots on
+    wheels."""
     connector_gyration_m: Number | None = number_field(*LENGTHS_M, only_for="wheels")
-    """Radius of gyration of a connector without wheels; wheels only. By default, the
-    connector is a uniform block as long as the rigid gap and as wide as the track."""
+    """Radius of gyration of a connector without wheels (default: value of a uniform
+    block as long as the rigid gap and as wide as the track); only for robots on wheels.
+    """
     segments_kg: Number | None = number_field(
         *MASSES_KG, shape=_one_or_each, needed_by="skin"
     )
-    """Mass of a segment, distributed evenly between two connectors; one number for all
-    segments or a list, head first. Skin only."""
+    """Evenly distributed mass of a segment, as one number for all segments or as a
+    list, head first; only for robots with skin."""
 
 
 class FrictionFile(Records):
-    """Friction of the wheels on the floor, and axial drag.
+    """Wheel friction coefficients and axial drag.
 
-    The friction coefficients of a skin belong to the section contact.
+    The friction coefficients of a skin are in the section contact.
     """
 
     mu_t: Number | None = number_field(0.0, 10.0, needed_by="wheels")
-    """Friction coefficient along the heading, due to axle drag; wheels only."""
+    """Friction coefficient along the heading, due to axle drag; only for robots on
+    wheels."""
     mu_n: Number | None = number_field(0.0, 10.0, needed_by="wheels")
-    """Friction coefficient across the heading, for sideways slip; wheels only."""
+    """Friction coefficient across the heading, for sideways slip; only for robots on
+    wheels."""
     drag_n: Number | None = number_field(0.0, 1e7, optional=True)
-    """Total axial drag of tubes and belly (default: none); the drag does not depend on
-    the load and is divided equally among the connectors."""
+    """Total axial drag of the tubes and the belly, which does not depend on the load
+    and is divided equally among the connectors (default: none)."""
 
 
 class ContactFile(Records):
@@ -228,22 +235,23 @@ class ContactFile(Records):
     only_for = {"law": "skin"}
 
     kind: Literal["wheels", "skin"]
-    """Kind of contact; "wheels" means two wheels on each connector, whose parameters
-    are in geometry, mass and friction. "skin" means that the whole body slides on the
-    floor."""
+    """Kind of contact, "wheels" for two wheels on each connector, or "skin" for a body
+    that slides on the floor along its whole length."""
     law: SkinLaw | None = None
-    """Friction law of a skin; "ellipse" maximises the dissipation (default). "cosine"
-    makes each force component proportional to the direction cosine of the slip
-    (docs/friction.md#skin)."""
+    """Friction law of a skin (default: ellipse). The law "ellipse" maximises the
+    dissipated power, and "cosine" makes each force component proportional to a
+    direction cosine of the slip velocity (docs/friction.md#skin)."""
     forward: Number | None = number_field(0.0, 10.0, needed_by="skin")
-    """Friction coefficient along the body for slip towards the head; skin only."""
+    """Friction coefficient along the body for slip towards the head; only for robots
+    with skin."""
     backward: Number | None = number_field(0.0, 10.0, only_for="skin")
-    """Friction coefficient along the body for slip towards the tail (default: forward);
-    skin only."""
+    """Friction coefficient along the body for slip towards the tail (default: value of
+    forward); only for robots with skin."""
     transverse: Number | None = number_field(0.0, 10.0, needed_by="skin")
-    """Friction coefficient across the body; skin only."""
+    """Friction coefficient across the body; only for robots with skin."""
     points_per_segment: Number | None = number_field(1, 64, int, only_for="skin")
-    """Number of contact points along each segment (default: 6); skin only."""
+    """Number of contact point pairs along each segment (default: 6); only for robots
+    with skin."""
 
     @property
     def is_skin(self) -> bool:
@@ -251,7 +259,7 @@ class ContactFile(Records):
         return self.kind == "skin"
 
     def friction(self) -> dict[str, float]:
-        """Return the skin's friction coefficients as arguments of `Friction`."""
+        """Return the friction coefficients of the skin as arguments of `Friction`."""
         names = {
             "mu_t": self.forward,
             "mu_back": self.backward,
@@ -262,7 +270,7 @@ class ContactFile(Records):
         }
 
     def skin(self) -> Skin:
-        """Build the skin."""
+        """Return the skin parameters."""
         given = {
             "friction_law": self.law,
             "points": self.points_per_segment and self.points_per_segment.value,
@@ -274,75 +282,76 @@ class ContactFile(Records):
 
 
 class BendingFile(Records):
-    """Compliance of one segment."""
+    """Stiffness and damping of one segment."""
 
     only_for = {"lead": "pressure"}
 
     lead: bool | None = None
-    """Whether the air moment leads the pressures, so that a free segment obeys Eq. 14
-    for any damping (default: true); pressure only. If false, the damping delays the
-    free bend: damping_time_s replaces tau_mode_s. tau_fill_s and tau_vent_s are then
-    shortened by damping_time_s - tau_mode_s."""
+    """Whether the moment of a pneumatic actuator leads the pressures, so that a segment
+    without load obeys Eq. 14 for any damping (default: true). If false, the damping
+    delays the free bend, so damping_time_s replaces tau_mode_s, and tau_fill_s and
+    tau_vent_s are shortened by damping_time_s - tau_mode_s."""
     stiffness_nm_per_rad: Number | None = number_field(
         *STIFFNESSES_NM_PER_RAD, needed_by="pressure"
     )
-    """Bending stiffness; pressure only."""
+    """Bending stiffness; only for pneumatic actuators."""
     damping_time_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
     """Ratio of damping to stiffness for deviations from the free bend
-    (docs/planar-models.md); pressure only."""
+    (docs/planar-models.md); only for pneumatic actuators."""
     pitch_stiffness_nm_per_rad: Number | None = number_field(
         *STIFFNESSES_NM_PER_RAD, optional=True
     )
-    """Stiffness against bending out of the floor plane; optional for a spatial robot,
-    where the default is the bending stiffness."""
+    """Stiffness against bending out of the floor plane, which planar robots must
+    specify (default for spatial robots: bending stiffness)."""
     roll_stiffness_nm_per_rad: Number | None = number_field(
         *STIFFNESSES_NM_PER_RAD, optional=True
     )
-    """Stiffness against twisting; optional for a spatial robot. The default is two
-    thirds of the bending stiffness, because GJ = 2/3 EI for a solid, incompressible,
-    round cross-section."""
+    """Stiffness against twisting, which planar robots must specify (default for spatial
+    robots: two thirds of the bending stiffness, because GJ = 2/3 EI for a solid,
+    incompressible, round cross-section)."""
     out_of_plane_damping_time_s: Number = number_field(1e-6, 100.0)
-    """Ratio of damping to stiffness for pitch and roll."""
+    """Ratio of damping to stiffness for bending out of the floor plane and for
+    twisting."""
 
 
 class ActuatorFile(Records):
-    """Response of one module, driven by air pressure or by a servo.
+    """Response of one module, which is driven by air pressure or by a servo.
 
     The gain of a pneumatic module is bend_rad / at_pressure_kpa.
     """
 
     kind: Literal["pressure", "position"] | None = None
-    """Kind of actuator; "pressure" means that air in chambers bends the segment against
-    the bending stiffness (default). "position" means that a servo turns a joint to the
-    commanded angle regardless of the load. The commanded angle is bend_rad when a valve
-    would fill the + chamber."""
+    """Kind of actuator, "pressure" for air chambers (default) or "position" for a
+    servo. A servo turns its joint to the commanded angle regardless of the load. The
+    angle is bend_rad while the valve command would fill the + chamber."""
     response_time_s: Number | None = number_field(1e-4, 100.0, needed_by="position")
-    """Time constant of a servo's critically damped response; position only."""
+    """Time constant of a servo's critically damped response; only for servos."""
     tau_fill_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
-    """Fill time constant tau_1; pressure only."""
+    """Fill time constant tau_1; only for pneumatic actuators."""
     tau_vent_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
-    """Vent time constant tau_1; pressure only."""
+    """Vent time constant tau_1; only for pneumatic actuators."""
     tau_mode_s: Number | None = number_field(1e-6, 100.0, needed_by="pressure")
-    """Mode time constant tau_2 of the free bend's response to the pressures; pressure
-    only."""
+    """Mode time constant tau_2, with which the free bend lags the chamber pressures;
+    only for pneumatic actuators."""
     bend_rad: Number = number_field(1e-3, 6.3)
-    """Static bend of a free module at at_pressure_kpa, or maximum commanded angle of a
-    servo."""
+    """Static bend of a segment without load at the pressure at_pressure_kpa, or maximum
+    commanded angle of a servo."""
     at_pressure_kpa: Number | None = number_field(0.1, 2000.0, needed_by="pressure")
-    """Pressure in one chamber that causes bend_rad; pressure only."""
+    """Pressure in one chamber that causes the bend bend_rad; only for pneumatic
+    actuators."""
     bend_limit_rad: Number | None = number_field(0.1, 6.3, only_for="pressure")
     """Limit of the free bend at high pressure (default: no limit, linear gain)."""
     onset_fraction: Number | None = number_field(0.0, 1.0, only_for="pressure")
     """Fraction s of the gain that is missing in a dead zone around zero pressure
-    (default: 1 if another onset key is present, otherwise 0)."""
+    (default: 1 if a dead-zone key is present, otherwise 0)."""
     dead_zone_rad: Number | None = number_field(0.01, 6.3, only_for="pressure")
-    """Bend at the end of the dead zone according to the linear law (default: 0.3);
-    beyond the dead zone, s times this bend is missing."""
+    """Bend that a linear gain would yield at the end of the dead zone (default: 0.3);
+    beyond the dead zone, the bend is smaller by onset_fraction times this value."""
     dead_zone_transition_rad: Number | None = number_field(
         0.01, 6.3, only_for="pressure"
     )
-    """Width of the transition at the end of the dead zone, in terms of the linear law's
-    bend (default: 0.1)."""
+    """Width of the transition at the end of the dead zone, as a bend at linear gain
+    (default: 0.1)."""
     extension_m_per_kpa: Number | None = number_field(0.0, 0.01, only_for="pressure")
     """Extension of a spatial robot's segment per mean chamber pressure (default: 0)."""
 
@@ -353,23 +362,23 @@ class ChamberFile(Records, needed_by="pressure"):
     dead_volume_ml: Number = number_field(1e-6, 1e8)
     """Volume of a chamber and its tube when the segment is straight."""
     air_volume_ml: Number = number_field(1e-6, 1e8)
-    """Increase of the chamber volume at a bend of 90 degrees."""
+    """Increase in chamber volume at a bend of 90 degrees."""
     directions_deg: Directions | None = None
-    """Directions in which the chambers of a spatial robot bend a segment, -360 to 360,
-    0 to the left and 90 upwards; four directions form two antagonistic pairs. By
-    default, one chamber bends the segment to the left and one to the right."""
+    """Direction in which each chamber of a spatial robot bends a segment, deg, -360 to
+    360, where 0 is to the left and 90 is upwards. Without this key, the robot is
+    planar, and its two chambers bend a segment to the left and to the right."""
 
 
 class SupplySection(Records, needed_by="pressure"):
-    """Supply pressures (gauge) and limits."""
+    """Supply pressure and pressure limits (gauge)."""
 
     nominal_kpa: Number = number_field(0.1, 2000.0)
-    """Supply pressure of scenarios that do not specify one."""
+    """Supply pressure of scenarios that specify no other pressure."""
     continuous_limit_kpa: Number = number_field(0.1, 2000.0)
     """Maximum pressure that a chamber may hold."""
     pulsed_limit_kpa: Number = number_field(0.1, 2000.0)
-    """Maximum supply pressure if the chambers are filled and vented in turn (gait, PWM).
-    """
+    """Maximum supply pressure if chambers are filled and vented in turn, as in a gait
+    or with PWM."""
 
 
 class GaitSection(Records):
@@ -382,26 +391,26 @@ class GaitSection(Records):
 class TailFile(Records):
     """Tail assembly with a second axle behind the axle of the last connector.
 
-    The preloaded contact does not support a tail.
+    The contact model `preloaded` does not support a tail.
     """
 
     axle_m: Number = number_field(*LENGTHS_M)
-    """Distance of the second axle behind the axle of the last connector."""
+    """Distance from the axle of the last connector back to the second axle."""
     com_m: Number = number_field(0.0, LENGTHS_M[1])
-    """Distance of the centre of mass behind the axle of the last connector; this
-    distance is at most axle_m."""
+    """Distance from the axle of the last connector back to the centre of mass; at most
+    axle_m."""
     com_height_m: Number = number_field(*LENGTHS_M)
-    """Height of the centre of mass of the assembly above the floor."""
+    """Height of the assembly's centre of mass above the floor."""
     gyration_m: Number = number_field(*LENGTHS_M)
-    """Radius of gyration of the assembly including the wheels."""
+    """Radius of gyration of the assembly including its wheels."""
 
 
 class CorrelationFile(StrictModel):
     """Correlation between two uncertain numbers."""
 
     of: Annotated[list[str], Field(min_length=2, max_length=2)]
-    """Paths of the two numbers, such as friction.mu_t; the correlation is ignored unless
-    both numbers are uncertain."""
+    """Paths of the two numbers, such as friction.mu_t. The correlation is ignored
+    unless both numbers are uncertain."""
     r: Annotated[float, bounded(-0.999, 0.999)]
-    """Correlation between the normal variables from which the numbers are computed,
-    -0.999 to 0.999."""
+    """Correlation coefficient of the normal variables from which the two numbers are
+    computed, -0.999 to 0.999."""

@@ -1,8 +1,8 @@
 """Numbers with unit, status and source, and the units of file keys.
 
-The name of a key ends with a unit, for example ``segment_length_m`` or
+The name of a key ends with a unit, as in ``segment_length_m`` or
 ``stiffness_nm_per_rad``. A `Record` repeats the unit next to the number. The two units
-must agree, so that a number copied from a table in another unit is rejected.
+must agree, so a number copied from a table in another unit is rejected.
 """
 
 from __future__ import annotations
@@ -47,10 +47,12 @@ UNITS = {
     "_s": "s",
     "_v": "V",
 }
-"""Unit denoted by each key suffix. Longer suffixes come first."""
+"""Unit of each key suffix, with longer suffixes first, because the first match counts.
+"""
 
-# SI unit of each unit, with numerator and denominator of the conversion factor. Division
-# keeps decimal numbers exact: 3.1 / 1000 is the double 0.0031, but 3.1 * 0.001 is not.
+# SI unit of each unit, with the numerator and denominator of the conversion factor.
+# Division avoids rounding errors, because 3.1 / 1000 is the double 0.0031, but
+# 3.1 * 0.001 is not.
 _SI_CONVERSIONS = {
     "kPa": ("Pa", 1000, 1),
     "m/kPa": ("m/Pa", 1, 1000),
@@ -63,7 +65,10 @@ _SI_CONVERSIONS = {
 
 
 def split_unit(key: str) -> tuple[str, str]:
-    """Split a key into name and unit. Without a unit suffix, the unit is "1"."""
+    """Split a key into name and unit.
+
+    A key without a unit suffix has the unit "1".
+    """
     # The letter n in mu_n denotes the normal direction, not the unit newton.
     suffix = next(
         (suffix for suffix in UNITS if key.endswith(suffix) and key != "mu_n"), ""
@@ -102,21 +107,22 @@ _DISTRIBUTION_KEYS = {
 
 
 MIN_PROBABILITY = 1e-9
-"""Minimum distance of a probability from 0 and 1, where normal quantiles are infinite.
-"""
+"""Minimum distance of probabilities from 0 and 1, because normal quantiles are infinite
+there."""
 
 
 class Uncertain(StrictModel):
     """Prior distribution of an uncertain number."""
 
     kind: Literal["normal", "lognormal", "uniform"]
-    """Kind of distribution; "normal" has the number as mean. "lognormal" has the number
-    (or `median`) as median. "uniform" ranges from low to high."""
+    """Kind of distribution. The number is the mean of a "normal" distribution and,
+    unless `median` is given, the median of a "lognormal" distribution. A "uniform"
+    distribution ranges from low to high."""
     sd: float | None = Field(None, gt=0.0, le=1e9)
     """Standard deviation of a normal distribution, in the unit of the number."""
     factor: float | None = Field(None, gt=1.0, le=100.0)
-    """Geometric standard deviation; two thirds of the values lie between median / factor
-    and median * factor."""
+    """Geometric standard deviation of a lognormal distribution. Two thirds of the
+    values lie between median / factor and median * factor."""
     median: float | None = Field(None, gt=0.0, le=1e9)
     """Median of a lognormal distribution, in the unit of the number (default: the
     number)."""
@@ -125,7 +131,7 @@ class Uncertain(StrictModel):
     high: float | None = Field(None, ge=-1e9, le=1e9)
     """Upper bound of a uniform distribution, in the unit of the number."""
     source: str | None = Field(None, min_length=1, max_length=1000)
-    """Source of the distribution, or reason why it was assumed."""
+    """Source of the distribution, or reason for assuming it."""
 
     @model_validator(mode="after")
     def _check_keys(self) -> Uncertain:
@@ -160,16 +166,15 @@ class Uncertain(StrictModel):
         """Return quantiles of the distribution.
 
         Args:
-            value: number in the file.
-            bounds: minimum and maximum of the number. Normal and lognormal
-                distributions are truncated at the bounds.
-            probabilities: cumulative probabilities of any shape.
+            value: uncertain number in the file.
+            bounds: minimum and maximum of the number, at which normal and lognormal
+                distributions are truncated.
+            probabilities: cumulative probabilities, any shape.
         """
         if self.low is not None and self.high is not None:
             return self.low + (self.high - self.low) * np.asarray(probabilities)
         if self.factor is not None:
-            # A bound of 0 has an infinite logarithm and is replaced by 1e-300, which is
-            # far below any parameter.
+            # A bound of 0, which has an infinite logarithm, is replaced by 1e-300.
             median = value if self.median is None else self.median
             ends = np.log(np.maximum(bounds, 1e-300) / median) / np.log(self.factor)
             return np.asarray(
@@ -181,7 +186,6 @@ class Uncertain(StrictModel):
 
 
 def _truncated_normal(ends: np.ndarray, probabilities: np.ndarray) -> np.ndarray:
-    """Return quantiles of a standard normal distribution truncated on both sides."""
     from scipy.special import ndtr, ndtri
 
     low, high = ndtr(ends)
@@ -195,15 +199,16 @@ class Record(StrictModel, Generic[Value, Unit]):
     value: Value
     """Number in the unit of the key."""
     unit: Unit
-    """Unit, which must match the unit in the key; '1' for a dimensionless number."""
+    """Unit, which must match the suffix of the key, or '1' for a dimensionless number.
+    """
     status: Status
-    """Origin of the number; "measured" means that the source states a measured or set
-    value. "calibrated" means fitted to measurements, "estimated" means assumed by this
-    project."""
+    """Origin of the number, "measured" if the source states a measured or set value,
+    "calibrated" if fitted to measurements, or "estimated" if assumed by this project.
+    """
     source: str = Field(min_length=1, max_length=1000)
-    """Section or table in the source, or method of estimation."""
+    """Section or table that states the number, or method of estimation."""
     uncertain: Uncertain | None = None
-    """Prior distribution (default: none, which means that the number is exact)."""
+    """Prior distribution of the number (default: none, for an exact number)."""
 
     @model_serializer(mode="wrap")
     def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
@@ -215,7 +220,7 @@ class Record(StrictModel, Generic[Value, Unit]):
 
     @classmethod
     def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
-        """Return a readable name of the record type for JSON schemas."""
+        """Return a readable type name for JSON Schemas."""
         return "Record"
 
 
@@ -235,7 +240,7 @@ class _NumberField(NamedTuple):
 
 
 def number_field(low: float, high: float, kind: type = float, **options: Any) -> Any:
-    """Define a number in a `Records` section.
+    """Define a numeric key of a `Records` section.
 
     Args:
         low: minimum allowed number.
@@ -250,7 +255,7 @@ def number_field(low: float, high: float, kind: type = float, **options: Any) ->
 
 
 def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
-    """Insert unit and range of a number before the first semicolon of the description."""
+    """Insert the unit and range before the first semicolon of each description."""
     for key, text in attribute_docstrings(cls).items():
         entry = schema["properties"][key]
         head, semicolon, rest = text.rstrip(".").partition(";")
@@ -258,12 +263,13 @@ def _describe(schema: dict[str, Any], cls: type[Records]) -> None:
 
 
 class Records(StrictModel):
-    """File section whose numbers are records.
+    """Base class of file sections whose numbers are records.
 
     Attributes:
-        bounds: minimum and maximum of each number, keyed by key.
-        needed_by: robot kind that requires a key. The key is not allowed for others.
-        only_for: robot kind that may have a key. The key is not allowed for others.
+        bounds: mapping from each key to the minimum and maximum of its number.
+        needed_by: mapping from keys to the robot kind that requires them. Other robots
+            cannot have these keys.
+        only_for: mapping from keys to the only robot kind that may have them.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -300,7 +306,7 @@ class Records(StrictModel):
             setattr(cls, key, Field(None if optional else ..., description=text))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle plain data, because pickle cannot import generated classes."""
+        """Pickle plain data, because pickle cannot import the generated classes."""
         return type(self).model_validate, (self.model_dump(exclude_unset=True),)
 
     def to_si(self) -> dict[str, Any]:
@@ -320,7 +326,7 @@ def replace_value(
     Args:
         before: data of the old record, whose unit is kept, or None for a new record.
         value: new number.
-        unit: unit, used only for a new record.
+        unit: unit of a new record.
         source: origin of the number.
     """
     record = {

@@ -1,12 +1,11 @@
 """Immutable, validated robot parameters in SI units.
 
-The numbers come from ``calibration/robots/*.yaml``, where each number has a source and
-a status. `Modules` stores differences between the modules of a snake (Section 5.1):
-moulded chambers differ in gain and air flow, a body at rest is not perfectly straight,
-and sensors drift after calibration.
+The parameters of the shipped robots come from ``calibration/robots/*.yaml``, where each
+number has a source and a status. `Modules` stores the differences between the modules
+of a snake (Section 5.1), such as chamber gain, rest bend and sensor drift.
 
 Connectors are numbered i = 1…N from head to tail. Segment j lies between connectors j
-and j+1. A bend q_j = θ_j − θ_{j+1} > 0 turns the head end to the left.
+and j+1. A positive bend q_j = θ_j − θ_{j+1} turns the head end to the left.
 """
 
 from __future__ import annotations
@@ -37,23 +36,24 @@ from srs_twin.robot.scale import Scale
 PerChamber = tuple[tuple[float, ...], ...]
 
 PER_CHAMBER = ("gain", "tau_fill", "tau_vent")
-"""Attributes of `Modules` with one value per chamber."""
+"""Names of the `Modules` attributes with one value per chamber."""
 
 
 @dataclass(frozen=True)
 class Modules:
-    """Individual properties of each module, ordered from the head.
+    """Properties of the individual modules, ordered from the head.
 
     For a planar robot, the last axis of a chamber property is (+ chamber, − chamber).
-    For a spatial robot, it follows `Chamber.directions`.
+    For a spatial robot, this axis has the order of `Chamber.directions`.
 
     Attributes:
-        gain: gain of each chamber relative to the nominal gain, shape (segments, 2).
+        gain: gain of each chamber relative to the nominal gain, shape (segments,
+            chambers).
         bias: rest bend of each segment, shape (segments,), rad.
-        tau_fill: ratio of the fill time constant τ₁ to the nominal value, shape
-            (segments, 2).
-        tau_vent: ratio of the vent time constant τ₁ to the nominal value, shape
-            (segments, 2).
+        tau_fill: ratio of each chamber's fill time constant τ₁ to the nominal value,
+            shape (segments, chambers).
+        tau_vent: ratio of each chamber's vent time constant τ₁ to the nominal value,
+            shape (segments, chambers).
         sensor_gain: ratio of sensor reading to actual bend, shape (segments,).
         sensor_bias: sensor reading of a straight segment, shape (segments,), rad.
     """
@@ -95,7 +95,7 @@ class Modules:
 
     @classmethod
     def from_arrays(cls, **arrays: np.ndarray) -> Modules:
-        """Build modules from arrays."""
+        """Build modules from one array per attribute."""
         tuples: dict[str, Any] = {
             field.name: _tuples(arrays[field.name]) for field in fields(cls)
         }
@@ -111,7 +111,7 @@ def _tuples(values: np.ndarray) -> tuple[object, ...]:
 
 
 GRAVITY = 9.81
-"""Gravitational acceleration of both plants, m/s²."""
+"""Gravitational acceleration, m/s²."""
 
 
 def _require(ok: bool, name: str, value: float, allowed: str) -> None:
@@ -146,14 +146,16 @@ class Geometry:
     """Dimensions of the body.
 
     Attributes:
-        connectors: N, number of connectors ("links" in the dissertation), at least 2.
-        segment_length: l, length of the bending part of a segment, m.
-        rigid_gap: L_o, length of the straight part of a segment, m (Fig. 35). Half of
-            this length is at each end of the segment.
-        half_track: distance of each contact point from the centre line, m. For a skin
-            of width w, the contact points are the Gauss points at w/(2√3).
-        wheel_radius: radius of a wheel, m. For a robot with skin, radius of the spheres
-            with which the twin touches the floor.
+        connectors: number N of connectors, called "links" in the dissertation, at least
+            2.
+        segment_length: length l of the bending part of a segment, m.
+        rigid_gap: total length L_o of the two equal, straight end pieces of a segment,
+            m (Fig. 35).
+        half_track: distance of each contact point from the centre line, m. For a planar
+            robot with a skin of width w, this is the distance w/(2√3) of the Gauss
+            points.
+        wheel_radius: radius of a wheel, m. For a robot with skin, this is the radius of
+            the spheres with which the twin touches the floor.
         com_height: height of a connector's centre of mass above the floor, m.
         width: width of the soft body, used in pictures and collision checks, m.
     """
@@ -185,7 +187,7 @@ class Geometry:
 
     @property
     def pitch(self) -> float:
-        """Distance between connectors of a straight snake, l + L_o, m."""
+        """Distance l + L_o between adjacent connectors of a straight snake, m."""
         return self.segment_length + self.rigid_gap
 
     @property
@@ -196,17 +198,17 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Mass:
-    """Masses of connectors and wheels.
+    """Masses of the robot's parts.
 
     Attributes:
         connectors: mass of each connector including its wheels, head first, shape (N,),
             kg.
-        wheel: mass of one wheel, which is part of the connector's mass, kg. A robot
-            with skin has a wheel mass of 0.
+        wheel: mass of one wheel (included in the connector mass), kg, or 0 for a robot
+            with skin.
         connector_gyration: radius of gyration of a connector without wheels, m, or None
             for the default of `RobotSpec.connector_gyration`.
-        segments: mass of each segment of a robot with skin, head first, kg, distributed
-            evenly over the segment. None for a robot on wheels.
+        segments: mass of each segment, head first, shape (N − 1,), kg, distributed
+            evenly along the segment, or None for a robot on wheels.
     """
 
     connectors: tuple[float, ...]
@@ -229,9 +231,9 @@ class Mass:
 
     @classmethod
     def along_body(cls, segments: tuple[float, ...]) -> Mass:
-        """Return the masses of a robot with skin from segment masses (kg).
+        """Return the masses of a robot with skin from the segment masses (kg).
 
-        Half of each segment mass is assigned to each end of the segment.
+        Each connector gets half of the mass of each adjacent segment.
         """
         halves = (0.0, *segments), (*segments, 0.0)
         connectors = tuple(
@@ -251,14 +253,15 @@ class Mass:
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction coefficients of wheels (Eq. 17) or skin on the floor, and axial drag.
+    """Friction coefficients of wheels (Eq. 17) or of a skin, and axial drag.
 
     Attributes:
-        mu_t: friction coefficient along the heading, due to the axle drag of a wheel,
-            or for a skin that slips towards the head.
+        mu_t: friction coefficient along the heading, which represents the axle drag of
+            wheels or applies to a skin that slips towards the head.
         mu_n: friction coefficient across the heading.
-        drag: total axial drag of tubes and belly, N, divided equally among the
-            connectors. The drag opposes axial motion and does not depend on the loads.
+        drag: total axial drag of the tubes and the belly, N. The drag opposes axial
+            motion, does not depend on the load and is divided equally among the
+            connectors.
         mu_back: friction coefficient of a skin for slip towards the tail, by default
             equal to `mu_t`.
     """
@@ -284,7 +287,7 @@ class Skin:
     """Contact of a body without wheels that lies on the floor along its whole length.
 
     Attributes:
-        friction_law: friction law, "ellipse" or "cosine" (`robot.friction`).
+        friction_law: friction law, "ellipse" or "cosine" (see `robot.friction`).
         points: number of contact point pairs along a segment.
     """
 
@@ -298,15 +301,16 @@ class Skin:
 
 @dataclass(frozen=True)
 class Bending:
-    """Compliance of one segment in the twin and in the `compliant` model.
+    """Stiffness and damping of a segment in the twin and in the `compliant` model.
 
     Attributes:
-        stiffness: k, bending stiffness about z, N·m/rad.
-        damping_time: c/k, ratio of damping to stiffness for deviations from the free
+        stiffness: bending stiffness k about the z axis, N·m/rad.
+        damping_time: ratio c/k of damping to stiffness for deviations from the free
             bend, s. The loss factor of the material at frequency f is 2π f c/k.
         pitch_stiffness: stiffness against bending out of the floor plane, N·m/rad.
         roll_stiffness: stiffness against twisting, N·m/rad.
-        out_of_plane_damping_time: ratio of damping to stiffness for pitch and roll, s.
+        out_of_plane_damping_time: ratio of damping to stiffness for bending out of the
+            floor plane and twisting, s.
     """
 
     stiffness: float
@@ -330,7 +334,7 @@ class Bending:
         """Return the moment k (q_f − q) + c (q̇_f − q̇) of each segment, N·m.
 
         Args:
-            deviation: free bend minus bend, q_f − q, rad.
+            deviation: difference q_f − q between free bend and bend, rad.
             rate: time derivative of the deviation, rad/s.
         """
         return self.stiffness * deviation + self.damping * rate
@@ -338,22 +342,23 @@ class Bending:
 
 @dataclass(frozen=True)
 class Actuator:
-    """Pneumatic response of one module (Eq. 14–16 as corrected by E1 and E2).
+    """Pneumatic response of one module (Eqs. 14 to 16 with the corrections E1 and E2).
 
     Attributes:
         tau_fill: fill time constant τ₁, s.
         tau_vent: vent time constant τ₁, s.
-        tau_mode: mode time constant τ₂, with which the free bend lags the pressures, s.
-        gain: free bend C₀ per chamber pressure, rad/Pa.
-        bend_limit: q_m, limit of the free bend at high pressure, rad, or infinity for a
+        tau_mode: mode time constant τ₂, with which the free bend lags the chamber
+            pressures, s.
+        gain: ratio C₀ of free bend to chamber pressure, rad/Pa.
+        bend_limit: limit q_m of the free bend at high pressure, rad, infinite for a
             linear gain.
-        onset_fraction: s, fraction of the gain that is missing in the dead zone around
+        onset_fraction: fraction s of the gain that is missing in the dead zone around
             zero pressure.
-        dead_zone: d, free bend at the end of the dead zone according to the linear law,
-            rad.
-        dead_zone_transition: w, width of the transition at the end of the dead zone,
-            rad.
-        extension: e, extension of a spatial robot's segment per mean chamber pressure,
+        dead_zone: free bend d that a linear gain would yield at the end of the dead
+            zone, rad.
+        dead_zone_transition: width w of the transition at the end of the dead zone, as
+            a bend at linear gain, rad.
+        extension: extension e of a spatial robot's segment per mean chamber pressure,
             m/Pa.
     """
 
@@ -396,12 +401,13 @@ class Chamber:
     The volume of a chamber is V(q) = dead_volume + displacement · max(0, ± q).
 
     Attributes:
-        dead_volume: volume of the chamber and its tube when the segment is straight, m³.
+        dead_volume: volume of the chamber and its tube when the segment is straight,
+            m³.
         displacement: derivative of the volume with respect to a bend in the direction
             of the chamber, m³/rad.
-        directions: bending direction of each chamber of a spatial robot, rad, with 0 to
-            the left and π/2 upwards. None for a planar robot, which has a left and a
-            right chamber.
+        directions: direction in which each chamber of a spatial robot bends the
+            segment, rad, where 0 is to the left and π/2 is upwards, or None for a
+            planar robot with a left and a right chamber.
     """
 
     dead_volume: float
@@ -425,13 +431,13 @@ class Chamber:
 
 @dataclass(frozen=True)
 class Supply:
-    """Supply pressures (gauge) and limits.
+    """Supply pressure and pressure limits (gauge).
 
     Attributes:
         nominal: default supply pressure, Pa.
         continuous_limit: maximum pressure that a chamber may hold, Pa.
-        pulsed_limit: maximum supply pressure if the chambers are filled and vented in
-            turn (gait, PWM), Pa.
+        pulsed_limit: maximum supply pressure if chambers are filled and vented in turn,
+            as in a gait or with PWM, Pa.
         limit_source: source of the limits, cited in error messages.
     """
 
@@ -449,11 +455,11 @@ class Tail:
     """Tail assembly with a second axle behind the axle of the last connector.
 
     Attributes:
-        axle: distance of the second axle behind the axle of the last connector, m.
-        com: distance of the centre of mass behind the axle of the last connector, m, at
-            most `axle`.
-        com_height: height of the centre of mass above the floor, m.
-        gyration: radius of gyration of the assembly including the wheels, m.
+        axle: distance from the axle of the last connector back to the second axle, m.
+        com: distance from the axle of the last connector back to the centre of mass, m,
+            at most `axle`.
+        com_height: height of the assembly's centre of mass above the floor, m.
+        gyration: radius of gyration of the assembly including its wheels, m.
     """
 
     axle: float
@@ -483,20 +489,20 @@ class Axle(NamedTuple):
 
 @dataclass(frozen=True)
 class RobotSpec:
-    """Parameters of one snake.
+    """Parameters of one snake robot.
 
     Attributes:
         name: short name of the robot and of its MJCF model.
-        title: description on one line.
+        title: one-line description of the robot.
         geometry: dimensions and number of connectors.
-        mass: masses of connectors and wheels.
+        mass: masses of the robot's parts.
         friction: friction on the floor.
-        bending: compliance of a segment.
+        bending: stiffness and damping of a segment.
         actuator: response of a module to its valves.
-        chamber: air space of a chamber.
-        supply: supply pressures and their limits.
-        phase_step: β, phase lag of the gait from one segment to the next, rad (E18).
-        variation: individual properties of the modules, or None if all modules are
+        chamber: air volume of a chamber.
+        supply: supply pressure and pressure limits.
+        phase_step: phase lag β of the gait from one segment to the next, rad (E18).
+        variation: properties of the individual modules, or None if all modules are
             nominal.
         tail: tail assembly, or None if the robot has none.
         skin: contact of a body without wheels, or None for a robot on wheels.
@@ -559,7 +565,7 @@ class RobotSpec:
 
     @property
     def is_spatial(self) -> bool:
-        """Whether the segments bend in two directions."""
+        """Whether the segments bend vertically as well as horizontally."""
         return self.chamber.directions is not None
 
     @property
@@ -581,7 +587,8 @@ class RobotSpec:
         """Check that the robot is planar.
 
         Args:
-            feature: feature that requires a planar robot, as named in the message.
+            feature: name of the feature that requires a planar robot, used in the
+                message.
 
         Raises:
             InputError: the robot is spatial.
@@ -591,12 +598,12 @@ class RobotSpec:
 
     @cached_property
     def modules(self) -> Modules:
-        """Individual properties of the modules."""
+        """Properties of the individual modules."""
         return self.variation or Modules.nominal(self.segments, self.chambers)
 
     @cached_property
     def scale(self) -> Scale:
-        """Units of the numerical settings."""
+        """Units of the numerical settings, which depend on the robot's size."""
         return Scale.of_pitch(self.geometry.pitch)
 
     def connector_weights(self, behind_head: np.ndarray) -> np.ndarray:
@@ -606,8 +613,8 @@ class RobotSpec:
         neighbouring connectors.
 
         Args:
-            behind_head: distances of the points behind the head of the straight body,
-                shape (points,), m.
+            behind_head: distance of each point behind the first connector of the
+                straight body, shape (points,), m.
 
         Returns:
             Weights, shape (N, points), dimensionless.
@@ -624,8 +631,8 @@ class RobotSpec:
             Axle(i, 0.0, mass) for i, mass in enumerate(self.mass.connectors, start=1)
         ]
         if self.tail is not None:
-            # Lever rule: the mass on an axle is proportional to the distance from the
-            # centre of mass to the other axle.
+            # By the lever rule, the mass on an axle is proportional to the distance
+            # from the centre of mass to the other axle.
             last = axles.pop()
             fraction = self.tail.com / self.tail.axle
             axles.append(last._replace(mass=(1 - fraction) * last.mass))
@@ -638,9 +645,8 @@ class RobotSpec:
     def connector_gyration(self) -> float:
         """Radius of gyration of a connector without wheels, m.
 
-        By default, the connector is a uniform block as long as the rigid gap L_o and as
-        wide as the track 2 w. This block has the radius of gyration
-        √((L_o² + (2 w)²)/12).
+        The default is the value √((L_o² + (2 w)²)/12) of a uniform block as long as the
+        rigid gap L_o and as wide as the track 2 w.
         """
         if self.mass.connector_gyration is not None:
             return self.mass.connector_gyration
@@ -648,11 +654,11 @@ class RobotSpec:
         return math.hypot(g.rigid_gap, 2 * g.half_track) / math.sqrt(12)
 
     def yaw_inertia(self) -> np.ndarray:
-        """Return the yaw inertia of connectors with wheels, shape (N,), kg·m²."""
+        """Return the yaw inertia of each connector with wheels, shape (N,), kg·m²."""
         wheel = self.mass.wheel
         g = self.geometry
-        # Yaw inertia of a wheel: m r²/4 of a thin disc about a diameter, plus the
-        # parallel-axis term due to the half track.
+        # The yaw inertia of a wheel is m r²/4, as for a thin disc about a diameter,
+        # plus the parallel-axis term due to the half track.
         wheels = 2 * wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
         inertia: np.ndarray = (
             self.mass.array() - 2 * wheel

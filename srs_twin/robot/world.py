@@ -1,8 +1,7 @@
-"""World around the snake: floor, obstacles, objects, bounds and goal.
+"""World around the snake, with floor, obstacles, movable objects, bounds and goal.
 
-All quantities are in SI units and in the world frame. The functions generate random
-obstacles: peg fields, uniformly distributed circles, and circles at the 18 sites of
-Fig. 54.
+All quantities are in SI units and in the world frame. The functions generate peg
+fields, uniformly distributed circles, and circles at the 18 sites of Fig. 54.
 """
 
 from __future__ import annotations
@@ -16,12 +15,12 @@ import numpy as np
 from srs_twin.errors import InputError
 
 OBSTACLE_FRICTION = 0.5
-"""Default friction coefficient of silicone on a smooth obstacle. This is an estimate,
-because the dissertation states no value."""
+"""Default friction coefficient of silicone on a smooth obstacle, estimated because the
+dissertation states no value."""
 
 WALL_M = 0.001
-"""Corner radius of a polygonal obstacle, m. The solid obstacle extends beyond the polygon
-by this distance."""
+"""Corner radius of a polygonal obstacle, which extends beyond its polygon by this
+distance, m."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Pose:
     Attributes:
         x: x coordinate of the centre of mass, m.
         y: y coordinate of the centre of mass, m.
-        heading: mean heading, counter-clockwise from x, rad.
+        heading: mean heading, counter-clockwise from the x axis, rad.
     """
 
     x: float
@@ -50,7 +49,7 @@ class Circle:
     Attributes:
         x: x coordinate of the centre, m.
         y: y coordinate of the centre, m.
-        radius: radius, m.
+        radius: radius of the obstacle, m.
     """
 
     x: float
@@ -63,7 +62,8 @@ class Polygon:
     """Polygonal obstacle, whose sides do not cross each other.
 
     Attributes:
-        corners: (x, y) of at least three corners, m, clockwise or counter-clockwise.
+        corners: (x, y) coordinates of at least three corners, clockwise or
+            counter-clockwise, m.
     """
 
     corners: tuple[tuple[float, float], ...]
@@ -74,8 +74,8 @@ class Bounds:
     """Rectangle that the snake should not leave.
 
     Attributes:
-        x: minimum and maximum x, m.
-        y: minimum and maximum y, m.
+        x: minimum and maximum x coordinate, m.
+        y: minimum and maximum y coordinate, m.
     """
 
     x: tuple[float, float]
@@ -84,14 +84,14 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Goal:
-    """Goal for the centre of mass.
+    """Goal for the snake's centre of mass, with an optional heading.
 
     Attributes:
-        x: x coordinate, m.
-        y: y coordinate, m.
-        heading: heading at the goal, rad, or None for any heading.
-        radius: maximum distance from the goal position, m.
-        heading_tolerance: maximum deviation from the heading, rad.
+        x: x coordinate of the goal, m.
+        y: y coordinate of the goal, m.
+        heading: required heading at the goal, rad, or None for any heading.
+        radius: maximum distance of the centre of mass from the goal, m.
+        heading_tolerance: maximum deviation from the required heading, rad.
     """
 
     x: float
@@ -103,13 +103,14 @@ class Goal:
 
 @dataclass(frozen=True)
 class Floor:
-    """Plane floor with an optional slope.
+    """Flat floor with an optional slope.
 
     The x and y axes lie in the plane of the floor, and the z axis is normal to it.
 
     Attributes:
         tilt: slope angle, rad.
-        uphill: direction in which the floor rises, counter-clockwise from x, rad.
+        uphill: direction in which the floor rises, counter-clockwise from the x axis,
+            rad.
     """
 
     tilt: float = 0.0
@@ -117,7 +118,7 @@ class Floor:
 
     @property
     def down(self) -> tuple[float, float, float]:
-        """Direction of gravity as a unit vector, exactly (0, 0, −1) on a level floor."""
+        """Unit vector along gravity, exactly (0, 0, −1) on a level floor."""
         slope = math.sin(self.tilt)
         return (
             0.0 - slope * math.cos(self.uphill),
@@ -131,8 +132,8 @@ class FloorStep:
     """Step of the floor along a line of constant x.
 
     Attributes:
-        x: position of the step, m.
-        height: height of the floor beyond x relative to the floor before x, m.
+        x: x coordinate of the step, m.
+        height: height of the floor at larger x relative to the floor at smaller x, m.
     """
 
     x: float
@@ -145,12 +146,12 @@ class MovableObject:
 
     Attributes:
         size: radius of a cylinder, or length and width of a box, m.
-        mass: mass, kg.
+        mass: mass of the object, kg.
         friction: friction coefficient between the object and the floor.
         x: initial x coordinate of the centre, m.
         y: initial y coordinate of the centre, m.
-        heading: initial direction of the long side of a box, counter-clockwise from x,
-            rad.
+        heading: initial direction of the length axis of a box, counter-clockwise from
+            the x axis, rad.
     """
 
     size: tuple[float, ...]
@@ -167,7 +168,7 @@ class MovableObject:
 
     @property
     def gyration(self) -> float:
-        """Radius of gyration of a uniform body about the vertical axis, m."""
+        """Radius of gyration about the vertical axis for uniform density, m."""
         if self.is_box:
             return math.hypot(*self.size) / math.sqrt(12)
         return self.size[0] / math.sqrt(2)
@@ -176,10 +177,11 @@ class MovableObject:
     def supports(self) -> tuple[tuple[float, float], ...]:
         """Positions of four points that carry equal loads, in the object's frame, m.
 
-        For a box, they are the Gauss points, which have the second moments of a uniform
-        pressure. For a cylinder, they lie at two thirds of the radius, so that the
-        friction moment in a pure spin equals the moment 2/3 μ m g R of a uniform
-        pressure. For a square box, the friction moment is 7 % too large.
+        For a box, the points are the Gauss points, which have the same second moments
+        as a uniform pressure. For a cylinder, the points lie at two thirds of the
+        radius, so that the friction moment in a pure spin is 2/3 μ m g R, as for a
+        uniform pressure. For a square box, the friction moment in a pure spin is 7 %
+        too large.
         """
         reach = 1 / math.sqrt(12) if self.is_box else math.sqrt(2) / 3
         a, b = (reach * side for side in (self.size if self.is_box else self.size * 2))
@@ -188,17 +190,17 @@ class MovableObject:
 
 @dataclass(frozen=True)
 class World:
-    """Floor, obstacles, objects, bounds and goal.
+    """Floor, obstacles, movable objects, bounds and goal.
 
     Attributes:
         obstacles: round obstacles.
         bounds: rectangle that the snake should not leave, or None.
         goal: goal of the planner, or None.
-        polygons: obstacles with straight sides.
+        polygons: polygonal obstacles.
         floor: slope of the floor.
         steps: steps of the floor.
         objects: movable objects, which only the twin supports.
-        friction: Coulomb friction coefficient between body and obstacles.
+        friction: Coulomb friction coefficient between the body and obstacles.
     """
 
     obstacles: tuple[Circle, ...] = ()
@@ -222,23 +224,23 @@ class World:
 
     @property
     def is_solid(self) -> bool:
-        """Whether the world has obstacles or objects."""
+        """Whether the world has obstacles or movable objects."""
         return self.has_obstacles or bool(self.objects)
 
 
 PEG_DISTANCE_M = 0.2
-"""Default distance between start and first pegs, m, for a robot with length unit 1."""
+"""Default distance from the start to the first pegs, m, for a robot with a length unit
+of 1."""
 
 FIG54_START = Pose(0.0, 0.0, math.pi / 4)
-"""Initial pose of Section 5.2.1 in the world of Fig. 54."""
+"""Initial pose in the world of Fig. 54, from Section 5.2.1."""
 
 FIG54_GOAL = Goal(2.0, 1.0, math.pi / 4, radius=0.02, heading_tolerance=0.05)
-"""Goal of Section 5.2.1. The heading −3/4 π printed in the dissertation is that of the
+"""Goal of Section 5.2.1. The heading −3/4 π printed in the dissertation belongs to the
 search tree that starts at the goal."""
 
 FIG54_BOUNDS = Bounds((-0.3, 2.3), (-0.3, 1.3))
-"""Bounds of the world of Fig. 54, which define the h score. They are assumed, because
-the figure is lost."""
+"""Bounds of the world of Fig. 54, which are assumed, because the figure is lost."""
 
 FIG54_SITES = tuple(
     Circle(
@@ -247,11 +249,11 @@ FIG54_SITES = tuple(
     for column in range(5)
     for row in range(3)
 ) + tuple(Circle(x, y, 0.1) for x, y in ((0.1, 0.6), (1.9, 0.4), (1.85, 0.05)))
-"""Centres of 18 circles with a diameter of 200 mm between start and goal. They are
+"""Circles with a diameter of 200 mm at 18 sites between start and goal. The sites are
 assumed, because Fig. 54 is lost."""
 
 _MAX_TRIES = 200
-"""Mean number of tries per circle after which placement is given up."""
+"""Maximum number of tries per requested circle, averaged over all circles."""
 
 
 def fig54_world(count: int, seed: int) -> World:
@@ -285,16 +287,17 @@ def peg_field(
     jitter: float = 0.0,
     staggered: bool = False,
 ) -> tuple[Circle, ...]:
-    """Return pegs on a square grid that is symmetric about the line y = first[1].
+    """Return pegs on a square grid that is centred on the line y = first[1].
 
     Args:
         spacing: distance between neighbouring rows and columns, m.
         radius: radius of all pegs, m.
         rows: number of pegs in a column, along y.
         columns: number of columns, along x.
-        first: x of the first column and y of the centre of the grid, m.
+        first: x coordinate of the first column and y coordinate of the grid's centre,
+            m.
         seed: random seed of the displacements.
-        jitter: maximum displacement of a peg along x and along y, m. Displacements are
+        jitter: maximum displacement of a peg along each axis, m. Displacements are
             uniformly distributed.
         staggered: whether every second column is shifted by half the spacing.
 
@@ -338,7 +341,7 @@ def random_circles(
         radius: minimum and maximum radius, m.
         gap: minimum distance between the edges of two circles, m. If the gap is
             negative, circles may overlap.
-        clear: areas (x, y, radius) that circles must not touch, m.
+        clear: circular areas (x, y, radius) that no circle may overlap, m.
 
     Raises:
         InputError: the circles do not fit.

@@ -1,4 +1,4 @@
-"""Loading, validation and simulation setup of scenario files."""
+"""Scenario files: loading, validation and preparation of simulations."""
 
 from typing import TYPE_CHECKING
 

@@ -47,13 +47,12 @@ from srs_twin.scenario.world import WorldFile
 
 _ROUNDING = 1.001
 """Tolerance factor on pressure limits, which allows for rounding in unit conversions.
-For example, 7 psi is 48.26 kPa but is often written as 48.3 kPa."""
+For example, 7 psi is 48.26 kPa but is often rounded to 48.3 kPa."""
 
 
 _DOUBTFUL = 20.0
-"""Ratio (in either direction) of supply pressure to nominal pressure above which a
-message suggests another unit. One shipped scenario uses a tenth of the nominal
-pressure."""
+"""Factor between supply pressure and nominal pressure above which a message suggests
+another unit. One shipped scenario uses a tenth of the nominal pressure."""
 
 _PSI_KPA = 6.894757
 
@@ -67,7 +66,7 @@ def check(
 ) -> None:
     """Report contradictions between the sections of a scenario.
 
-    If the robot is invalid, `robot` is None.
+    The argument `robot` is None if the robot is invalid.
     """
     spec = None if robot is None else robot.spec()
     sections = [
@@ -136,8 +135,8 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
     """Check the supply pressure against the limit of the robot and return warnings.
 
     A pressure above the limit is reported as a problem, or returned as a warning if the
-    scenario allows overpressure. The check reads the raw document and therefore also
-    runs if other keys are invalid.
+    scenario allows overpressure. The check reads the raw document, so it also works if
+    other keys are invalid.
     """
     loc = ("supply", "pressure_kpa")
     pressure = document.get(*loc)
@@ -182,7 +181,7 @@ def check_supply_pressure(document: Document, robot: RobotFile) -> list[str]:
 
 
 def _unit_hint(pressure: float, nominal: float) -> str:
-    """Return a hint that an implausible pressure (kPa) may be in another unit, or ""."""
+    """Return a hint on the unit of an implausible pressure (kPa), or an empty text."""
     in_psi = abs(pressure * _PSI_KPA / nominal - 1) < _PSI_TOLERANCE
     plausible = 1 / _DOUBTFUL < pressure / nominal < _DOUBTFUL and not in_psi
     if pressure <= 0 or plausible:
@@ -246,8 +245,7 @@ def check_start(
             loc = file.world.place_of(overlap.number, world)
             text = overlap.text
             if len(loc) < 2:
-                # Obstacles that are drawn at random or read from a map have no
-                # individual key in the file.
+                # Obstacles placed at random or read from a map have no individual key.
                 text = f"{overlap.name} {text}"
             texts.setdefault(loc, text)
     for loc, text in texts.items():
@@ -311,7 +309,7 @@ def _spatial(file: ScenarioFile, robot: RobotFile) -> Iterator[Contradiction]:
 
 
 def check_controller(file: ScenarioFile, loading: Loading) -> None:
-    """Set the valve layout and report a controller that contradicts the scenario."""
+    """Set the valve layout, and report a controller that does not fit the scenario."""
     document = loading.document
     spec = loading.robot.spec()
     controller = file.controller
@@ -393,7 +391,7 @@ def _times(file: ScenarioFile) -> Iterator[Contradiction]:
 
 
 def _step(plant: PlantFile) -> float | None:
-    """Return the time step (s) of which the plant's tick must be a multiple, or None."""
+    """Return the time step (s) of which the tick must be a multiple, or None."""
     if isinstance(plant, TwinFile):
         return plant.timestep_s
     return None

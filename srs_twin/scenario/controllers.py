@@ -1,4 +1,4 @@
-"""Section `controller` of a scenario: valve controllers and their reference bends."""
+"""Section `controller` of a scenario: valve controllers and reference bends."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class ControllerContext:
         name: scenario name, used in messages.
         robot: robot used in the scenario.
         supply_pa: gauge supply pressure, Pa.
-        products: products of extension sections, keyed by section.
+        products: objects built by extension sections, keyed by section name.
     """
 
     name: str
@@ -69,10 +69,10 @@ class ControllerContext:
 class ControllerSection(Section):
     """Base class of the controller sections.
 
-    The first entry of `constructors` is the class of the controller.
+    The first entry of `constructors` is the controller class.
 
     Attributes:
-        tick: preferred control tick, s, or None to use the tick of the plants.
+        tick: preferred control tick, s, or None for the default tick.
     """
 
     if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class ControllerSection(Section):
 
     @property
     def gait_section(self) -> ControllerSection:
-        """Section of the gait that drives the valves; by default, this section."""
+        """Section of the gait that drives the valves, by default this section."""
         return self
 
     def contradictions_with(self, file: FileSections) -> Iterator[Contradiction]:
@@ -94,7 +94,7 @@ class ControllerSection(Section):
         return iter(())
 
     def is_ready(self, products: Mapping[str, object]) -> bool:
-        """Return whether the products that the controller needs are available."""
+        """Return whether all objects that the controller needs are available."""
         return True
 
     def layouts(self, products: Mapping[str, object]) -> tuple[str, ...]:
@@ -103,10 +103,10 @@ class ControllerSection(Section):
         return layouts
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the robot or tick (s) is not supported."""
+        """Raise an `InputError` if the robot or the tick (s) is not supported."""
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """Yield warnings about a reference beyond the maximum bend `limit` (rad).
+        """Yield warnings about a reference that exceeds the maximum bend `limit` (rad).
 
         Raises:
             InputError: the reference exceeds the limit, and `beyond_range` is "refuse".
@@ -115,18 +115,18 @@ class ControllerSection(Section):
 
 
 class PitchFile(Section):
-    """Pitch wave of the gait of a spatial robot."""
+    """Pitch wave in the gait of a spatial robot."""
 
     constructors = (PitchWave,)
 
     fraction: float = quantity(0.0, 1.0)
-    """Amplitude of the pitch wave as a fraction of the sum of both amplitudes (0:
+    """Pitch amplitude as a fraction of the sum of pitch and lateral amplitude (0:
     planar, 0.5: equal amplitudes, 1: pitch only)."""
     lag_rad: float = quantity(-6.3, 6.3)
     """Phase lag of the pitch wave behind the lateral wave (pi/2 or -pi/2 for
     sidewinding)."""
     frequency_ratio: float = quantity(0.1, 10.0)
-    """Ratio of the pitch frequency to the frequency of the lateral wave."""
+    """Ratio of pitch frequency to lateral frequency."""
     lifted_segments: int = quantity(0, 63)
     """Number of segments, counted from the head, that are always bent upwards."""
 
@@ -145,13 +145,13 @@ class GaitFile(ControllerSection):
     phase_rad: float = _PHASE
     """Phase of the gait at the start."""
     phase_step_rad: float | None = _PHASE
-    """Phase lag of each segment behind the segment in front of it (default: value of
-    the robot)."""
+    """Phase lag of each segment behind the segment in front of it (default: value in
+    the robot file)."""
     phases_rad: _Phases | None = constructor_default()
-    """Additional phase lag of each segment, one value per segment (default: none)."""
+    """Additional phase lag of each segment, rad (default: none)."""
     rest_fraction: float | None = quantity(0.0, 0.95)
-    """Fraction of the period, around the sign changes of the wave, in which both
-    chambers of a segment are vented (default: none)."""
+    """Fraction of the gait period, around the sign changes of the valve wave, in which
+    both chambers of a segment are vented (default: none)."""
     pitch: PitchFile | None = None
     """Pitch wave of a spatial robot (default: none)."""
 
@@ -160,7 +160,7 @@ class GaitFile(ControllerSection):
         return Gait(**self.arguments() | {"pitch": self.pitch and self.pitch.build()})
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the robot or tick (s) is not supported."""
+        """Raise an `InputError` if the robot or the tick (s) is not supported."""
         if self.pitch is not None:
             self.pitch.build().check(spec)
 
@@ -168,7 +168,7 @@ class GaitFile(ControllerSection):
 class LearningFile(ControllerSection):
     """Iterative learning control of a gait.
 
-    The duty cycle of each chamber is updated once per period (Eq. 32).
+    The duty cycle of each chamber is updated once per gait period (Eq. 32).
     """
 
     constructors = (ILC,)
@@ -179,12 +179,13 @@ class LearningFile(ControllerSection):
     frequency_hz: float = _FREQUENCY
     """Gait frequency."""
     offset: float = quantity(-MAX_OFFSET, MAX_OFFSET)
-    """Steering offset, positive to the left, which makes the target amplitudes unequal."""
+    """Steering offset, positive to the left, which makes the target amplitudes
+    unequal."""
     target: Literal["smallest"] | None = None
-    """Target amplitude of the side that bends further; "smallest" selects the smallest
-    recorded amplitude. This is the default if target_rad is not set."""
+    """Target amplitude of the side that bends further; "smallest" (the default without
+    target_rad) selects the smallest recorded amplitude."""
     target_rad: float | None = quantity(0.01, _RIGHT_ANGLE, None)
-    """Target amplitude (of the side that bends further)."""
+    """Target amplitude (on the side that bends further)."""
     k_per_rad: float = quantity(1e-4, 100.0)
     """Learning gain k (change of the duty cycle per amplitude error)."""
     free_periods: int = quantity(1, 1000)
@@ -193,16 +194,16 @@ class LearningFile(ControllerSection):
     """Carrier frequency of the pulse-width modulation."""
     on_fault: Literal["go_on", "stop"] = constructor_default()
     """Response to a dead sensor or a stuck valve; "go_on" continues the gait without
-    the faulty module. "stop" ends the run."""
+    the faulty module, and "stop" ends the run."""
     steering: Literal["targets", "targets_and_wave"] = constructor_default()
-    """Quantities that the offset changes; "targets" changes only the target amplitudes.
-    "targets_and_wave" also changes the valve wave (Eq. 13), which then fills the
-    chambers on the inner side of the turn for longer."""
+    """Quantities that the offset changes; with "targets", only the target
+    amplitudes change. With "targets_and_wave", the valve wave (Eq. 13) also changes and
+    fills the chambers on the inner side of the turn for longer."""
     phase_rad: float = _PHASE
     """Phase of the gait at the start."""
     phase_step_rad: float | None = _PHASE
-    """Phase lag of each segment behind the segment in front of it (default: value of
-    the robot)."""
+    """Phase lag of each segment behind the segment in front of it (default: value in
+    the robot file)."""
 
     @model_validator(mode="after")
     def _fits(self) -> LearningFile:
@@ -219,7 +220,7 @@ class LearningFile(ControllerSection):
         return self
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the robot or tick (s) is not supported."""
+        """Raise an `InputError` if the robot or the tick (s) is not supported."""
         ChamberPeriods(spec.modules.array("bias"), self.frequency_hz, tick)
 
     def warnings(self, limit: float) -> Iterator[str]:
@@ -290,7 +291,7 @@ class SquareFile(_PeriodicFile):
 
 
 class StaircaseFile(Section):
-    """Sequence of bends of equal duration. The last bend is held to the end."""
+    """Sequence of bends with equal durations. The last bend is held until the end."""
 
     constructors = (Staircase,)
 
@@ -315,7 +316,7 @@ class _TrackingFile(ControllerSection):
     """Reference bend of all segments."""
     beyond_range: Literal["refuse", "saturate"] = "refuse"
     """Response to a reference beyond the maximum bend at the supply pressure; "refuse"
-    rejects the scenario. "saturate" limits the reference to the maximum bend."""
+    rejects the scenario, and "saturate" limits the reference to the maximum bend."""
 
     def controller(self, context: ControllerContext) -> Controller:
         reference = self.within(largest_bend(context.robot, context.supply_pa))
@@ -334,7 +335,7 @@ class _TrackingFile(ControllerSection):
         return reference.limited(limit, self.beyond_range)
 
     def warnings(self, limit: float) -> Iterator[str]:
-        """Yield a warning if the reference saturates at bend `limit` (rad)."""
+        """Yield a warning if the reference exceeds the maximum bend `limit` (rad)."""
         if unlimited := getattr(self.within(limit), "unclipped", None):
             yield (
                 f"controller.reference: {unlimited.peak:.4g} rad is limited to"
@@ -372,7 +373,7 @@ class IterativeFile(_TrackingFile):
     """Carrier frequency of the pulse-width modulation."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the robot or tick (s) is not supported."""
+        """Raise an `InputError` if the robot or the tick (s) is not supported."""
         PulseWidthModulator(self.carrier_hz, tick, spec.segments, scale=spec.scale)
 
 
@@ -394,7 +395,7 @@ class HoldFile(ControllerSection):
 
 
 class GraspFile(ControllerSection):
-    """Whole-body grasp, in which the tail holds an object and the front drags it."""
+    """Whole-body grasp in which the tail holds an object and the front drags it."""
 
     constructors = (Grasp,)
 
@@ -403,8 +404,8 @@ class GraspFile(ControllerSection):
     frequency_hz: float = _FREQUENCY
     """Gait frequency of the dragging segments."""
     mode: Literal["open_loop", "sensed"] = constructor_default()
-    """Trigger of the next grasp phase; "open_loop" changes phase at given times.
-    "sensed" uses the measured bends."""
+    """Trigger of the next grasp phase; in the mode "open_loop", phases begin at given
+    times. In the mode "sensed", the drag begins when the measured bends settle."""
     side: Literal["left", "right"] = constructor_default()
     """Side of the body on which the object lies."""
     hold: int = quantity(1, 62)
@@ -412,18 +413,18 @@ class GraspFile(ControllerSection):
     curl_s: float = quantity(0.01, 100.0)
     """Time in which the duty cycle of the curling segments rises from 0 to 1."""
     drag_after_s: float = quantity(0.0, 1000.0)
-    """Start time of the drag (latest start time if the mode is sensed)."""
+    """Start time of the drag (latest start time in sensed mode)."""
     release_after_s: float | None = quantity(0.0, 1e6)
     """Time between the start of the drag and the release (default: never)."""
     drag_m: float | None = quantity(0.001, 1000.0)
-    """Distance of the drag after which the object is released (sensed mode only;
-    default: no limit)."""
+    """Drag distance after which the object is released (sensed mode only; default: no
+    limit)."""
     phase_step_rad: float | None = _PHASE
-    """Phase lag of each segment behind the segment in front of it (default: value of
-    the robot)."""
+    """Phase lag of each segment behind the segment in front of it (default: value in
+    the robot file)."""
 
     def check(self, spec: RobotSpec, tick: float) -> None:
-        """Raise an `InputError` if the robot or tick (s) is not supported."""
+        """Raise an `InputError` if the robot or the tick (s) is not supported."""
         check_hold(self.arguments()["hold"], spec)
         check_release(self.mode, self.drag_m)
 

@@ -1,12 +1,11 @@
 """Expected values of metrics and their evaluation after a run.
 
-An expectation is met, missed, missed for a known reason, or not judged. It is not
-judged in three cases:
+An expectation is met, missed, missed for a known reason, or not judged. An expectation
+is not judged in three cases:
 
 - the metric is undefined for the run;
-- the stored interval was computed for a different run;
-- the published value is too close to an interval bound, compared with the standard
-  error of the bound.
+- no stored interval applies to the run;
+- the published value lies within two standard errors of an interval bound.
 """
 
 from __future__ import annotations
@@ -43,11 +42,10 @@ from srs_twin.scenario.fields import Section, quantity
 COMPARISON = "comparison"
 """Subject of expectations that compare the two plants."""
 _BOUND = 1e9
-"""Maximum absolute value in an expectation, far above the values of all metrics."""
+"""Maximum absolute value in an expectation, which is far larger than any metric."""
 _INTERVAL_TOLERANCE = 0.01
-"""Maximum difference between the value in a run and the value for which an interval was
-stored, as a fraction of the interval width. A larger difference indicates that the
-physics or the duration changed."""
+"""Maximum difference between the metric value in a run and the metric value stored with
+an interval, as a fraction of the interval width."""
 _STORAGE_TOLERANCE = 1e-5
 """Relative tolerance of stored values, which are rounded to six digits."""
 _PUBLISHED_STD = 0.01
@@ -62,11 +60,10 @@ _TALLY = {
     "not_judged": "not judged",
 }
 _OUTSIDE_PROBABILITY = {"interval_50": 0.5, "interval_95": 0.05}
-"""Probability α that a value lies outside the interval, as in the interval score."""
+"""Probability α that a value lies outside each interval, for the interval score."""
 _INTERVALS = {"interval_50": "50 % interval", "interval_95": "95 % interval"}
 _CAUSES = {"u_num": "the time step", "u_d": "the published value"}
-"""Causes of uncertainty as named in messages. For `u_input`, messages name a robot
-parameter."""
+"""Names of uncertainty causes in messages, except for `u_input`."""
 _PARAMETERS = {
     "friction.mu_t": "rolling friction",
     "friction.mu_n": "sideways friction",
@@ -89,7 +86,7 @@ MetricName = Annotated[
     AfterValidator(metric_name),
     PlainSerializer(written_name, when_used="json"),
 ]
-"""Name of a metric. The name of a plug-in metric is ``module:Name``."""
+"""Name of a metric, which has the form ``module:Name`` for plug-in metrics."""
 
 _METRIC_SCHEMAS: list[Any] = [
     {"enum": [*METRIC_UNITS, *COMPARISON_UNITS]},
@@ -98,10 +95,10 @@ _METRIC_SCHEMAS: list[Any] = [
 
 
 def known_metrics(subject: str | None = None) -> tuple[str, ...]:
-    """Return the names of the metrics of a subject.
+    """Return the metric names of a subject.
 
-    The subject is "comparison" or the name of a plant. If `subject` is None, the names
-    of all metrics are returned.
+    Args:
+        subject: plant name, "comparison", or None for all metrics.
     """
     if subject is None:
         return (*metric_units(), *COMPARISON_UNITS)
@@ -113,23 +110,25 @@ def known_metrics(subject: str | None = None) -> tuple[str, ...]:
 class ExpectationRow(TypedDict, total=False):
     """Result of an expectation for a run, stored as a row in metrics.json.
 
-    The attributes from `verdict` to `interval_error` are set if `within` is set.
+    The attributes from `verdict` to `interval_error` exist only if the published value
+    was compared with an interval.
 
     Attributes:
         metric: name of the metric.
-        of: "analytical", "twin" or "comparison".
+        of: subject of the metric, which is "analytical", "twin" or "comparison".
         value: value of the metric, or None if there is none.
         allowed: allowed values as text.
         met: whether the metric has an allowed value.
         state: "met", "missed", "expected_failure" (missed for a known reason) or
             "not_judged". Rows written by earlier versions have no state.
-        reason: why the expectation is not judged, or None.
+        reason: reason why the expectation is not judged, or None.
         near: expected or published value.
         source: publication or measurement that states the value.
         expected_failure: known reason why the expectation is missed.
         within: name of the interval that must contain the published value.
-        verdict: "within", "undecided" or "outside".
-        error: value minus published value, called E in ASME V&V 20.
+        verdict: position of the published value relative to the interval, which is
+            "within", "undecided" or "outside".
+        error: metric value minus published value, called E in ASME V&V 20.
         u_num: standard uncertainty due to the time step.
         u_input: standard uncertainty due to the robot's parameters.
         u_d: standard uncertainty of the published value.
@@ -177,7 +176,7 @@ class AllowedRange(NamedTuple):
     def near(
         cls, value: float, relative: float | None, absolute: float | None
     ) -> AllowedRange:
-        """Return the range around a value. The absolute tolerance takes precedence."""
+        """Return the range around a value. An absolute tolerance takes precedence."""
         tolerance = absolute
         if tolerance is None:
             tolerance = (relative or 0.0) * math.fabs(value)
@@ -207,29 +206,29 @@ class Expectation(Section):
     plant: Literal["analytical", "twin"] | None = None
     """Plant that the metric describes."""
     of: Literal["comparison"] | None = None
-    """Subject of a metric that belongs to the comparison of both plants."""
+    """Subject of a metric that compares both plants."""
     near: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Expected value."""
     rel: float | None = quantity(1e-9, 100.0, None)
-    """Relative tolerance of near."""
+    """Relative tolerance of the expected value."""
     abs: float | None = quantity(0.0, _BOUND, None, unit=_UNIT)
-    """Absolute tolerance of near."""
+    """Absolute tolerance of the expected value."""
     below: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Maximum allowed value."""
     published: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Published value (the predicted interval named by `within` must contain it)."""
     within: Literal["interval_50", "interval_95"] | None = None
-    """Interval that must contain the published value; it is stored by `srs-twin
-    uncertainty SCENARIO --write`."""
+    """Interval that must contain the published value; the command `srs-twin uncertainty
+    SCENARIO --write` stores this interval."""
     scatter: float | None = quantity(0.0, _BOUND, None, unit=_UNIT)
     """Standard uncertainty of the published value (default: 1 % of the value)."""
     above: float | None = quantity(-_BOUND, _BOUND, None, unit=_UNIT)
     """Minimum allowed value."""
     source: Words | None = None
-    """Source of a published value; leave it out for bounds that you chose yourself."""
+    """Source of a published value; omit this key for bounds that you chose yourself."""
     expected_failure: Words | None = None
     """Known reason why the expectation is missed; `--check` accepts a miss with a known
-    reason, `--strict` does not."""
+    reason, but `--strict` does not."""
 
     @field_validator("metric")
     @classmethod
@@ -318,10 +317,10 @@ class Expectation(Section):
         """Return the result of the expectation for a run.
 
         Args:
-            metrics: contents of metrics.json. The entry "intervals" holds the result of
+            metrics: contents of metrics.json. The entry "intervals" is the result of
                 `experiment.stored_intervals`.
-            undefined: why the metric is undefined. None if the metric has a value, or
-                if the missing value is itself a result of the run.
+            undefined: reason why the metric is undefined, or None if the metric has a
+                value or a missing value is itself a result of the run.
         """
         allowed = self.allowed
         if self.of:
@@ -365,8 +364,7 @@ class Expectation(Section):
     ) -> ExpectationRow:
         """Return the entries of a row that depend on a stored interval.
 
-        If no verdict is possible, the row contains a `reason`. An example is a
-        published value within two standard errors of an interval bound.
+        If no verdict is possible, the entry `reason` explains why.
         """
         published = self.published
         assert self.within is not None and published is not None, "see _is_consistent()"
@@ -403,7 +401,7 @@ class Expectation(Section):
         }
 
     def _uncertainties(self, spread: Mapping[str, Any]) -> ExpectationRow:
-        """Return the standard uncertainties of ASME V&V 20 and name the largest."""
+        """Return the standard uncertainties of ASME V&V 20 and name the largest one."""
         u_d = self.scatter
         if u_d is None:
             u_d = _PUBLISHED_STD * abs(self.published or 0.0)
@@ -435,7 +433,7 @@ class Expectation(Section):
         low, high = spread[str(self.within)]
         tolerance = max(
             _INTERVAL_TOLERANCE * (high - low),
-            # The last digits of a result differ between processors.
+            # The last digits of a result depend on the processor.
             _STORAGE_TOLERANCE * abs(spread["value"]),
         )
         if abs(value - spread["value"]) <= tolerance:
@@ -468,11 +466,13 @@ class Expectation(Section):
 def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | None:
     """Return the path of the parameter with the largest total Sobol index.
 
-    Return None if the largest index exceeds the second largest by less than its error.
+    The result is None if the largest index exceeds the second largest by less than its
+    error.
 
     Args:
-        sensitivity: `total` Sobol index of each parameter, and `total_error`, half the
-            width of the 95 % interval of each index.
+        sensitivity: dictionary for each parameter, keyed by parameter path. The entry
+            `total` is the Sobol index, and `total_error` is half the width of its 95 %
+            interval.
     """
     ranked = sorted(sensitivity, key=lambda path: -sensitivity[path]["total"])
     if not ranked:
@@ -492,7 +492,7 @@ def _parameter(path: str | None) -> str:
 
 
 def _ends(low: float, high: float, inside: float) -> str:
-    """Format interval bounds with enough digits to differ from the value `inside`."""
+    """Format interval bounds, with digits that show whether they enclose `inside`."""
     within = low <= inside <= high
     texts = ([f"{end:.{digits}g}" for end in (low, high)] for digits in range(3, 18))
     return " to ".join(
@@ -510,9 +510,9 @@ class ExpectationsFile(Section):
 
 
 def verdict(checked: ExpectationRow) -> str:
-    """Return the verdict on an expectation, which is a state or "holds".
+    """Return the state of an expectation, or "holds" if it is met unexpectedly.
 
-    The result is "holds" if the expectation is met although `expected_failure` is set.
+    If `expected_failure` is set, the expectation is not expected to be met.
     """
     expected_failure = checked.get("expected_failure") is not None
     state = checked.get("state")
@@ -540,7 +540,7 @@ def result_text(checked: ExpectationRow) -> str:
 
 
 def allowed_text(checked: ExpectationRow) -> str:
-    """Return the allowed values as text: a range, a number, "yes" or "no"."""
+    """Return the allowed values as text, such as a range, a number, "yes" or "no"."""
     metric = checked["metric"]
     allowed = str(checked["allowed"])
     if is_yes_no(metric) and allowed in ("0", "1"):
@@ -559,8 +559,8 @@ def tally(verdicts: Mapping[str, int]) -> str:
 
 
 UNDECIDED_ERRORS = 2.0
-"""Minimum distance of a published value from an interval bound for a verdict, in
-standard errors of the bound. Two standard errors correspond to 95 %."""
+"""Minimum distance between a published value and an interval bound for a verdict, in
+standard errors of the bound."""
 
 
 class IntervalVerdict(Enum):
@@ -574,7 +574,7 @@ class IntervalVerdict(Enum):
 def interval_verdict(
     published: float, interval: Sequence[float], errors: Sequence[float] | None = None
 ) -> IntervalVerdict:
-    """Return whether an interval contains a published value.
+    """Return the position of a published value relative to an interval.
 
     Args:
         published: published value.

@@ -1,17 +1,17 @@
-"""Sections of scenario files, which convert keys with units to SI objects.
+"""Base classes for sections of scenario files, which convert keys with units to SI.
 
-The name of a key ends with a unit: ``frequency_hz``, ``k_per_rad``, ``distance_mm``. A
-section passes the values to a constructor whose parameters are named like the keys, but
-without units: ``frequency``, ``k`` or ``K``, ``distance``. Keys that a file omits take
-the default of the constructor.
+The name of a key ends with a unit, as in ``frequency_hz``, ``k_per_rad`` and
+``distance_mm``. A section passes the values to a constructor whose parameters have the
+same names without units, such as ``frequency``, ``k`` (or ``K``) and ``distance``. If a
+file omits a key, the default of the constructor is used.
 
 The docstring of a key is the description of the key in JSON Schemas. The unit and the
-range of a number are appended, and ``{default}`` is replaced by the default of the
+range of a number are appended, and ``{default}`` is replaced with the default of the
 constructor.
 
-While a scenario is loaded, each section of an extension reads its keys and files and
-returns a product, for example a planner or a recording. `Scenario.products` stores the
-products, keyed by section.
+When a scenario is loaded, each extension section reads its keys and files and returns a
+product, for example a planner or a recording. `Scenario.products` stores the products,
+keyed by section name.
 """
 
 from __future__ import annotations
@@ -49,9 +49,9 @@ def quantity(
     Args:
         low: minimum allowed value.
         high: maximum allowed value.
-        default: default value. If omitted, the constructor's default is used. If the
-            constructor has none either, the key is required.
-        unit: unit of the number, if the name of the key contains none.
+        default: default value. If omitted, the default of the constructor is used, or
+            the key is required if the constructor has no default.
+        unit: unit of the number, if the name of the key contains no unit.
     """
     options = {} if default is ... else {"default": default}
     extra = {"unit": unit} if unit else None
@@ -59,7 +59,7 @@ def quantity(
 
 
 def constructor_default() -> Any:
-    """Return a field whose default is the default of the constructor."""
+    """Return a field that uses the default of the constructor."""
     return partial(Field)
 
 
@@ -88,10 +88,11 @@ class Section(StrictModel):
 
     Attributes:
         constructors: constructors whose parameters the keys set. The method `build`
-            calls the first constructor. If several have a parameter of the same name,
-            the first one determines the default.
+            calls the first constructor. If several constructors have a parameter with
+            the same name, the first of them determines the default.
         parameters: parameters of the constructors, keyed by name in lower case.
-        only: keys that are allowed only if another key has a given value.
+        only: names of keys that are allowed only if another key has a given value,
+            keyed by this other key and the value.
     """
 
     model_config = ConfigDict(json_schema_extra=_describe)
@@ -160,8 +161,9 @@ class Section(StrictModel):
     def build_with(self, **context: object) -> Any:
         """Return the object that the section describes.
 
-        `context` holds additional constructor arguments that do not come from the file.
-        Arguments that the constructor does not accept are ignored.
+        Args:
+            context: further constructor arguments, which are ignored if the constructor
+                does not accept them.
         """
         given = {
             name: value for name, value in context.items() if name in self.parameters
@@ -169,14 +171,13 @@ class Section(StrictModel):
         return self.constructors[0](**given, **self.arguments())
 
     def written(self) -> dict[str, Any]:
-        """Return the section as plain data, including defaults."""
+        """Return the section as plain data with all defaults."""
         return self.model_dump(mode="json", exclude_none=True, by_alias=True)
 
     def with_scaled_defaults(self, keys: Iterable[str], factor: float) -> Self:
-        """Multiply the defaults of some keys by a factor.
+        """Return the section with the defaults of some keys multiplied by a factor.
 
-        Values set in the file are not changed. The values are numbers or tuples of
-        numbers.
+        Values that the file sets are not changed.
         """
         changed: dict[str, object] = {}
         for key in set(keys) - self.model_fields_set:
@@ -188,11 +189,11 @@ class Section(StrictModel):
         copied = self.model_copy()
         copied.__dict__.update(
             changed
-        )  # `model_fields_set` still contains only the keys of the file
+        )  # `model_fields_set` must contain only the keys of the file
         return copied
 
     def with_defaults(self, *keys: str) -> Self:
-        """Return the section, with None in `keys` replaced by constructor defaults."""
+        """Return the section with constructor defaults for `keys` that are None."""
         missing = {
             key: self.parameter(key) for key in keys if getattr(self, key) is None
         }
@@ -207,7 +208,7 @@ class Contradiction(NamedTuple):
     Attributes:
         loc: path of a key in the file.
         text: message for the user.
-        at_key: whether the message points at the key instead of the value.
+        at_key: whether the message points to the key instead of the value.
     """
 
     loc: Loc
@@ -240,11 +241,11 @@ class Loading:
     """State of a scenario while it is loaded.
 
     Attributes:
-        document: scenario file, in which problems are collected.
+        document: scenario file, which also collects problems.
         file: validated sections.
-        robot: robot file with overrides.
+        robot: robot file with overrides applied.
         world: obstacles, bounds and goal.
-        products: products of the sections read so far, keyed by section.
+        products: products of the sections read so far, keyed by section name.
         warnings: warnings for the user.
         supply_pa: gauge supply pressure, Pa.
         layout: valve layout, "3/2" or "in_out".
@@ -281,13 +282,16 @@ class ExtensionSection(Section):
     def read(self, loading: Loading) -> Any:
         """Read the section and return the product.
 
-        This method is called before the controller is checked. Problems are reported
-        to `loading.document`.
+        This method is called before the controller is checked. It reports problems to
+        `loading.document`.
         """
         return None
 
     def prepare(self, loading: Loading) -> Any:
-        """Return the final product, once all sections have been read."""
+        """Return the product if `read` returned None.
+
+        This method is called after all sections have been read.
+        """
         return None
 
     def resolve(
@@ -298,7 +302,7 @@ class ExtensionSection(Section):
     def chambers(
         self, product: Any, robot: RobotSpec, supply_pa: float, layout: str
     ) -> Pneumatics | None:
-        """Return chambers that replace the chambers of `pneumatics`, or None."""
+        """Return chambers that replace those of the section `pneumatics`, or None."""
         return None
 
     def measured(self, product: Any) -> Trajectory | None:
@@ -342,7 +346,7 @@ _CORE_PATHS: dict[Loc, str] = {
 
 
 def path_fields(sections: Container[str]) -> dict[Loc, str]:
-    """Return the kind of shipped files for each field that contains a file name.
+    """Return the kind of shipped file for each field that contains a file name.
 
     The extensions that define `sections` are imported.
     """

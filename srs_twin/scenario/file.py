@@ -40,13 +40,11 @@ from srs_twin.scenario.world import WorldFile
 from srs_twin.sensing import DeadSensor, HallSensor, Sensor, Strip, make_sensor
 
 LEAST_RECORD_HZ = 0.1
-"""Minimum recording rate, Hz."""
 MOST_RECORD_HZ = 10_000.0
-"""Maximum recording rate, Hz."""
 
 
 class SensorSection(Section):
-    """Base class of sensor sections. The first constructor must be a sensor class."""
+    """Base class of sensor sections. The first constructor must build a sensor."""
 
     def sensor(self, robot: RobotSpec) -> Sensor:
         """Build the sensors of a robot.
@@ -61,22 +59,22 @@ class SensorFile(SensorSection):
     """Curvature sensors."""
 
     constructors = (make_sensor, Strip, HallSensor)
-    only = {}  # set after the class, because all other keys require `kind: hall`
+    only = {}  # set below, because all other keys require `kind: hall`
 
     kind: Literal["ideal", "hall"] = "ideal"
-    """Kind of sensor; "ideal" measures the exact bend. "hall" models a magnet and a
-    Hall element on a strip, with amplifier, converter and linear calibration
-    (docs/module.md#the-curvature-sensor)."""
+    """Kind of sensor; "ideal" measures the exact bend. The kind "hall" models a magnet
+    and a Hall element on a strip, with amplifier, analog-to-digital converter and
+    linear calibration (docs/module.md#the-curvature-sensor)."""
     span_rad: float | None = quantity(0.1, 1.6, None)
     """Maximum bend for trimming and calibration (hall only; default {default:.4g})."""
     distance_mm: float | None = quantity(1.0, 50.0, None)
     """Distance between magnet and Hall element along the strip (hall only; default
     {default:g})."""
     orientation: Literal["up", "side"] | None = None
-    """Orientation of the magnet's north pole; for hall sensors only, by default up."""
+    """Orientation of the magnet's north pole (hall only, default up)."""
     chamber: Literal["semicircular", "rectangular"] | None = None
-    """Cross-section of the pressure chambers; for hall sensors only, by default
-    semicircular. A rectangular chamber presses on the strip."""
+    """Cross-section of the pressure chambers (hall only, default semicircular); a
+    rectangular chamber presses on the strip."""
     noise_uv: float | None = quantity(0.0, 1e5, None)
     """RMS noise of the Hall element within the bandwidth of the amplifier (hall only;
     default {default:g})."""
@@ -128,8 +126,8 @@ class StuckValveFile(_FaultFile):
     chamber: Literal["plus", "minus"]
     """Chamber whose valve is stuck."""
     stuck: Literal["open", "closed"]
-    """State of the stuck valve; an open valve always fills the chamber. A closed valve
-    always vents the chamber."""
+    """State of the stuck valve; an open valve always fills the chamber, and a closed
+    valve always vents it."""
 
     def build(self) -> StuckValve:
         """Return the fault in SI units."""
@@ -147,12 +145,12 @@ class SupplyFile(Section):
     pressure_kpa: float | None = quantity(0.1, 2000.0, None)
     """Supply pressure, gauge (default: nominal pressure of the robot)."""
     allow_overpressure: bool = False
-    """Whether a supply pressure above the robot's limit is allowed; this is an alias of
-    the top-level key allow_overpressure."""
+    """Whether a supply pressure above the robot's limit is allowed; this key is an
+    alias of the top-level key allow_overpressure."""
 
 
 class PneumaticsSection(Section):
-    """Base class of pneumatics sections. The first constructor must be a chamber class."""
+    """Base class of pneumatics sections. The first constructor must build chambers."""
 
     def chambers(self, robot: RobotSpec, supply_pa: float, layout: str) -> Pneumatics:
         """Build the chambers of a robot."""
@@ -176,11 +174,11 @@ class PneumaticsFile(PneumaticsSection):
     }
 
     kind: Literal["lag", "orifice"] = "lag"
-    """Chamber model; "lag" is an exponential response with time constant tau_1.
-    "orifice" computes the compressible flow (ISO 6358) from one supply into chambers
-    whose volumes depend on the bends."""
+    """Chamber model; "lag" is an exponential response with the time constant tau_1. The
+    model "orifice" computes the compressible flow (ISO 6358) from one supply into
+    chambers whose volumes depend on the bends."""
     leak_per_s: float = quantity(0.0, 100.0)
-    """Relative rate of pressure loss of a held chamber."""
+    """Relative rate of pressure loss in a chamber with closed valves."""
     valve_delay_s: float = quantity(0.0, 1.0)
     """Switching delay of the valves (in addition to tau_2)."""
     critical_ratio: float | None = quantity(0.0, 0.8, None)
@@ -223,9 +221,9 @@ class ValvesFile(Section):
     """Valves of each chamber."""
 
     layout: Literal["3/2", "in_out"] | None = None
-    """Valve layout; by default, the layout that the controller needs. "3/2" is a single
-    valve that fills or vents. "in_out" is a pair of inlet and outlet valves, which can
-    also hold the pressure."""
+    """Valve layout (default: the layout that the controller needs); "3/2" is a single
+    valve that fills or vents the chamber. The layout "in_out" is a pair of inlet and
+    outlet valves, which can also hold the pressure."""
 
 
 class ComparisonFile(Section):
@@ -233,8 +231,8 @@ class ComparisonFile(Section):
 
     gap_factor: bool = False
     """Whether the analytical speed is multiplied by (l + L_o)/l; the dissertation
-    applies this factor to its model without rigid gaps (Section 3.4.2). The analytical
-    plant then needs gaps: false."""
+    applies this factor to a model without rigid gaps (Section 3.4.2). The factor
+    requires `gaps: false` for the analytical plant."""
 
 
 _CORE_KINDS = {
@@ -254,20 +252,20 @@ else:
 
 
 class ScenarioFile(Section):
-    """Scenario file without extensions. `with_extensions` adds their sections."""
+    """Scenario file without the sections that `with_extensions` adds."""
 
     name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = (
         None
     )
-    """Name of the output folder (default: name of the file)."""
+    """Name of the output folder (default: file name)."""
     title: Line | None = None
-    """Title on one line (default: the name)."""
+    """One-line title (default: the name)."""
     robot: Annotated[
         Any, WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "object"}]})
     ]
     """Robot; the name of a shipped robot (gen1 to gen4, gen4_module) or the path of a
-    robot file. A mapping {base: name or path} with other keys changes fields of a
-    robot. A mapping without base defines a whole robot."""
+    robot file. A mapping with the key base (name or path) changes fields of this robot.
+    A mapping without base defines a complete robot."""
     duration_s: float = quantity(0.001, 3600.0)
     """Simulated duration."""
     seed: int = quantity(0, 2**32 - 1, 0)
@@ -279,8 +277,8 @@ class ScenarioFile(Section):
     pneumatics: PneumaticsFile = PneumaticsFile()
     """Valves and chambers."""
     allow_overpressure: bool = False
-    """Whether a supply pressure above the robot's limit is allowed; a warning is
-    shown."""
+    """Whether a supply pressure above the robot's limit causes a warning instead of an
+    error."""
     valves: ValvesFile = ValvesFile()
     """Valves of each chamber."""
     sensor: SensorFile = SensorFile()
@@ -288,8 +286,8 @@ class ScenarioFile(Section):
     faults: Annotated[list[FaultFile], Field(max_length=200)] = []
     """Faults of sensors and valves."""
     bench: bool = False
-    """Whether the head is clamped in the air without a floor, as on a test bench; this
-    applies to both plants."""
+    """Whether the head is clamped in the air without a floor, as on a test bench; the
+    key applies to both plants."""
     controller: ControllerFile
     """Controller of the valves."""
     start: StartFile = StartFile()
@@ -328,7 +326,7 @@ class ScenarioFile(Section):
         return float(section.tick_s)
 
     def scaled_to(self, scale: Scale) -> Self:
-        """Return the scenario with defaults scaled to the size of a robot."""
+        """Return the scenario with defaults scaled to the units of a robot."""
         plants = {}
         for kind, section in self.plants.running.items():
             tick = self.tick(kind)
@@ -361,9 +359,9 @@ def controller_kinds() -> dict[str, type[ControllerSection]]:
 def with_extensions(
     sections: Container[str] = SECTIONS, controllers: Container[str] = CONTROLLERS
 ) -> type[ScenarioFile]:
-    """Return the model of scenario files with the sections of extensions.
+    """Return the scenario model with the sections and controllers of extensions.
 
-    The extensions are imported. By default, these are all installed extensions.
+    By default, all installed extensions are included. The extensions are imported.
     """
     return _with_extensions(
         tuple(name for name in installed(SECTIONS) if name in sections),

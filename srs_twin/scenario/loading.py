@@ -1,9 +1,9 @@
-"""Loading of scenario files and the JSON Schema of scenario files.
+"""Functions that load scenario files and return the JSON Schema of these files.
 
 A scenario is validated twice. The first validation checks the file as the user wrote it
 and reports all problems together. The second validation reads the resolved document,
-which contains all defaults and the robot. It ensures that a run can be repeated from
-the output folder.
+which contains all defaults and the robot. The second validation ensures that a run can
+be repeated from the output folder.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def parse_scenario(
 
     Args:
         data: contents of a scenario file.
-        name: name used in messages, which is also the default name of the scenario.
+        name: file name for messages, which is also the default name of the scenario.
         set: values that override fields, keyed by dotted path.
 
     Raises:
@@ -140,7 +140,6 @@ def _scenario(document: Document, name: str, overrides: Overrides) -> Scenario:
 
 
 def _checked(document: Document) -> tuple[ScenarioFile, Loading]:
-    """Validate a document and load the sections."""
     _locate_files(document)
     file = validate(scenario_model(document), document, document.data)
     robot, robot_problems = _robot(document)
@@ -192,7 +191,7 @@ def _set(document: Document, change: Override) -> None:
     before = document.get(*change.loc)
     is_record = isinstance(before, Mapping) and "unit" in before
     if is_record and not isinstance(change.value, Mapping):
-        # A plain number replaces only the value of a sourced record and keeps the unit.
+        # A plain number replaces only the value of a record and keeps the unit.
         value = replace_value(before, change.value, None, f"set by {change.label}")
         change = replace(change, value=value)
     twin = document.get(*PRESET[:-1])
@@ -210,7 +209,6 @@ def _locate_files(document: Document) -> None:
 def _resolved_or_raw(
     document: Document, products: Mapping[str, object]
 ) -> dict[str, Any]:
-    """Return the resolved data, or the raw data if the scenario is not valid."""
     if not isinstance(document.data, dict):
         document.data = {}
     _locate_files(document)
@@ -273,7 +271,7 @@ def _resolved(
         document["start"] = {"from": file.start.run, "time_s": file.start.time_s}
     for key, section in file.sections().items():
         section.resolve(document, file, products.get(key))
-    # Paths are made absolute because the run may be loaded from another working folder.
+    # Absolute paths are valid in any working folder.
     for loc, kind in path_fields(document).items():
         block: Any = document
         for section_name in loc[:-1]:
@@ -294,7 +292,7 @@ def _resolved(
 
 
 def supply_kpa(file: ScenarioFile, robot: RobotFile) -> float:
-    """Return the supply pressure, by default the nominal pressure of the robot, kPa."""
+    """Return the supply pressure (kPa), by default the robot's nominal pressure."""
     if file.supply.pressure_kpa is not None:
         return file.supply.pressure_kpa
     if robot.supply is None:
@@ -313,10 +311,10 @@ def _robot(document: Document) -> tuple[RobotFile | None, tuple[str, ...]]:
 
 
 def scenario_json_schema() -> dict[str, Any]:
-    """Return a JSON Schema (draft 2020-12) that describes every key of a scenario."""
+    """Return a JSON Schema (draft 2020-12) that describes all keys of a scenario."""
     schema = with_extensions().model_json_schema()
     robot_schema = RobotFile.model_json_schema()
-    # The definitions get numbers as names because the generated names are long.
+    # The definitions get short, numbered names, because the generated names are long.
     names = {
         name: f"Robot{i}_{name.partition('_')[0]}"
         for i, name in enumerate(robot_schema["$defs"], start=1)
@@ -339,8 +337,8 @@ def scenario_json_schema() -> dict[str, Any]:
 def field_paths(document: Document) -> list[str]:
     """Return the dotted paths of the fields that a scenario can have.
 
-    List items are left out. A block with a key `kind` has the fields of the kind
-    selected in the document.
+    List items are omitted. If a block of the document sets the key `kind`, only the
+    fields of this kind are returned.
     """
     schema = scenario_json_schema()
 

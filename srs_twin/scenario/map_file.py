@@ -1,16 +1,14 @@
 """Obstacles from ROS occupancy maps and from CSV lists of circles.
 
-A map is a YAML file for the ROS ``map_server``. It names a picture and states the pixel
-size and the pose of the lower left corner. The colour c of a pixel is the mean of red,
-green and blue (0 to 255). The occupancy is (255 − c)/255, or c/255 if `negate` is true.
-A cell is free
+A map is a YAML file for the ROS package ``map_server``. The file names a picture and
+states the pixel size and the pose of the lower left corner. The colour c of a pixel is
+the mean of red, green and blue (0 to 255). The occupancy of the cell is (255 − c)/255,
+or c/255 if `negate` is true.
 
-- in mode ``trinary`` if occupancy < `free_thresh`;
-- in mode ``scale`` if 100 (occupancy − `free_thresh`)/(`occupied_thresh` −
-  `free_thresh`) rounds to 0 or less.
-
-All other cells become obstacles. Unknown cells are obstacles too, because the snake
-must not enter them.
+In the mode ``trinary``, a cell is free if the occupancy is below `free_thresh`. In the
+mode ``scale``, a cell is free if 100 (occupancy − `free_thresh`)/(`occupied_thresh` −
+`free_thresh`) rounds to 0 or less. All other cells, including unknown cells, become
+obstacles.
 """
 
 from __future__ import annotations
@@ -34,16 +32,16 @@ from srs_twin.robot.world import Circle, Polygon
 CIRCLE_COLUMNS = ("x_m", "y_m", "radius_m")
 """Columns of a CSV file that lists circles."""
 MAX_PIXELS = 25_000_000
-"""Maximum number of pixels, enough for 250 m by 250 m with 0.05 m pixels."""
+"""Maximum number of pixels in a map, enough for 250 m by 250 m with 0.05 m pixels."""
 MAX_RECTANGLES = 20_000
-"""Maximum number of obstacles. Each obstacle adds 1 ms to the planning time, and 2 ms
-and 40 kB of memory to a run of the twin."""
+"""Maximum number of rectangular obstacles in a map. Each rectangle adds 1 ms to the
+planning time. It also adds 2 ms and 40 kB of memory to a run of the twin."""
 
 _MODES = ("1", "L", "P", "RGB")
 """Pillow image modes without transparency and with at most 8 bits per channel."""
 _DEPTH_BYTE = 24
-"""Position in a PNG file of the byte with the number of bits per channel. The byte is
-read directly because Pillow reduces 16-bit colours to 8 bits."""
+"""Index of the byte in a PNG file that states the number of bits per channel. The byte
+is read directly, because Pillow reduces 16-bit colours to 8 bits."""
 _ALLOWED = (
     "the picture has an unsupported format; use a PNG or PGM picture with at most 8"
     " bits per channel and without transparency"
@@ -56,7 +54,7 @@ _QUOTED_LIST = re.compile(
 )
 _BOOLEANS = dict.fromkeys(("0", "n", "no", "off", "false"), False)
 _BOOLEANS |= dict.fromkeys(("1", "y", "yes", "on", "true"), True)
-"""Boolean words of YAML 1.1."""
+"""Words for Boolean values in YAML 1.1."""
 
 
 class MapFile(StrictModel):
@@ -66,7 +64,7 @@ class MapFile(StrictModel):
 
     image: Annotated[str, Field(min_length=1, max_length=1000)]  # Picture path.
     resolution: Annotated[float, Field(ge=1e-4, le=100.0)]  # Side of a pixel, m.
-    # Position (m) and rotation (rad) of the lower left corner.
+    # Position x, y (m) and rotation (rad) of the lower left corner.
     origin: tuple[Annotated[float, Field(ge=-1e4, le=1e4)], ...]
     mode: Literal["trinary", "scale"] = "trinary"
     negate: bool = False
@@ -83,7 +81,7 @@ class MapFile(StrictModel):
     @field_validator("origin", mode="before")
     @classmethod
     def _unquoted(cls, value: object) -> object:
-        """Parse a list that a map editor wrote as a string, "[0.0, 0.0, 0.0]"."""
+        """Parse a list that is written as a string, such as "[0.0, 0.0, 0.0]"."""
         if isinstance(value, str) and _QUOTED_LIST.fullmatch(value):
             value = [float(number) for number in _NUMBER.findall(value)]
         # A validator in a strict model must return a tuple instead of a list.
@@ -118,9 +116,10 @@ class MapFile(StrictModel):
             )
 
     def blocked(self, colour: np.ndarray) -> np.ndarray:
-        """Return a mask of occupied and unknown cells.
+        """Return a mask of the cells that become obstacles.
 
-        `colour` is the sum of red, green and blue.
+        Args:
+            colour: sum of red, green and blue of each cell.
         """
         levels = np.arange(_WHITE + 1)
         if not self.negate:
@@ -129,14 +128,13 @@ class MapFile(StrictModel):
         if self.mode == "trinary":
             occupied = above >= 0
         else:
-            # A cell is free if its occupancy rounds to 0 %.
             occupied = 200 * above > self.occupied_thresh - self.free_thresh
         wall: np.ndarray = occupied[colour]
         return wall
 
 
 def read_map(path: Path) -> tuple[Polygon, ...]:
-    """Return rectangles that cover exactly the occupied cells of a map.
+    """Return rectangles that cover exactly the cells of a map that are not free.
 
     Raises:
         InputFileError: a value is not allowed, or the picture cannot be read.
@@ -169,7 +167,7 @@ def _document(path: Path) -> Document:
 
 
 def pictures_of(path: Path) -> list[Path]:
-    """Return the path of a map's picture in a list, which is empty on error."""
+    """Return a list with the picture path of a map, or an empty list on error."""
     try:
         return [Path(_document(path).data["image"])]
     except (InputError, KeyError, TypeError):
@@ -252,8 +250,8 @@ def _colours(path: Path) -> np.ndarray:
 def _rectangles(full: np.ndarray) -> list[list[int]]:
     """Cover the occupied cells with rectangles (left, bottom, right, top).
 
-    A rectangle starts as a run of occupied cells in one row. It is extended upwards
-    over successive rows as long as they contain the same run.
+    Each rectangle covers a run of occupied cells in one row, and in all following rows
+    that contain the same run.
 
     Raises:
         InputError: more than `MAX_RECTANGLES` rectangles are needed.
@@ -277,8 +275,8 @@ def _rectangles(full: np.ndarray) -> list[list[int]]:
             f" {MAX_RECTANGLES:,} are allowed; remove specks with a median filter,"
             " crop the map or reduce its size"
         )
-    # Rectangles in the same columns do not overlap, so the n-th start row belongs to
-    # the n-th end row.
+    # Rectangles in the same columns do not overlap, so the n-th start row of a column
+    # range belongs to its n-th end row.
     first, last = (
         x[np.lexsort((x, end[x] % width, begin[x] % width))] for x in (first, last)
     )

@@ -1,7 +1,7 @@
 """Changed fields of a scenario, and the expectations that they invalidate.
 
-A run of a modified scenario is no longer the published experiment. The title of the run
-therefore names the changed fields. If a changed field affects a metric, the
+A run of a modified scenario is no longer the published experiment, so the title of the
+run names the changed fields. If a changed field affects a metric, published
 expectations about this metric are omitted.
 """
 
@@ -22,10 +22,10 @@ from srs_twin.scenario.expectation import COMPARISON, Expectation
 from srs_twin.scenario.fields import Line, Section
 
 Changes = Sequence[Mapping[str, Any]]
-"""Changed fields as plain data with the keys ``{"field", "from", "to"}``."""
+"""Changed fields, each a mapping with the keys ``field``, ``from`` and ``to``."""
 
 PLANTS = "plants"
-"""Field reported as changed if a run uses other plants than the scenario file."""
+"""Field that is reported as changed if a run uses other plants than the file."""
 
 STEADY = frozenset(
     [
@@ -49,22 +49,22 @@ STEADY = frozenset(
         "plan_max_heading_jump_rad",
     ]
 ).union(ENERGY_MEANINGS)
-"""Metrics that do not depend on the duration, such as means over periods and plan
-metrics."""
+"""Metrics that do not depend on the simulated duration, such as plan metrics and means
+over gait periods."""
 
 _NAMES = ("name", "title", "changes", "robot.name", "robot.title")
 _NO_CONDITION = (
     *(*_NAMES, "expect", "seed", "record_hz", PLANTS),
     *("allow_overpressure", "supply.allow_overpressure"),
 )
-"""Fields that do not affect the experiment, such as names, the random seed, the
-recording rate, expectations and permissions."""
+"""Fields that do not affect published metrics, such as names, the random seed and the
+recording rate."""
 _MAX_TITLE_LENGTH = 64
-"""Maximum length of the changes described in a title, in characters."""
+"""Maximum number of characters that describe the changes in a title."""
 _DIGEST = ", sha256 "
 """Separator before the digest that abbreviates a long value."""
 _MAX_VALUES = 24
-"""Maximum length of a list that is written out. Longer lists are shown as a digest."""
+"""Maximum length of a list that is shown in full instead of as a digest."""
 
 
 class ChangedField(Section):
@@ -94,8 +94,8 @@ def changed_fields(
         before: plain data of the unmodified scenario.
         after: plain data of the modified scenario.
         locs: paths of the fields that were set. Blocks are compared field by field.
-        earlier: changes already contained in `before`. A field that has its original
-            value again is omitted.
+        earlier: changes that `before` already contains. Fields that have returned to
+            the original value are omitted.
     """
     known = {change["field"]: change.get("from") for change in earlier}
     paths = {field: parse_path(field) for field in known if field != PLANTS}
@@ -117,7 +117,7 @@ def changed_fields(
 def with_plants(
     changes: Changes, named: Sequence[str], run: Sequence[str]
 ) -> list[dict[str, object]]:
-    """Return the changes, with an entry about the plants if they differ."""
+    """Return the changes, with an entry for the plants if the run uses other plants."""
     rest = [dict(change) for change in changes if change["field"] != PLANTS]
     if set(named) == set(run):
         return rest
@@ -132,7 +132,7 @@ def marked(title: str, changes: Changes) -> str:
 
 
 def changes_text(changes: Changes) -> str:
-    """Return the changed fields and values as text, or only their number if too long."""
+    """Return the changed fields and values as text, or a summary if they are long."""
     texts = [f"{c['field']} {text_of(c['from'])} → {text_of(c['to'])}" for c in changes]
     text = ", ".join(texts)
     if len(text) <= _MAX_TITLE_LENGTH:
@@ -193,7 +193,7 @@ def affects(field: str, metric: str, subject: str) -> bool:
 
 
 def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a line about the omitted expectations in a list, which may be empty."""
+    """Return a list with one line about omitted expectations, or an empty list."""
     if not left_out:
         return []
     metrics = ", ".join(
@@ -242,8 +242,8 @@ def _at(document: Any, loc: Loc) -> Any:
 def _value(document: object, loc: Loc) -> object:
     """Return the value at a path for display.
 
-    Robots and plants are represented by their names, sourced records by their numbers
-    and long lists by a digest.
+    Robots and plants are represented by their names, records with a unit by their
+    numbers, and long lists by a digest.
     """
     value = _at(document, loc)
     if loc == ("robot",) and isinstance(value, Mapping):

@@ -1,10 +1,10 @@
 """Sections for plug-in classes in scenario files.
 
-A file names a plug-in class as ``kind: module:Name``, or by a name that a distribution
-registers. If the class is a controller, a chamber model or a sensor, the keys of the
-section are its constructor arguments, whose units are not converted. The class may also
-be a subclass of `Section` that defines the keys itself. The module
-`srs_twin.extensions` describes which modules are imported.
+A scenario names a plug-in class as ``kind: module:Name``, or by a short name that an
+installed distribution registers. If the class is a controller, a chamber model or a
+sensor, the keys of the section are the constructor arguments, whose units are not
+converted. The class may also be a subclass of `Section` that defines its own keys. The
+module `srs_twin.extensions` describes which modules may be imported.
 """
 
 from __future__ import annotations
@@ -51,8 +51,7 @@ PARTS = {
 """Sections of a scenario that may name plug-in classes."""
 
 _CONTEXT = ("spec", "supply_pa", "layout")
-"""Constructor arguments of chambers and sensors that follow from the scenario and cannot
-be set in a file."""
+"""Constructor arguments that the scenario determines and that a file cannot set."""
 
 OWN_SCHEMA = {
     "type": "object",
@@ -63,23 +62,23 @@ OWN_SCHEMA = {
 
 
 class _ArgumentsSection(Section):
-    """Section whose keys are the arguments of a class.
+    """Section whose keys are the constructor arguments of a class.
 
     Field names end with an underscore to avoid name clashes with methods.
 
     Attributes:
-        not_written: fields that are written only if they were set, because a file
-            cannot express their default value.
+        not_written: fields whose defaults a file cannot express, so they are written
+            only if they were set.
     """
 
     not_written: ClassVar[set[str]]
 
     def arguments(self, *constructors: object) -> dict[str, Any]:
-        """Return the arguments of the class."""
+        """Return the constructor arguments of the class."""
         return {name[:-1]: value for name, value in self if name != "kind"}
 
     def written(self) -> dict[str, Any]:
-        """Return the section as plain data, including arguments that are null."""
+        """Return the section as plain data, including arguments that are None."""
         unset = self.not_written - self.model_fields_set
         return self.model_dump(mode="json", by_alias=True, exclude=unset)
 
@@ -104,8 +103,8 @@ def scenario_model(document: Document) -> type[ScenarioFile]:
     """Return a model for a scenario file with the sections that the file contains.
 
     Plug-in classes that cannot be used are reported to the document. If the file
-    contains unknown names, the model has all sections, so that messages can suggest
-    valid names.
+    contains unknown names, the model has all sections, so that error messages can
+    suggest valid names.
     """
     outside = _parts_from_outside(document)
     kind = document.get("controller", "kind")
@@ -210,7 +209,7 @@ def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
 
 
 def _adapter(hint: Any) -> TypeAdapter[Any] | None:
-    """Return the validator of a type, or None if a file cannot contain this type."""
+    """Return the validator of a type, or None if a file cannot contain the type."""
     try:
         adapter = TypeAdapter(hint)
         adapter.json_schema()

@@ -30,7 +30,7 @@ from srs_twin.robot.scale import Scale, divide
 from srs_twin.scenario.fields import Section, constructor_default, quantity
 
 PLANTS = ("analytical", "twin")
-"""Names of the plants. Comparisons use the first plant as the reference."""
+"""Names of the plants, of which comparisons use the first as the reference."""
 
 
 class _PlantFile(Section):
@@ -40,7 +40,7 @@ class _PlantFile(Section):
         floor_keys: keys for the floor contact, which are not allowed on a bench.
         scaled_keys: keys whose defaults are multiplied by the robot's time unit.
         kind_key: key that determines what the plant supports (`plants.base.refusals`).
-        wheel_keys: keys for wheels or skids, which are not allowed for a robot with
+        wheel_keys: keys for wheels or skids, which are not allowed for a robot with a
             skin.
     """
 
@@ -53,7 +53,7 @@ class _PlantFile(Section):
     """Whether the segments have rigid gaps."""
     timestep_s: float
     tick_s: float | None = quantity(1e-6, 10.0, None)
-    """Control tick, which on the twin must be a multiple of timestep_s (default: 0.02
+    """Control tick, which must be a multiple of timestep_s for the twin (default: 0.02
     times the robot's time unit, or 0.001 times the time unit on a bench)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
@@ -69,7 +69,7 @@ class _PlantFile(Section):
 
 
 class AnalyticalFile(_PlantFile):
-    """Planar model of the dissertation."""
+    """Analytical model of the dissertation."""
 
     constructors = (AnalyticalOptions,)
     floor_keys = ("friction", "load", "friction_torque", "slip_speed_m_s")
@@ -84,31 +84,33 @@ class AnalyticalFile(_PlantFile):
     model: Literal["complete", "simplified", "compliant", "quasistatic"] = (
         constructor_default()
     )
-    """Body model; "complete" prescribes the bends. "simplified" also replaces the
-    segments by chords of constant length. "compliant" computes the bends from load and
-    inertia. "quasistatic" computes bends in two directions without inertia and requires
-    a robot with chamber.directions_deg."""
+    """Body model; "complete" prescribes the bends. The model "simplified" also replaces
+    the segments with chords of constant length. The model "compliant" computes the
+    bends from load and inertia. The model "quasistatic" computes bends in two
+    directions without inertia and requires a robot with chamber.directions_deg."""
     friction_torque: bool = constructor_default()
-    """Whether friction exerts a moment about the centre of mass; only the model
-    simplified allows false."""
+    """Whether friction exerts a moment about the centre of mass; false is allowed only
+    for the simplified model."""
     inertia: Literal["point", "connector", "lumped"] = constructor_default()
-    """Moment of inertia of each connector; "point" is zero. "connector" assumes a
-    compact body with two wheels. "lumped" is the dissertation's value, which counts the
-    inertia of the segments twice."""
+    """Moment of inertia of each connector; "point" sets it to zero, and "connector"
+    assumes a compact body with two wheels. The value "lumped", from the dissertation,
+    counts the inertia of the segments twice."""
     friction: FrictionLaw = constructor_default()
-    """Friction law; "axis" has one contact per connector, as in the dissertation.
-    "wheel" has two wheels at the track, "ellipse" and "cosine" have two skids at the
-    track. "viscous" is intended for tests. A robot with skin defines its own law."""
+    """Friction law; "axis" has one contact per connector, as in the dissertation. The
+    law "wheel" has two wheels per connector, and the laws "ellipse" and "cosine" have
+    two skids. The law "viscous" is intended for tests. A robot with a skin defines its
+    own friction law."""
     load: Literal["static", "instantaneous"] = constructor_default()
-    """Load on a wheel or skid; "static" is half the weight of the connector.
-    "instantaneous" adds the load transfer due to lateral forces (not with axis). A skin
-    has pairs of contacts along the whole body, which are loaded in the same way."""
+    """Load on a wheel or skid; "static" is half the weight of the connector. The load
+    "instantaneous" also includes the load transfer due to lateral forces and requires
+    two contacts per connector. The same loads apply to the pairs of contacts along a
+    skin."""
     contact: bool | None = None
-    """Whether the body collides with obstacles; this needs the model compliant. By
-    default, the body passes through obstacles."""
+    """Whether the body collides with obstacles (default: false); collisions require the
+    model "compliant"."""
     slip_speed_m_s: float = quantity(1e-9, 1.0, SLIP_SPEED_M_S)
-    """Slip speed below which Coulomb friction is regularised (default: 0.00025 times the
-    robot's time unit)."""
+    """Slip speed below which Coulomb friction is regularised (default: 0.00025 times
+    the robot's time unit)."""
 
     def scaled_to(self, scale: Scale, tick: float) -> Self:
         """Return the section with default times and speeds scaled to a robot."""
@@ -119,8 +121,7 @@ class AnalyticalFile(_PlantFile):
 
 
 BENCH_TICK_S = 0.001
-"""Default control tick (s) on a bench for a robot with time unit 1. It is short because
-controllers on a bench track fast references."""
+"""Default control tick on a bench for a robot with a time unit of 1, s."""
 
 
 class TwinFile(_PlantFile):
@@ -133,26 +134,26 @@ class TwinFile(_PlantFile):
 
     preset: Preset | None = None
     """Named time step, used if timestep_s is not set; "fast" is 2 ms and suits search
-    and learning. "reference" is 0.25 ms and suits published results."""
+    and learning, and "reference" is 0.25 ms and suits published results."""
     timestep_s: float = quantity(1e-6, 1.0)
     """Time step of the integrator (default: 0.001 times the robot's time unit)."""
     wheels: Wheels = constructor_default()
-    """Wheels; "rolling" selects wheels with the friction law wheel. "skid"
-    selects skids with the friction law ellipse."""
+    """Wheels or skids; "rolling" selects wheels with the friction law "wheel", and
+    "skid" selects skids with the friction law "ellipse"."""
     contact: ContactName = LoadedContact.name
     """Floor contact; "loaded" applies a friction law to the loads computed by MuJoCo.
-    "preloaded" uses MuJoCo's own friction with an additional normal force and is meant
-    for comparison."""
+    The contact "preloaded" uses MuJoCo's own friction with an additional normal force
+    and is meant for comparisons."""
     friction: LawOnLoads | None = None
-    """Friction law of a loaded contact; by default, the law selected by wheels."""
+    """Friction law of a loaded contact (default: law selected by the key wheels)."""
     hinges_per_segment: int = quantity(1, 32)
     """Number of bending hinges per segment."""
 
     @model_validator(mode="after")
     def _take_preset(self) -> TwinFile:
         if "timestep_s" not in self.model_fields_set:
-            # `__dict__` is set because the model is frozen and `model_fields_set` must
-            # contain only keys of the file.
+            # The model is frozen, and `model_fields_set` must contain only keys of the
+            # file.
             self.__dict__["timestep_s"] = preset_timestep(self.preset)
         return self
 
@@ -165,7 +166,7 @@ class TwinFile(_PlantFile):
 
     @property
     def friction_law(self) -> LawOnLoads:
-        """Friction law of the contact; by default, the law of the wheels or skids."""
+        """Friction law of the contact, by default that of the wheels or skids."""
         return self.friction or FRICTION_LAW_OF[self.wheels]
 
     def build_contact(self) -> Contact:
@@ -180,7 +181,7 @@ class TwinFile(_PlantFile):
 
     @property
     def fast_preset(self) -> str | None:
-        """Name of the preset "fast" if a time step overrides the preset, or None."""
+        """Text that describes the preset "fast", or None for other presets."""
         if self.preset != "fast":
             return None
         override = f" with timestep_s {self.timestep_s}"
@@ -200,14 +201,20 @@ class TwinFile(_PlantFile):
 
 
 def preset_timestep(preset: object) -> float | None:
-    """Return the time step of a preset (s), or None for an unknown preset."""
+    """Return the time step of a preset (s), or None for an unknown preset.
+
+    Without a preset, the default time step is returned.
+    """
     if preset:
         return PRESETS.get(str(preset), {}).get("timestep")
     return ModelSettings.timestep
 
 
 def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
-    """Set the preset of a twin and keep a time step that overrides the preset."""
+    """Return a twin section with another preset.
+
+    A time step that overrides the previous preset is kept.
+    """
     data = {**twin, "preset": preset}
     if twin.get("timestep_s") == preset_timestep(twin.get("preset")):
         data.pop("timestep_s", None)
@@ -221,12 +228,12 @@ PlantFile = AnalyticalFile | TwinFile
 
 
 class PlantsFile(Section):
-    """Plants to simulate, with their options. A plant without a section does not run."""
+    """Plants to simulate and their options. A plant without a section does not run."""
 
     analytical: AnalyticalFile | None = None
-    """Analytical model; {} selects the default values."""
+    """Analytical model; an empty section {} selects the default values."""
     twin: TwinFile | None = None
-    """MuJoCo twin; {} selects the default values."""
+    """MuJoCo twin; an empty section {} selects the default values."""
 
     @property
     def running(self) -> dict[str, PlantFile]:

@@ -1,8 +1,7 @@
-"""Provenance of a run.
+"""Provenance of a run, which identifies everything that affects the results.
 
 The provenance consists of the scenario, the input files, the source code, the package
-versions and the processor arithmetic. Names, viewers and expectations are not part of
-the provenance.
+versions and the processor arithmetic. Names, viewers and expectations are excluded.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ NOT_PHYSICS = ("name", "title", "expect", "changes")
 """Scenario keys that name or judge results and do not affect a run."""
 
 WORDS = ("title", "source", "status", "expected_failure", "reason")
-"""Keys (at any depth) whose text explains a value and does not affect a run."""
+"""Keys at any depth whose text explains a value and does not affect a run."""
 
 _VIEWING = "srs_twin.viewing"
 """Package that only displays results and is therefore not part of the provenance."""
@@ -59,7 +58,7 @@ _IMPORT = re.compile(
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the processor arithmetic and the package versions that affect results."""
+    """Return the package versions and the processor arithmetic that affect results."""
     packages = ("mujoco", "numpy", "scipy", "numba")
     return {
         "srs_twin": __version__,
@@ -71,13 +70,13 @@ def versions() -> dict[str, str]:
 
 @cache
 def arithmetic() -> str:
-    """Identify the processor arithmetic, which affects the last digits of results.
+    """Name the processor arithmetic, which affects the last digits of results.
 
-    The name has three parts. The first part is the processor for which kernels are
-    compiled (`NUMBA_CPU_NAME`). The second part names the BLAS kernels of NumPy and
-    SciPy (`OPENBLAS_CORETYPE`). The third part is a digest of the processor features
-    and of values computed by the C library, NumPy and BLAS. These libraries run
-    different code on different processors.
+    The first part of the name is the processor for which kernels are compiled
+    (`NUMBA_CPU_NAME`). The second part names the BLAS kernels of NumPy and SciPy
+    (`OPENBLAS_CORETYPE`). The third part is a digest of the processor features and of
+    values computed by the C library, NumPy and BLAS, which run different code on
+    different processors.
     """
     from numba.core.registry import cpu_target
 
@@ -108,7 +107,7 @@ def run_provenance(
     """Return the provenance of a run.
 
     Args:
-        document: scenario as plain data.
+        document: resolved scenario as plain data.
         plants: names of the simulated plants, empty if only a plan is computed.
         runner: dotted name of the module that runs the scenario.
     """
@@ -122,11 +121,11 @@ def run_provenance(
 
 
 def run_sources(document: Mapping[str, object], runner: str) -> dict[str, str]:
-    """Return the source digests of the runner and the extensions, keyed by module."""
+    """Return the source digests of runner, extensions and plug-ins, keyed by module."""
     sections = {name: entry for name, entry in SECTIONS.items() if document.get(name)}
     used = installed(METRICS) | installed(sections)
     formats = {}
-    if sections:  # sections of extensions may read recorded files
+    if sections:  # extension sections may read recorded files
         used |= installed(FORMATS)
         formats = registered("format")
     controller = document.get("controller")
@@ -171,9 +170,9 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
 def judged_provenance(document: Mapping[str, object]) -> Provenance:
     """Return the provenance that decides whether stored intervals are valid.
 
-    The provenance contains the scenario and the input files, but no code, duration or
-    seed, because a change of these shows in the values of the results. Explanatory
-    texts are excluded, so that intervals remain valid if a source is reworded.
+    The provenance contains the scenario and the input files. Code, duration and seed
+    are excluded, because changes to them show in the results. Explanatory texts are
+    excluded, so that intervals remain valid if a text is reworded.
     """
     skipped = (*NOT_PHYSICS, "duration_s", "seed")
     judged = {key: value for key, value in document.items() if key not in skipped}
@@ -193,10 +192,11 @@ def _without_words(data: object) -> object:
 
 
 def file_digests(document: Mapping[str, object]) -> dict[str, str]:
-    """Return the hexadecimal SHA-256 of the input files of a run, keyed by path.
+    """Return the hexadecimal SHA-256 of all input files of a run, keyed by path.
 
-    Input files are footprints, recordings and logs. The robot file is excluded because
-    the scenario document contains the robot. An unreadable file has an empty digest.
+    Input files are earlier trajectories, maps, lists of circles and the files that
+    extension sections read. The robot file is excluded, because the scenario document
+    contains the robot. The digest of an unreadable file is empty.
     """
     return {path: file_digest(path) for path in _files(document)}
 
@@ -219,7 +219,7 @@ def _files(document: Mapping[str, Any]) -> Iterator[str]:
 
 
 def file_digest(path: str) -> str:
-    """Return the hexadecimal SHA-256 of a file, or an empty string if it is unreadable."""
+    """Return the hexadecimal SHA-256 of a file, or "" if the file is unreadable."""
     try:
         status = os.stat(path)
         return _sha256_of(path, status.st_mtime_ns, status.st_ctime_ns, status.st_size)
@@ -229,18 +229,17 @@ def file_digest(path: str) -> str:
 
 @lru_cache(maxsize=4096)
 def _sha256_of(path: str, modified_ns: int, status_changed_ns: int, size: int) -> str:
-    """Return the digest of a file, cached by modification time and size."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 @cache
 def source_digests(module: str) -> dict[str, str]:
-    """Return the hexadecimal SHA-256 of the sources of a module and its imports.
+    """Return the hexadecimal SHA-256 of a module and its imports, keyed by module name.
 
-    Only imports from this package are followed, including imports inside functions but
-    not imports for type checkers. A package's ``__init__`` is included only if the
-    package itself is imported.
+    Only imports from this package are followed. Imports inside functions are included,
+    but imports for type checkers are not. The ``__init__`` module of a subpackage is
+    included only if the subpackage itself is imported.
     """
     return {
         name: hashlib.sha256(text.encode()).hexdigest()
@@ -249,10 +248,10 @@ def source_digests(module: str) -> dict[str, str]:
 
 
 def code_digests(modules: Iterable[str]) -> dict[str, str]:
-    """Return the hexadecimal SHA-256 of the code of modules and their imports.
+    """Return the hexadecimal SHA-256 of modules and their imports, ignoring wording.
 
-    Unlike `source_digests`, this function ignores wording (see `code_digest`), so a
-    digest changes only if results may change.
+    Unlike the digests of `source_digests`, these digests change only if results may
+    change (see `code_digest`).
 
     Args:
         modules: dotted names of the modules.
@@ -264,8 +263,8 @@ def code_digests(modules: Iterable[str]) -> dict[str, str]:
 def code_digest(text: str) -> str:
     """Return the hexadecimal SHA-256 of Python code, ignoring wording.
 
-    Ignored are comments, docstrings, layout and strings that contain two successive
-    words, such as messages and headings.
+    The digest does not depend on comments, docstrings, layout or strings that contain
+    two successive words, such as messages and headings.
     """
     tree = ast.parse(text)
     for node in ast.walk(tree):
@@ -290,12 +289,11 @@ def _is_string(node: ast.AST) -> bool:
 
 
 def _is_text(node: ast.stmt) -> bool:
-    """Return whether a statement is a bare string, such as a docstring."""
     return isinstance(node, ast.Expr) and _is_string(node.value)
 
 
 def _closure(modules: Iterable[str]) -> Iterator[tuple[str, str]]:
-    """Yield the names and texts of modules of this package and of their imports."""
+    """Yield the name and source text of each module and of all its imports."""
     root = Path(__file__).resolve().parents[2]
     to_read = list(modules)
     seen = set()

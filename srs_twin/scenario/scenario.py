@@ -1,4 +1,4 @@
-"""Experiment in SI units that builds plants and a controller."""
+"""Loaded scenario in SI units, which builds plants and a controller."""
 
 from __future__ import annotations
 
@@ -33,13 +33,12 @@ IGNORED_OBSTACLES = (
     "plants.analytical: the model ignores the obstacles of this world and passes"
     " through them; only `model: compliant` with `contact: true` touches them"
 )
-"""Warning that the analytical plant ignores obstacles."""
 
 
 def ignored_obstacles(
     file: ScenarioFile, world: World, plants: Iterable[str]
 ) -> tuple[str, ...]:
-    """Return a warning if an analytical plant runs and ignores obstacles."""
+    """Return a warning if the analytical plant runs and ignores obstacles."""
     touches = file.plants.analytical is not None and file.plants.analytical.contact
     ignores = (
         "analytical" in plants and world.has_obstacles and not (touches or file.bench)
@@ -55,7 +54,7 @@ class Scenario:
 
     Attributes:
         name: name of the scenario and of the output folder.
-        title: title on one line, including the changed fields.
+        title: one-line title, which includes the changed fields.
         robot: robot file with overrides applied.
         duration: simulated duration, s.
         seed: random seed.
@@ -66,10 +65,10 @@ class Scenario:
             straight snake at rest at `pose`.
         world: obstacles, bounds and goal.
         file: sections of the file with explicit defaults.
-        document: plain data, including all defaults and the robot. Loading the document
-            returns an equal scenario.
+        document: scenario as plain data, including all defaults and the robot. An equal
+            scenario can be loaded from this document.
         warnings: warnings for the user.
-        products: products of extension sections, keyed by section.
+        products: objects built by extension sections, keyed by section name.
         source: file name for messages.
     """
 
@@ -95,8 +94,8 @@ class Scenario:
         return {name: value for name, value in vars(self).items() if name != "file"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        # Pickle cannot import the classes that are generated for plug-ins, so the
-        # sections are parsed again.
+        # Pickle cannot import the generated classes of plug-ins, so the sections are
+        # parsed again.
         vars(self).update(state, file=read_resolved(state["document"]))
 
     @property
@@ -111,12 +110,12 @@ class Scenario:
 
     @property
     def planner(self) -> Any:
-        """Planner of the section `planner`, or None if there is no such section."""
+        """Planner that the section `planner` built, or None without this section."""
         return self.products.get("planner")
 
     @property
     def recording(self) -> Any:
-        """Recording of the section `recording`, or None if there is no such section."""
+        """Recording that the section `recording` read, or None without this section."""
         return self.products.get("recording")
 
     @property
@@ -131,14 +130,14 @@ class Scenario:
 
     @property
     def expect(self) -> tuple[Expectation, ...]:
-        """Expectations that remain valid with the changed fields."""
+        """Expectations that the changed fields do not invalidate."""
         return tuple(
             item for item in self.file.expect if not invalidated_by(item, self.changes)
         )
 
     @property
     def left_out(self) -> list[dict[str, Any]]:
-        """Expectations that are invalid because of the changed fields (`because`)."""
+        """Expectations that changed fields invalidate, and these fields (`because`)."""
         pairs = (
             (item, invalidated_by(item, self.changes)) for item in self.file.expect
         )
@@ -156,7 +155,7 @@ class Scenario:
     def run_on(self, plants: Sequence[str] | None) -> Scenario:
         """Return the scenario for a run on given plants.
 
-        If `plants` is None, the plants of the scenario are kept. Other plants are
+        If `plants` is None, the plants of the scenario are kept. Different plants are
         recorded as a changed field.
         """
         changes = with_plants(
@@ -177,7 +176,7 @@ class Scenario:
 
     @property
     def layout(self) -> str:
-        """Layout of the valves, "3/2" or "in_out"."""
+        """Valve layout, "3/2" or "in_out"."""
         assert self.file.valves.layout is not None, "set when the scenario was loaded"
         return self.file.valves.layout
 
@@ -209,10 +208,10 @@ class Scenario:
 
     @contextmanager
     def named_in_errors(self) -> Iterator[None]:
-        """Prefix input errors raised in the `with` block with the file name.
+        """Prefix input errors from the `with` block with the file name.
 
         Raises:
-            InputError: the `with` block raised the error.
+            InputError: the `with` block raised this error.
         """
         try:
             yield
@@ -223,7 +222,7 @@ class Scenario:
     def build_plant(
         self, kind: str, *, robot: RobotSpec | None = None, **changes: Any
     ) -> Plant:
-        """Build a plant at rest. If the file does not name it, defaults are used.
+        """Build a plant at rest, with default options if the file does not name it.
 
         Args:
             kind: "analytical" or "twin".

@@ -1,6 +1,6 @@
 """Section `start` of a scenario, which defines the initial state of the snake.
 
-The initial pose, motion and pressures are set by keys or taken from an earlier run.
+Pose, motion and pressures are set by keys or taken from an earlier run.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from srs_twin.scenario.fields import Contradiction, FilePath, Section, quantity
 from srs_twin.trajectory import Trajectory
 
 _MAX_SEGMENTS = 64
-"""Maximum number of segments in a list of initial values."""
+"""Maximum length of a list with one initial value per segment."""
 
 Speed = Annotated[float, Field(ge=-10.0, le=10.0)]
 Bend = Annotated[float, Field(ge=-3.2, le=3.2)]
@@ -34,29 +34,29 @@ _AT_REST = ("velocity_m_s", "yaw_rate_rad_s", *_PER_SEGMENT)
 
 
 class StartFile(Section):
-    """Initial state of the snake; by default it is straight and at rest."""
+    """Initial state of the snake, by default straight and at rest."""
 
     constructors = (Pose,)
 
     x_m: float = quantity(-1000.0, 1000.0, 0.0)
-    """x of the centre of mass."""
+    """x coordinate of the centre of mass."""
     y_m: float = quantity(-1000.0, 1000.0, 0.0)
-    """y of the centre of mass."""
+    """y coordinate of the centre of mass."""
     heading_rad: float = quantity(-6.3, 6.3, 0.0)
-    """Mean heading (counter-clockwise from x)."""
+    """Mean heading (counter-clockwise from the x axis)."""
     velocity_m_s: (
         Annotated[tuple[Speed, ...], Field(min_length=2, max_length=2)] | None
     ) = None
-    """[x, y] velocity of the centre of mass in the world frame, m/s, -10 to 10."""
+    """Velocity [x, y] of the centre of mass in the world frame, m/s, -10 to 10."""
     yaw_rate_rad_s: float | None = quantity(-100.0, 100.0, None)
     """Rate of change of the mean heading."""
     bend_rad: Annotated[tuple[Bend, ...], Field(max_length=_MAX_SEGMENTS)] | None = None
-    """Bend of each segment from the head, positive to the left, rad, -3.2 to 3.2."""
+    """Bend of each segment (head first, positive to the left), rad, -3.2 to 3.2."""
     bend_rate_rad_s: (
         Annotated[tuple[BendRate, ...], Field(max_length=_MAX_SEGMENTS)] | None
     ) = None
-    """Bend rate of each segment, rad/s, -100 to 100; this key is ignored by models
-    whose bends follow directly from the pressures."""
+    """Bend rate of each segment, rad/s, -100 to 100; models that compute the bends
+    directly from the pressures ignore this key."""
     pressure_kpa: (
         Annotated[
             tuple[Annotated[tuple[Gauge, ...], Field(min_length=2, max_length=2)], ...],
@@ -64,8 +64,8 @@ class StartFile(Section):
         ]
         | None
     ) = None
-    """Gauge pressures of the [+, -] chambers of each segment, kPa, from 0 to the supply
-    pressure."""
+    """Gauge pressures [+, -] in the two chambers of each segment, kPa, from 0 to the
+    supply pressure."""
     run: FilePath | None = Field(
         default=None,
         alias="from",
@@ -112,7 +112,7 @@ class StartFile(Section):
 
         Args:
             segments: number of segments.
-            supply_pa: gauge supply pressure, the maximum chamber pressure, Pa.
+            supply_pa: gauge supply pressure, which limits the chamber pressures, Pa.
             plants: sections of the simulated plants, keyed by name.
 
         Raises:
@@ -195,7 +195,7 @@ class InitialState:
     states: Mapping[str, _MotionState]
 
     def __call__(self, plant: Plant, seed: int) -> SnakeState:
-        """Reset a plant and set the initial state."""
+        """Reset the plant and set the initial state."""
         moving = self.states[plant.name]
         x, y = map(float, moving.com)
         resting = plant.reset(pose=(x, y, moving.heading), seed=seed)
@@ -236,8 +236,8 @@ def _state_at(folder: Path, plant: str, time: float, segments: int) -> _MotionSt
     )
     k = min(max(int(np.searchsorted(times, time - 1e-9)), 1), len(times) - 1)
     near = slice(max(k - 2, 0), min(k + 2, len(times)))
-    # A polynomial through the neighbouring samples gives the value (coefficient 0) and
-    # the rate (coefficient 1).
+    # Coefficients 0 and 1 of a polynomial through the neighbouring samples are the
+    # value and the rate at the given time.
     fit = np.polynomial.polynomial.polyfit(
         times[near] - time, columns[near], len(times[near]) - 1
     )

@@ -31,7 +31,6 @@ from srs_twin.scenario.map_file import read_circles, read_map
 Metres = Annotated[float, Field(ge=-1000.0, le=1000.0)]
 Pair = Annotated[tuple[Metres, ...], Field(min_length=2, max_length=2)]
 MAX_PEGS = 1000
-"""Maximum number of pegs in a field."""
 
 Radius = Annotated[float, Field(ge=0.001, le=100.0)]
 
@@ -42,9 +41,9 @@ class ObstacleFile(Section):
     constructors = (Circle,)
 
     x_m: float = quantity(-1000.0, 1000.0)
-    """x of the centre."""
+    """x coordinate of the centre."""
     y_m: float = quantity(-1000.0, 1000.0)
-    """y of the centre."""
+    """y coordinate of the centre."""
     radius_m: float = quantity(1e-5, 100.0)
     """Radius."""
 
@@ -55,8 +54,8 @@ class PolygonFile(Section):
     constructors = (Polygon,)
 
     corners_m: Annotated[tuple[Pair, ...], Field(min_length=3, max_length=1000)]
-    """[x, y] of each corner, m; a side joins the last corner to the first. Sides must
-    not cross."""
+    """Coordinates [x, y] of each corner, m; a side joins the last corner to the first,
+    and sides must not cross."""
 
     @field_validator("corners_m")
     @classmethod
@@ -98,9 +97,9 @@ class GoalFile(Section):
     constructors = (Goal,)
 
     x_m: float = quantity(-1000.0, 1000.0)
-    """x of the goal."""
+    """x coordinate of the goal."""
     y_m: float = quantity(-1000.0, 1000.0)
-    """y of the goal."""
+    """y coordinate of the goal."""
     heading_rad: float | None = quantity(-6.3, 6.3, None)
     """Required heading on arrival (default: any heading)."""
     radius_m: float = quantity(1e-5, 100.0, 0.05)
@@ -115,18 +114,18 @@ class RandomFile(Section):
     constructors = (random_circles,)
 
     kind: Literal["strewn", "fig54"] = "strewn"
-    """Distribution of the obstacles; "strewn" is uniform over a rectangle. "fig54"
-    selects some of the 18 sites of Fig. 54."""
+    """Distribution of the obstacles; "strewn" is uniform over a rectangle, and "fig54"
+    selects some of the 18 sites in Fig. 54."""
     count: int = quantity(0, 1000)
     """Number of circles."""
     seed: int | None = quantity(0, 2**32 - 1, None)
     """Random seed (default: seed of the scenario)."""
     area: BoundsFile | None = None
-    """Rectangle that contains the centres (only for strewn); by default the bounds."""
+    """Rectangle that contains all centres (strewn only, default: bounds)."""
     radius_m: Annotated[tuple[Radius, ...], Field(min_length=2, max_length=2)] = (
         constructor_default()
     )
-    """Minimum and maximum radius (only for strewn), m."""
+    """Minimum and maximum radius, m (strewn only)."""
     gap_m: float = quantity(0.0, 100.0)
     """Minimum distance between two circles (strewn only)."""
     clear_m: float = quantity(0.0, 100.0, 0.3)
@@ -171,20 +170,20 @@ class PegsFile(Section):
     radius_m: float = quantity(1e-5, 100.0)
     """Radius of the pegs."""
     rows: int = quantity(1, 1000)
-    """Number of pegs in each column, along y."""
+    """Number of pegs in each column (along y)."""
     columns: int = quantity(1, 1000)
-    """Number of columns, along x."""
+    """Number of columns (along x)."""
     jitter_m: float = quantity(0.0, 100.0)
     """Maximum random displacement of a peg along x and along y."""
     staggered: bool = constructor_default()
     """Whether every second column is shifted by half the peg spacing."""
     x_m: float | None = quantity(-1000.0, 1000.0, None)
-    """x of the first column (default: 0.2 times the robot's length unit beyond the
-    start)."""
+    """x coordinate of the first column (default: 0.2 times the robot's length unit
+    beyond the start)."""
     y_m: float | None = quantity(-1000.0, 1000.0, None)
-    """y of the centre of the field (default: y of the start)."""
+    """y coordinate of the field centre (default: y coordinate of the start)."""
     seed: int | None = quantity(0, 2**32 - 1, None)
-    """Random seed of the displacements (default: seed of the scenario)."""
+    """Random seed for the displacements (default: seed of the scenario)."""
 
     @model_validator(mode="after")
     def _fits(self) -> PegsFile:
@@ -199,7 +198,7 @@ class PegsFile(Section):
 
         Args:
             start: initial pose of the snake.
-            seed: random seed that is used if the section does not set one.
+            seed: random seed for a section without its own seed.
             length: length unit of the robot, dimensionless.
 
         Raises:
@@ -214,23 +213,23 @@ class PegsFile(Section):
 
 
 class FloorFile(Section):
-    """Slope of the floor. The coordinates x and y lie in the plane of the floor."""
+    """Slope of the floor. The x and y axes lie in the plane of the floor."""
 
     constructors = (Floor,)
 
     tilt_deg: float = quantity(0.0, 60.0)
     """Slope angle."""
     uphill_deg: float = quantity(-360.0, 360.0)
-    """Direction in which the floor rises (counter-clockwise from x)."""
+    """Direction in which the floor rises (counter-clockwise from the x axis)."""
 
 
 class FloorStepFile(Section):
-    """Step of the floor along a line of constant x."""
+    """Step in the floor along a line of constant x."""
 
     constructors = (FloorStep,)
 
     x_m: float = quantity(-1000.0, 1000.0)
-    """x of the line."""
+    """x coordinate of the line."""
     height_m: float = quantity(-10.0, 10.0)
     """Height of the floor beyond the line, relative to the floor before the line."""
 
@@ -244,11 +243,11 @@ class _ObjectFile(Section):
     friction: float = quantity(0.0, 10.0)
     """Friction coefficient between object and floor."""
     x_m: float = quantity(-1000.0, 1000.0)
-    """Initial x of the centre."""
+    """Initial x coordinate of the centre."""
     y_m: float = quantity(-1000.0, 1000.0)
-    """Initial y of the centre."""
+    """Initial y coordinate of the centre."""
     heading_rad: float = quantity(-6.3, 6.3)
-    """Initial heading (counter-clockwise from x)."""
+    """Initial heading (counter-clockwise from the x axis)."""
 
     def build(self) -> MovableObject:
         """Return the object in SI units."""
@@ -289,9 +288,9 @@ class WorldFile(Section):
     obstacles: Annotated[list[ObstacleFile], Field(max_length=1000)] = []
     """Round obstacles."""
     circles: FilePath | None = None
-    """CSV file of round obstacles with the columns x_m, y_m, radius_m."""
+    """CSV file of round obstacles with the columns x_m, y_m and radius_m."""
     map: FilePath | None = None
-    """ROS occupancy map; a YAML file with a PGM or PNG picture."""
+    """ROS occupancy map (YAML file with a PGM or PNG picture)."""
     polygons: Annotated[list[PolygonFile], Field(max_length=1000)] = []
     """Polygonal obstacles."""
     random: RandomFile | None = None
@@ -300,22 +299,22 @@ class WorldFile(Section):
     pegs: PegsFile | None = None
     """Field of pegs."""
     obstacle_friction: float | None = quantity(0.0, 10.0, None)
-    """Coulomb friction coefficient between body and obstacles (default: 0.5, an
-    estimate)."""
+    """Coulomb friction coefficient between body and obstacles (default: 0.5, which is
+    an estimate)."""
     floor: FloorFile = FloorFile()
     """Slope of the floor."""
     steps: Annotated[list[FloorStepFile], Field(max_length=100)] = []
-    """Steps of the floor."""
+    """Steps in the floor."""
     # The default is None so that scenarios without objects keep their digests.
     objects: Annotated[list[ObjectFile], Field(max_length=10)] | None = None
-    """Movable objects; they exist on the twin only."""
+    """Movable objects, which only the twin simulates."""
     bounds: BoundsFile | None = None
     """Rectangle in which the snake must stay."""
     goal: GoalFile | None = None
     """Goal for the centre of mass."""
 
     def scaled_to(self, scale: Scale) -> WorldFile:
-        """Return the section with default lengths scaled to the size of a robot."""
+        """Return the section with default lengths scaled to a robot's length unit."""
         goal = self.goal
         random = self.random
         unit = scale.length
@@ -346,8 +345,8 @@ class WorldFile(Section):
         """Return the path of an obstacle in this section, or () if the path is unknown.
 
         Args:
-            number: index of the obstacle, counted from 0 through round obstacles,
-                polygons and objects in this order.
+            number: index of the obstacle, counted from 0 over round obstacles, polygons
+                and objects in this order.
             world: world returned by `build_world`.
         """
         round_ones = len(world.obstacles)
@@ -370,7 +369,7 @@ class WorldFile(Section):
         """Return the world around a snake that starts at a given pose.
 
         Args:
-            start: initial pose, which random obstacles avoid.
+            start: initial pose, from which random obstacles keep a distance.
             seed: random seed of the scenario.
             length: length unit of the robot, dimensionless.
 

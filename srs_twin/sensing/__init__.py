@@ -1,4 +1,4 @@
-"""Curvature sensors that provide measured bends to the controllers."""
+"""Curvature sensors that measure the bends for the controllers."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def make_sensor(
 
     Args:
         kind: name in `KINDS`, name of an extension (`extensions.part`), or a `Sensor`.
-        spec: robot specification, which states the strip length and the sensor drift.
+        spec: robot specification, which contains the strip length and the sensor drift.
         span: maximum bend to either side for which a Hall sensor is calibrated, rad.
-            Unless `gain` is given, the gain of the amplifier is chosen for the span.
-            Other sensors ignore the span.
-        **options: attributes of `Strip` and `HallSensor`.
+            The amplifier gain is chosen for this span unless the option `gain` is
+            given. Other sensors ignore the span.
+        **options: attributes of `Strip` and `HallSensor`, or arguments of an extension.
 
     Raises:
         UnknownNameError: the kind or an option is unknown.

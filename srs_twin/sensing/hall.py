@@ -1,12 +1,11 @@
 r"""Hall sensor on the neutral axis of a segment, and its calibration.
 
 **Strip and field.** The strip bends with constant curvature κ = q/l. The coordinate
-frame has its origin at the magnet. The x axis points along the strip towards the
-element and the head. The y axis is normal to the strip and points to the left. At the
-arc length L the strip has turned by θ = κL. The element lies at the distance h_s from
-the neutral axis, and the centre of the magnet lies at the distance h_m from the neutral
-axis. Positive distances are to the left. The positions S of the element and M of the
-magnet are
+frame has its origin on the neutral axis at the magnet. The x axis points along the
+strip towards the Hall element and the head, and the y axis points to the left. At an
+arc length L from the magnet, the strip has turned by θ = κL. The Hall element and the
+centre of the magnet have offsets h_s and h_m from the neutral axis, which are positive
+to the left. The positions S of the element and M of the magnet are
 
 $$ S = \begin{pmatrix} \sin\theta/\kappa - h_s \sin\theta \\
 (1 - \cos\theta)/\kappa + h_s \cos\theta \end{pmatrix}, \qquad
@@ -24,20 +23,20 @@ of the whole segment, the reading would be neither linear nor monotonic over ±9
 
 **Chambers.** A rectangular chamber becomes round when it is filled, and presses on the
 adjacent strip (Section 2.2.2, Fig. 14a, c). The filled chamber is on the outside of the
-bend, so the chamber bends the strip in the opposite direction. Once the chamber is
-round, it displaces the strip no further. With a dimensionless factor b for the strength
-of this effect, and the bend q_c at which the chamber is nearly round, the bend of the
-strip is
+bend, so it bends the strip in the opposite direction. Once the chamber is round, it
+displaces the strip no further. The bend of the strip is
 
-$$ q_s = q - b\,q_c \tanh(q / q_c) . $$
+$$ q_s = q - b\,q_c \tanh(q / q_c) , $$
 
-The derivative of q_s is 1 − b at q = 0, negative for b > 1, and 1 for |q| ≫ q_c. The
-dissertation states that readings with rectangular chambers are not monotonic at small
-angles. The figure with the values is not available, so b and q_c are estimates. This
-model depends only on the bend, not on the pressure.
+where b is the dimensionless strength of this effect, and q_c is the bend at which the
+chamber is nearly round. At q = 0, the derivative dq_s/dq is 1 − b, which is negative
+for b > 1. For |q| ≫ q_c, the derivative is 1. The dissertation states that readings
+with rectangular chambers are not monotonic at small angles. The figure with the values
+is not available, so b and q_c are estimates. This model depends on the bend, but not on
+the chamber pressure.
 
-**Electronics.** The reading is produced by a Hall element, an amplifier and a
-converter:
+**Electronics.** The reading is produced by a Hall element, an amplifier and an
+analogue-to-digital converter:
 
 - The output of the element is s B_n + n, where s is the sensitivity and n is the noise.
 - The output of the amplifier is V = V₀ + bias + G (1 + e) (s (B_n − B_n(0)) + n),
@@ -45,21 +44,20 @@ converter:
 - The converter divides its range into 2^bits quantisation steps and returns the centre
   of the step that contains V.
 
-The amplifier is balanced for a straight strip. Otherwise the amplified field at rest
+The amplifier is balanced for a straight strip. Otherwise, the amplified field at rest
 (54 gauss) would far exceed the rails. The `bias` and the gain error e are changes since
-the calibration, which are due to temperature, supply voltage or displacement of the
+the calibration that are caused by temperature, supply voltage or displacement of the
 magnet.
 
-**Calibration.** As in Section 3.4.3, a straight line is fitted to the bending angle as
-a function of the voltage by least squares:
+**Calibration.** As in Section 3.4.3, the bending angle is approximated by a linear
+function of the voltage, which is fitted by least squares:
 
 $$ q \approx a V + b. $$
 
-The angles are evenly spaced over the range ± span. The readings contain no noise, as if
-they were averaged over a long time.
-
-Nonlinearity due to the field, the rails or a chamber that presses on the strip remains
-as an error of the readings. The maximum error is stored in `worst_error`.
+The angles are evenly spaced from −span to +span. The readings contain no noise, as if
+they were averaged over a long time. Nonlinearities due to the field, the rails and the
+chambers remain as errors of the readings. The maximum error is stored in
+`HallCalibration.worst_error`.
 """
 
 from __future__ import annotations
@@ -74,13 +72,13 @@ from srs_twin.compute.arrays import Array, check_positive
 from srs_twin.errors import InputError, UnknownNameError
 
 STRIP_PRESSURE_FACTOR = {"semicircular": 0.0, "rectangular": 2.0}
-"""Factor b by cross-section, dimensionless.
+"""Factor b for each chamber cross-section, dimensionless.
 
-The estimated factor 2 reverses the sign of the derivative of the reading at q = 0.
+The estimated factor of 2 reverses the sign of dq_s/dq at q = 0.
 """
 
 ROUNDING_BEND_RAD = 0.15
-"""Bend q_c at which a rectangular chamber has become nearly round, rad.
+"""Bend q_c at which a rectangular chamber is nearly round, rad.
 
 The value of 8.6° is an estimate.
 """
@@ -90,8 +88,7 @@ def strip_bend(bend: Array, chamber: str) -> Array:
     """Return the bend q_s of the strip, rad.
 
     Args:
-        bend: bend q of the segment, any shape, rad. If the bend is NaN, the result is
-            NaN.
+        bend: bend q of the segment, any shape, rad. A NaN bend gives a NaN result.
         chamber: name of the chamber cross-section, a key of `STRIP_PRESSURE_FACTOR`.
     """
     factor = STRIP_PRESSURE_FACTOR[chamber]
@@ -104,15 +101,14 @@ def strip_bend(bend: Array, chamber: str) -> Array:
 
 
 ORIENTATIONS = ("up", "side")
-"""Direction of the magnet's north pole: "up" is normal to the strip, "side" along it.
+"""Directions of the north pole: normal to the strip ("up") or along it ("side").
 
-In the dissertation, the magnet is normal to the strip.
+The dissertation uses a magnet with its north pole normal to the strip.
 """
 
 _MU0_4PI = 1e-7  # μ₀/4π, T·m/A
 
 INCH = 0.0254
-"""One inch, m."""
 
 MAGNET_HEIGHT = INCH / 32
 """Height of the cylindrical magnet, m (Section 2.2.2)."""
@@ -120,8 +116,8 @@ MAGNET_HEIGHT = INCH / 32
 MAGNET_DIAMETER = INCH / 16
 """Diameter of the magnet, m.
 
-The dissertation does not state the diameter. The value is a commercially available size
-for the known height.
+The dissertation does not state the diameter, so the value is a commercial size for
+magnets of the known height.
 """
 
 REMANENCE = 1.32
@@ -135,28 +131,27 @@ MOMENT = (
     * MAGNET_HEIGHT
     / (4 * math.pi * _MU0_4PI)
 )
-"""Magnetic moment, A·m², which is the remanence times the volume divided by μ₀."""
+"""Magnetic moment of the magnet (remanence times volume divided by μ₀), A·m²."""
 
 
 @dataclass(frozen=True)
 class Strip:
-    """Magnet and Hall element on a strip. See the module docstring.
+    """Strip with a magnet and a Hall element, as described in the module docstring.
 
-    The heights of the magnet and of the element are estimates, because the dissertation
-    does not state them. The height of the magnet's centre is half the thickness of the
-    flexible board (0.05 mm) plus half the height of the magnet. The height of the
-    element is half the thickness of the board plus 0.65 mm within a SOT-23 package.
+    The dissertation does not state the heights of the magnet and the element, so both
+    are estimates. The surface of the flexible board is 0.05 mm from the neutral axis.
+    The magnet lies on this surface, and the element lies 0.65 mm above it in a SOT-23
+    package.
 
     Attributes:
         segment_length: length l of the segment, m.
         distance: arc length L from the magnet to the element, m. The dissertation
-            studied 3.1 to 4.6 mm and chose 3.1 mm.
+            compares distances of 3.1 to 4.6 mm and uses 3.1 mm.
         orientation: orientation of the magnet, one of `ORIENTATIONS`.
         moment: magnetic moment |m|, A·m².
-        magnet_height: height h_m of the magnet's centre, m.
-        element_height: height h_s of the element, m.
+        magnet_height: height h_m of the magnet's centre above the neutral axis, m.
+        element_height: height h_s of the element above the neutral axis, m.
         chamber: name of the chamber cross-section, a key of `STRIP_PRESSURE_FACTOR`.
-            Rectangular chambers press on the strip.
     """
 
     segment_length: float
@@ -197,10 +192,10 @@ def dipole(x: Array, y: Array, m_x: float, m_y: float) -> tuple[Array, Array]:
 
     Args:
         x: x coordinate relative to the dipole, any shape, m.
-        y: y coordinate relative to the dipole, with the shape of x, m. x and y must not
-            both be 0.
-        m_x: moment along x, A·m².
-        m_y: moment along y, A·m².
+        y: y coordinate relative to the dipole, with the shape of x, m. The coordinates
+            x and y must not both be 0.
+        m_x: x component of the dipole moment, A·m².
+        m_y: y component of the dipole moment, A·m².
     """
     square = x * x + y * y
     cube = square * np.sqrt(square)
@@ -209,13 +204,13 @@ def dipole(x: Array, y: Array, m_x: float, m_y: float) -> tuple[Array, Array]:
 
 
 def element_place(bend: Array | float, strip: Strip) -> tuple[Array, Array, Array]:
-    """Return the element's position x, y (m) relative to the magnet, and θ (rad)."""
+    """Return the element's position x, y relative to the magnet (m), and θ (rad)."""
     theta = strip_bend(np.asarray(bend, dtype=float), strip.chamber) * (
         strip.distance / strip.segment_length
     )
     theta = np.where(np.abs(theta) <= math.pi, theta, np.nan)
-    # The vector (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2. The expression
-    # for the chord is smooth at κ = 0. The function np.sinc(x) is sin(πx)/(πx).
+    # The vector (sin θ, 1 − cos θ)/κ is a chord in the direction θ/2. Its length is
+    # computed with np.sinc(x) = sin(πx)/(πx), which is smooth at κ = 0.
     chord = strip.distance * np.sinc(theta / (2 * math.pi))
     x = chord * np.cos(theta / 2) - strip.element_height * np.sin(theta)
     y = (
@@ -233,7 +228,7 @@ def field(bend: Array | float, strip: Strip) -> Array:
         bend: bend q of the segment, any shape, rad. The result is NaN if the bend is
             NaN or if the strip turns by more than half a revolution between magnet and
             element.
-        strip: strip geometry.
+        strip: strip with magnet and Hall element.
     """
     x, y, theta = element_place(bend, strip)
     m_x, m_y = (0.0, strip.moment) if strip.orientation == "up" else (strip.moment, 0.0)
@@ -243,11 +238,9 @@ def field(bend: Array | float, strip: Strip) -> Array:
 
 
 GAUSS = 1e-4
-"""One gauss, T."""
 
 SPAN = math.pi / 2
-"""Maximum bend to either side in the design of the dissertation, rad (Section 2.2.2).
-"""
+"""Maximum bend to either side in the dissertation, rad (Section 2.2.2)."""
 
 RAIL_FRACTION = 0.8
 """Fraction of the rail-to-rail voltage that the output of a trimmed amplifier covers.
@@ -256,24 +249,24 @@ RAIL_FRACTION = 0.8
 
 @dataclass(frozen=True)
 class HallSensor:
-    """Strip with its electronics. See the module docstring.
+    """Hall sensor with its electronics, as described in the module docstring.
 
     The sensitivity and the noise are estimated from data sheets of Hall sensors of type
-    49E, to which the AH49E of the dissertation belongs. The data sheets state a
-    sensitivity of 1.6 to 2.0 mV/G at 5 V. The stated noise of 90 µV in a bandwidth of
-    10 kHz corresponds to 25 µV in the amplifier's bandwidth of 500 Hz. The 5 V rails
-    and the 10-bit converter match the Arduino Pro Mini in generation 3 (Section 2.3.2).
+    49E, such as the AH49E in the dissertation. The data sheets state a sensitivity of
+    1.6 to 2.0 mV/G at 5 V. The stated noise of 90 µV in a bandwidth of 10 kHz
+    corresponds to 25 µV in the amplifier's bandwidth of 500 Hz. The 5 V rails and the
+    10-bit converter match the Arduino Pro Mini in generation 3 (Section 2.3.2).
 
     Attributes:
-        strip: geometry and magnet.
-        gain: gain G of the amplifier, dimensionless. `trimmed` chooses a suitable gain.
+        strip: strip with magnet and Hall element.
+        gain: gain G of the amplifier, dimensionless.
         sensitivity: sensitivity s of the element, V/T.
         offset: output V₀ of the amplifier for a straight segment, V.
         rails: minimum and maximum output of the amplifier, V.
         noise: RMS noise at the output of the element within the amplifier's bandwidth,
             V.
         bits: number of bits of the converter, or None if the output is not quantised.
-        converter_range: voltage range of the converter, V.
+        converter_range: minimum and maximum input voltage of the converter, V.
         bias: change of the amplifier's output since the calibration, V.
         gain_error: relative change e of the gain since the calibration, dimensionless.
     """
@@ -321,11 +314,11 @@ class HallSensor:
     def trimmed(
         cls, strip: Strip, *, span: float = SPAN, **electronics: object
     ) -> HallSensor:
-        """Return a sensor whose output covers `RAIL_FRACTION` of the rails.
+        """Create a sensor whose output covers `RAIL_FRACTION` of its full range.
 
         Args:
-            strip: geometry and magnet.
-            span: maximum bend, rad.
+            strip: strip with magnet and Hall element.
+            span: maximum bend to either side, rad.
             **electronics: further attributes of the sensor.
 
         Raises:
@@ -350,7 +343,7 @@ class HallSensor:
 
     @property
     def step(self) -> float:
-        """Quantisation step of the converter, V, or 0 without quantisation."""
+        """Quantisation step of the converter, or 0 without quantisation, V."""
         low, high = self.converter_range
         return 0.0 if self.bits is None else (high - low) / 2**self.bits
 
@@ -359,16 +352,16 @@ class HallSensor:
         return field(0.0, self.strip)
 
     def field_change(self, bend: Array | float) -> Array:
-        """Return B_n − B_n(0) (T) at bends of any shape (rad)."""
+        """Return the field change B_n − B_n(0) (T) for an array of bends (rad)."""
         return field(bend, self.strip) - self._field_at_rest
 
     def voltage(self, bend: Array | float, noise: Array | float = 0.0) -> Array:
         """Return the voltage that the controller reads, V.
 
         Args:
-            bend: bend of any shape, rad. If the bend is NaN, the voltage is NaN, so
-                that a diverged state does not look valid.
-            noise: standard normal random numbers, which are broadcast with the bends.
+            bend: bend q of the segment, any shape, rad. A NaN bend gives a NaN voltage,
+                so that a diverged state does not look valid.
+            noise: standard normal random numbers, broadcast with the bends.
         """
         random = self.noise * np.asarray(noise)
         element = self.sensitivity * self.field_change(bend) + random
@@ -383,10 +376,7 @@ class HallSensor:
 
 
 def _within(values: Array, low: float, high: float) -> Array:
-    """Clip values to a range.
-
-    The function keeps NaN and is three times as fast as `np.clip`.
-    """
+    """Clip values to a range, three times as fast as `np.clip`."""
     clipped: Array = np.minimum(np.maximum(values, low), high)
     return clipped
 
@@ -399,10 +389,10 @@ def _check(name: str, value: float, ok: bool, allowed: str) -> None:
 
 
 ANGLES = 181
-"""Number of angles in a calibration (one per degree for ±90°)."""
+"""Number of angles in a calibration, which is one per degree for ±90°."""
 
 LEAST_R_SQUARED = 0.5
-"""Minimum fraction of the variance that the line of a usable sensor explains."""
+"""Minimum fraction of the variance that a calibration line must explain."""
 
 
 @dataclass(frozen=True)
@@ -410,11 +400,11 @@ class HallCalibration:
     """Linear calibration of a Hall sensor.
 
     Attributes:
-        slope: slope a of the line, rad/V.
-        intercept: intercept b of the line, rad.
+        slope: slope a of the calibration line, rad/V.
+        intercept: intercept b of the calibration line, rad.
         r_squared: fraction of the variance that the line explains, dimensionless.
-        span: maximum angle to either side, rad.
-        voltage_range: minimum and maximum voltage, V.
+        span: maximum absolute angle in the calibration, rad.
+        voltage_range: minimum and maximum voltage in the calibration, V.
         worst_error: maximum absolute difference between the line and the angle, rad.
         monotonic: whether the voltage is a monotonic function of the angle.
     """
@@ -428,15 +418,15 @@ class HallCalibration:
     monotonic: bool
 
     def angle(self, voltage: Array | float) -> Array:
-        """Return the bends (rad) for voltages (V) in an array of any shape.
+        """Convert voltages (V) of any shape to bends (rad).
 
-        Beyond the span, the line is extrapolated.
+        The line is extrapolated beyond the calibrated span.
         """
         return self.slope * np.asarray(voltage) + self.intercept
 
 
 def fit_line(voltage: Array, angle: Array) -> HallCalibration:
-    """Fit a line to measured voltages and angles.
+    """Fit a calibration line to measured voltages and angles.
 
     Args:
         voltage: voltage at each angle, shape (angles,), V.
@@ -480,11 +470,11 @@ def fit_line(voltage: Array, angle: Array) -> HallCalibration:
 
 
 def calibrate(sensor: HallSensor, span: float = SPAN) -> HallCalibration:
-    """Calibrate a sensor, ignoring its drift.
+    """Calibrate a Hall sensor for bends of up to ±`span`.
 
     Args:
-        sensor: Hall sensor. Its `bias` and `gain_error` are ignored, because drift
-            begins after the calibration.
+        sensor: Hall sensor. Its `bias` and `gain_error` are ignored, because they
+            describe drift after the calibration.
         span: maximum angle to either side, rad.
 
     Raises:

@@ -1,21 +1,19 @@
 """Curvature sensors with noise and faults.
 
-`IdealSensor` returns the true bend, and `CurvatureSensor` models a calibrated Hall
-sensor in each segment. `DriftedSensor` adds the drift of individual sensors, and
-`FaultySensor` adds faults of individual sensors.
+`IdealSensor` returns the true bends, and `CurvatureSensor` models a calibrated Hall
+sensor in each segment. `DriftedSensor` and `FaultySensor` add drift and faults to the
+sensors of individual segments.
 
 **Noise without state.** The noise of a reading depends only on the seed, the segment
 and the time. A controller that reads the sensors in every tick and a recorder that
-evaluates a whole run at once therefore obtain the same readings, regardless of the
-number of threads. The noise of a segment is computed from the outputs 2n and 2n + 1 of
-a SplitMix64 sequence (Steele, Lea, Flood, 2014), where n is the time in slots of 0.1
-ms. The Box-Muller transform converts the uniform outputs to a normally distributed
-number. Each combination of seed and segment starts at a different position in the
-sequence.
+reads them after the run therefore obtain equal readings. Time is divided into slots of
+0.1 ms. The noise in slot n is computed from the outputs 2n and 2n + 1 of a SplitMix64
+sequence (Steele, Lea, Flood, 2014). The Box-Muller transform converts these uniform
+numbers to a normally distributed number. Each combination of seed and segment starts at
+a different position in the sequence.
 
-A vectorised computation of a thousand numbers takes as long as the computation of a
-single number. Because a controller reads one time after another, numbers are computed
-and cached in blocks of slots.
+The numbers are computed and cached in blocks of slots, because computing a thousand
+numbers at once takes as long as computing a single number.
 """
 
 from __future__ import annotations
@@ -33,14 +31,13 @@ from srs_twin.sensing.hall import SPAN, HallCalibration, HallSensor, calibrate
 class Sensor(ABC):
     """Abstract base class of curvature sensors.
 
-    Sensors have no state. Readings depend only on the arguments of `read`, so callers
-    may request times in any order.
+    Sensors have no state, so `read` may be called for times in any order.
 
     Attributes:
-        kind: short name of the sensor.
-        axes: number of readings per segment, 1 or 2. With 2 readings, arrays of bends
-            and readings have an additional last axis with the components to the left
-            and upwards.
+        kind: short name of the sensor type.
+        axes: number of readings per segment, 1 or 2. If it is 2, arrays of bends and
+            readings have an additional last axis for the leftward and upward
+            components.
     """
 
     kind: str = "own"
@@ -51,8 +48,8 @@ class Sensor(ABC):
         """Return sensor readings, shape (…, segments), rad.
 
         Args:
-            bend: actual bends, shape (…, segments), rad. If a bend is NaN, the reading
-                is NaN, which the controller must handle as a lost reading.
+            bend: actual bends, shape (…, segments), rad. A NaN bend gives a NaN
+                reading, which the controller must handle as a lost reading.
             time: times of the readings, shape (…,), s.
             seed: noise seed.
 
@@ -61,7 +58,7 @@ class Sensor(ABC):
         """
 
     def describe(self) -> dict[str, object]:
-        """Return the settings to record, as JSON values."""
+        """Return the settings of the sensor as JSON values."""
         return {"kind": self.kind}
 
 
@@ -78,18 +75,16 @@ class IdealSensor(Sensor):
 SLOT = 1e-4
 """Duration of a noise slot, s.
 
-Readings within a slot have equal noise, and the noise of different slots is
-independent.
+All readings in a slot have equal noise.
 """
 
-# The following constants of SplitMix64 are the increment of the state and the
-# multipliers of the output function.
+# Increment of the state and multipliers of the output in SplitMix64.
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)
 
 _SEED_STEP = 2**63
-"""Difference between the seeds of the two axes."""
+"""Difference between the noise seeds of the two axes."""
 
 _MAX_TIME = 2.0**53 * SLOT
 """Maximum time at which slot numbers are exact in double precision, s."""
@@ -103,8 +98,8 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
     Args:
         seed: any integer. Seeds that are equal modulo 2⁶⁴ produce equal numbers.
         time: times, shape (…,), s. Times are rounded to the nearest slot.
-        segments: number of segments. Additional segments do not change the random
-            numbers of the first segments.
+        segments: number of segments. The random numbers of a segment do not depend on
+            the number of segments.
 
     Raises:
         InputError: a time is not finite, or is too large for exact slot numbers.
@@ -135,7 +130,6 @@ def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
     start = _splitmix(np.full(segments, seed, dtype=np.uint64) + _GOLDEN)
     start = _splitmix(start ^ (np.arange(1, segments + 1, dtype=np.uint64) * _GOLDEN))
     place = start + (slot.view(np.uint64)[..., None] << np.uint64(1)) * _GOLDEN
-    # Two uniform 53-bit integers per number enter the Box-Muller transform.
     radius = (_splitmix(place) >> np.uint64(11)).astype(float) + 1
     angle = (_splitmix(place + _GOLDEN) >> np.uint64(11)).astype(float)
     return np.asarray(
@@ -144,7 +138,6 @@ def _normal_numbers(seed: int, slot: np.ndarray, segments: int) -> np.ndarray:
 
 
 def _splitmix(word: np.ndarray) -> np.ndarray:
-    """Return the output of SplitMix64, in which each bit depends on every state bit."""
     word = (word ^ (word >> np.uint64(30))) * _FIRST
     word = (word ^ (word >> np.uint64(27))) * _SECOND
     mixed: np.ndarray = word ^ (word >> np.uint64(31))
@@ -154,9 +147,6 @@ def _splitmix(word: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class CurvatureSensor(Sensor):
     """Curvature sensor of the dissertation (Section 2.2.2).
-
-    The sensor model combines the magnetic field, the amplifier, the converter and the
-    linear calibration.
 
     Attributes:
         hall: Hall sensor in each segment.
@@ -170,7 +160,7 @@ class CurvatureSensor(Sensor):
 
     @classmethod
     def calibrated(cls, hall: HallSensor, span: float = SPAN) -> CurvatureSensor:
-        """Return a sensor that is calibrated for bends up to the angle `span` (rad).
+        """Create a sensor that is calibrated for bends of up to ±`span` (rad).
 
         Raises:
             InputError: the sensor cannot be calibrated.
@@ -205,16 +195,16 @@ class _AlteredSensor(Sensor):
 
 @dataclass(frozen=True)
 class TwoAxisSensor(_AlteredSensor):
-    """Two equal sensors per segment of a spatial robot, one for each bending direction.
+    """Pair of sensors in each segment of a spatial robot, one per bending direction.
 
-    The strips lie on the neutral axis at right angles, so each strip measures one
-    component of the bend. The two sensors have independent noise and equal drift. For
-    equal seeds, the first sensor has the same noise as the sensor of a planar robot.
+    The two strips lie on the neutral axis at right angles, so each strip measures one
+    component of the bend. The two sensors have independent noise and equal drift. The
+    noise of the first sensor equals the noise in a planar robot with the same seed.
     """
 
     @property
     def axes(self) -> int:  # type: ignore[override]
-        """Number of readings per segment."""
+        """Number of readings per segment, which is 2."""
         return 2
 
     def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
@@ -233,11 +223,11 @@ class TwoAxisSensor(_AlteredSensor):
 
 @dataclass(frozen=True)
 class DriftedSensor(_AlteredSensor):
-    """Sensors that have drifted by individual amounts since their calibration.
+    """Sensors whose gains and offsets have drifted since their calibration.
 
     Attributes:
-        gain: factor that multiplies the reading, shape (segments,), dimensionless.
-        bias: offset added to the reading, shape (segments,), rad.
+        gain: factor by which a reading is multiplied, shape (segments,), dimensionless.
+        bias: offset that is added to a reading, shape (segments,), rad.
     """
 
     gain: tuple[float, ...]
@@ -260,7 +250,7 @@ class DriftedSensor(_AlteredSensor):
 
 @dataclass(frozen=True)
 class DeadSensor:
-    """Failure of one segment's sensor, which no longer responds to the bend.
+    """Fault of one segment's sensor, which no longer responds to the bend.
 
     Attributes:
         segment: segment number, counted from 1 at the head.
@@ -278,7 +268,7 @@ class FaultySensor(_AlteredSensor):
     """Sensors that have failed in some segments.
 
     Attributes:
-        dead: faults of individual segments.
+        dead: faults of individual sensors.
     """
 
     dead: tuple[DeadSensor, ...]
@@ -287,8 +277,7 @@ class FaultySensor(_AlteredSensor):
         """See `Sensor.read`."""
         measured_bend = self.sensor.read(bend, time, seed)
         for fault in self.dead:
-            # The start time of a tick and a sum of time steps may differ due to
-            # rounding.
+            # The tolerance covers rounding errors in sums of time steps.
             failed = np.asarray(time) >= fault.since - 1e-9
             segments = (
                 measured_bend if self.axes == 1 else np.moveaxis(measured_bend, -1, 0)

@@ -1,1 +1,1 @@
-"""Studies with many runs: sweeps, uncertainty and optimisation."""
+"""Studies that perform many runs: sweeps, uncertainty analysis and optimisation."""

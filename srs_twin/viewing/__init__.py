@@ -1,1 +1,1 @@
-"""Recordings, plots, images and reports of runs."""
+"""Recordings, plots, images and reports of simulation runs."""

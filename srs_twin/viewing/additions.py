@@ -1,4 +1,4 @@
-"""Plots and recording elements added by extensions."""
+"""Elements that extensions add to plots and recordings."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class FloorLine(NamedTuple):
 
 
 class FollowedSignal(NamedTuple):
-    """Recorded signal that is plotted separately.
+    """Recorded signal that has a separate plot.
 
     Attributes:
-        factor: factor that converts the SI value to the plotted unit.
+        factor: conversion factor from the SI unit to the plotted unit.
     """
 
     column: str
@@ -47,10 +47,8 @@ class FollowedSignal(NamedTuple):
 class RunPictures:
     """Elements that an extension adds to the plots and recordings of one kind of run.
 
-    The base class adds nothing.
-
     Attributes:
-        legend: colour (#rrggbb) of each line on the floor, by label.
+        legend: colours (#rrggbb) of the floor lines, keyed by label.
     """
 
     kind: ClassVar[str] = ""
@@ -58,26 +56,26 @@ class RunPictures:
     signals: ClassVar[tuple[FollowedSignal, ...]] = ()
 
     def applies(self, run: Trajectory) -> bool:
-        """Return whether a run belongs to the kind that this class handles."""
+        """Return whether this class adds elements to a run."""
         return False
 
     def figures(
         self, runs: Mapping[str, Trajectory], spec: RobotSpec
     ) -> dict[str, Figure]:
-        """Return additional figures for the report, keyed by caption."""
+        """Return additional figures for the report of a run, keyed by caption."""
         return {}
 
     def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:
-        """Return floor lines at the start of a run, or at the end if `latest` is true."""
+        """Return the first floor lines of a run, or the last if `latest` is true."""
         return []
 
 
 @cache
 def additions() -> tuple[RunPictures, ...]:
-    """Return the additions of all installed extensions."""
+    """Return the `RunPictures` objects of all installed extensions."""
     return tuple(pictures for _, pictures in objects(PICTURES))
 
 
 def added_to(run: Trajectory) -> RunPictures | None:
-    """Return the first additions that apply to a run, or None."""
+    """Return the first `RunPictures` object that applies to a run, or None."""
     return next((pictures for pictures in additions() if pictures.applies(run)), None)

@@ -1,4 +1,4 @@
-"""Contents of reports and recordings, and events of runs."""
+"""Data shown in reports and recordings, and events of runs."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ from srs_twin.trajectory import Event, Trajectory
 
 @dataclass(frozen=True)
 class RunContent:
-    """Contents of the report and the recording of a run.
+    """Data shown in the report and the recording of a run.
 
     Attributes:
-        trajectories: trajectories, keyed by plant. If there is a twin, a recording shows
-            the other plants as ghosts.
+        trajectories: non-empty trajectories, keyed by plant.
         comparison: differences between the plants over time, or None.
-        measured: differences from the measured robot, keyed by plant.
+        measured: differences between plants and the measured robot, keyed by plant.
     """
 
     spec: RobotSpec
@@ -42,7 +41,7 @@ class RunContent:
 
 
 def events_of(run: Trajectory) -> list[Event]:
-    """Return controller events and obstacle contacts of a run, sorted by time."""
+    """Return the events and contacts of a run, sorted by time."""
     return sorted(
         [*run.events, *contact_events(run), *end_event(run)],
         key=lambda event: event.time,
@@ -50,7 +49,7 @@ def events_of(run: Trajectory) -> list[Event]:
 
 
 def end_event(run: Trajectory) -> list[Event]:
-    """Return the early end of a run as an event in a list, or an empty list."""
+    """Return a list that contains the end event if a run ended early."""
     by = run.metadata.get("ended_by")
     if by is None:
         return []

@@ -1,7 +1,7 @@
-"""GPU twins: MuJoCo Warp with the friction and chamber laws of the CPU twins."""
+"""GPU simulation of twins in MuJoCo Warp, with the physical laws of the CPU twins."""
 
 import warp
 
 warp.config.log_level = (
     warp.LOG_ERROR
-)  # Warp would print a greeting and the name of each kernel to stdout
+)  # otherwise, Warp prints a greeting and the name of each kernel

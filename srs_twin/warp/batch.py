@@ -1,8 +1,7 @@
-"""`WarpBatch` simulates many twins together on a GPU with MuJoCo Warp.
+"""Simulation of many twins on a GPU with MuJoCo Warp (`WarpBatch`).
 
-The equations of engine, chambers and friction are those of `TwinSnake`, in single
-precision. The model of each distinct robot is built on the CPU and copied to the
-device.
+The equations of `TwinSnake` are solved in single precision. The model of each distinct
+robot is compiled on the CPU and copied to the device.
 """
 
 from __future__ import annotations
@@ -27,27 +26,25 @@ from srs_twin.warp.engine import DeviceEngine, allocated_bytes
 from srs_twin.warp.kernels import GaitWave
 
 _INITIAL_LIFT = 1e-8
-"""Height by which snakes are lifted at the start, m.
+"""Height by which each snake is lifted at the start, m.
 
-Without the lift, rounding would decide whether a snake at rest touches the floor.
+Without the lift, rounding errors would decide whether a snake at rest touches the
+floor.
 """
 
 _MAX_START_DISTANCE = 16.0
-"""Maximum distance of a start from the origin of the device coordinates, m.
+"""Maximum distance between a starting position and the device origin, m.
 
-Single precision rounds a coordinate x by up to 2⁻²⁴ x, which is 1 µm at 16 m. A snake
-at 0.1 m/s moves 0.1 mm per step of 1 ms, so the rounding error at 16 m is 1 % of this
-motion.
+In single precision, a coordinate x has a rounding error of up to 2⁻²⁴ x, which is 1 µm
+at 16 m. This error is 1 % of the distance that a snake at 0.1 m/s moves in a time step
+of 1 ms.
 """
 
 _MEMORY_FRACTION = 0.5
-"""Fraction of the free memory that the worlds of one batch may occupy."""
+"""Maximum fraction of the free memory that one batch may occupy."""
 
 _TWIN_BYTES = 3_000_000
-"""CPU memory of the twin of each distinct robot, in bytes.
-
-50 twins of generation 2 took 2.8 MB each.
-"""
+"""Estimated CPU memory of one `TwinSnake`, bytes (2.8 MB for generation 2)."""
 
 
 class WarpBatch(Claimable):
@@ -56,15 +53,14 @@ class WarpBatch(Claimable):
     All twins have equal numbers of connectors and equal control ticks.
 
     Attributes:
-        twins: twin of each run, which holds the settings of the run. Runs with equal
-            robots share one twin.
+        twins: `TwinSnake` of each run, which contains the settings of the run.
         tick: control tick, s.
-        state: latest state of every run. Each field has a leading axis of runs.
-        errors: error that ended each run, or None for runs that have not diverged.
+        state: latest states of all runs, with a leading axis of runs in every field.
+        errors: error that ended each run, or None if the run has not diverged.
         device: Warp device.
-        origins: origin of each run's device coordinates in the world, shape (runs, 2),
-            m. Due to single precision, a run that starts more than 16 m from the
-            world's origin has the device origin at its start.
+        origins: position of each run's device origin in the world frame, shape (runs,
+            2), m. The device origin is the world origin, or the starting position if it
+            is more than 16 m from the world origin.
     """
 
     claiming_methods = (*Claimable.claiming_methods, "run", "follow", "command")
@@ -85,14 +81,14 @@ class WarpBatch(Claimable):
 
         Args:
             twins: twin of each run. Runs with equal robots may share one object.
-            device: Warp's device name, such as "cuda:0". The default is Warp's default
-                device.
+            device: name of the Warp device, such as "cuda:0", or None for Warp's
+                default device.
             deterministic: whether sums are computed in a fixed order, so that repeated
                 runs are bit-identical.
 
         Raises:
-            InputError: there is no twin, the twins differ in settings that all runs
-                share, or the device engine does not support a setting.
+            InputError: the twins differ in a setting that must be equal for all runs,
+                or the device engine does not support a setting.
         """
         self.device = wp.get_device(device)
         if device is None and not self.device.is_cuda:
@@ -124,34 +120,33 @@ class WarpBatch(Claimable):
         """Check that the device engine supports a twin.
 
         Raises:
-            InputError: a setting is not supported.
+            InputError: the engine does not support a setting of the twin.
         """
         _check_supported(twin, twin)
 
     @staticmethod
     def accelerated() -> bool:
-        """Return whether there is a GPU."""
+        """Return whether Warp has found a GPU."""
         return bool(wp.get_preferred_device().is_cuda)
 
     @staticmethod
     def max_worlds(twin: TwinSnake, samples: int, device: str | None = None) -> int:
-        """Return how many copies of a twin fit into half of the free memory.
+        """Return how many runs of a twin fit into half of the free memory.
 
-        The device memory limits the states. The CPU memory limits the twins and the
+        The device stores the states, and the CPU memory stores the twins and the
         recorded trajectories.
 
         Args:
-            twin: twin with the robot and the settings of all worlds.
+            twin: twin with the robot and settings of all runs.
             samples: number of recorded samples per run.
-            device: device name, as in `WarpBatch`.
+            device: name of the Warp device, or None for Warp's default device.
         """
         place = wp.get_device(device)
         engine = DeviceEngine([twin], np.zeros(1, dtype=int), place, False)
         state_bytes = allocated_bytes(engine.data)
         state = twin.reset()
         values = sum(np.size(getattr(state, item.name)) for item in fields(state))
-        # While the samples of a trajectory are joined, the memory holds the trajectory
-        # twice.
+        # A trajectory exists twice in memory while its samples are concatenated.
         run_bytes = _TWIN_BYTES + 2 * samples * values * np.dtype(float).itemsize
         if place.is_cpu:
             run_bytes += state_bytes
@@ -161,33 +156,28 @@ class WarpBatch(Claimable):
         return max(1, fits)
 
     def __reduce_ex__(self, protocol: SupportsIndex) -> NoReturn:
-        """Reject copying, because the states are on the device.
-
-        Raises:
-            InputError: always.
-        """
         raise InputError(
             "a batch of engine 'warp' can be neither copied nor pickled; use engine"
             " 'cpu', or `save()` and `restore()` of its twins"
         )
 
     def __len__(self) -> int:
-        """Return the number of runs."""
         return len(self.twins)
 
     def run(self, steps: int, *, gait: bool = False) -> None:
-        """Compute time steps without observation, as CUDA graphs on a GPU.
+        """Compute time steps without recording states.
 
         Args:
-            steps: number of steps.
-            gait: whether the gaits of `set_gaits` replace the latest valve commands.
+            steps: number of time steps.
+            gait: whether the valves follow the gaits set by `set_gaits` instead of the
+                latest valve commands.
         """
         self._time += steps * self._h
         self._unobserved_steps += steps
         self._engine.run(steps, gait=gait)
 
     def set_gaits(self, gaits: Sequence[Any]) -> None:
-        """Set the gait (`control.gait.Gait`) of each run for `run` and `follow`.
+        """Set the gait (`control.gait.Gait`) of each run, for `run` and `follow`.
 
         Raises:
             InputError: the number of gaits differs from the number of runs.
@@ -207,18 +197,18 @@ class WarpBatch(Claimable):
         seed: int = 0,
         worlds: Sequence[int] | None = None,
     ) -> SnakeState:
-        """Reset to straight snakes at rest with empty chambers.
+        """Reset snakes to a straight shape at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad) of each run that is
-                reset. The default is the origin.
+            poses: x and y coordinates of the centre of mass (m) and mean heading (rad)
+                for each run that is reset, by default 0.
             seed: random seed of the sensor noise.
-            worlds: indices of the runs to reset. By default, all runs and the clock are
-                reset.
+            worlds: indices of the runs to reset. By default, all runs are reset and the
+                time is set to 0.
 
         Raises:
-            InputError: the number of poses is wrong, or a start is too far from the
-                origin in a world with obstacles.
+            InputError: the number of poses is wrong, or a run with obstacles starts too
+                far from the origin.
         """
         chosen = np.arange(len(self)) if worlds is None else np.asarray(worlds, int)
         if poses is None:
@@ -272,33 +262,33 @@ class WarpBatch(Claimable):
         return np.where(far[:, None], places[:, :2], 0.0)
 
     def update_supply_pressure(self) -> None:
-        """Copy changed supply pressures of the twins' chambers to the device."""
+        """Copy the supply pressures of the twins to the device."""
         self._engine.update_supply_pressure()
 
     def step(self, valves: Any) -> SnakeState:
-        """Advance all runs by one tick and return `state`. See `TwinBatch.step`."""
+        """Advance all runs by one control tick, as in `TwinBatch.step`."""
         self.advance(valves, 1)
         return self.state
 
     def advance(self, valves: Any, samples: int) -> list[SnakeState | None]:
-        """Advance all runs by one tick. See `TwinBatch.advance`.
+        """Advance all runs by one control tick, as in `TwinBatch.advance`.
 
-        `valves` is an array or an object with the DLPack interface.
+        The valve states may be a NumPy array or a DLPack array on the device.
         """
         self.command(valves)
         return self._run_observed(self._engine.steps, samples, gait=False)
 
     def command(self, valves: Any) -> None:
-        """Set the valve states for the following ticks.
+        """Set the valve states for the next control ticks.
 
         Args:
-            valves: valve states −1 or 1, shape (runs, segments, 2) or (runs, slots,
-                segments, 2). Only the values of NumPy arrays are checked, not those of
-                int32 arrays on the device (DLPack).
+            valves: valve states −1 or 1 in a NumPy array or an int32 device array
+                (DLPack), shape (runs, segments, 2) or (runs, slots, segments, 2). The
+                values of device arrays are not checked.
 
         Raises:
-            InputError: the shape or type is wrong, or the valve layout does not allow a
-                given state.
+            InputError: the shape or the type is wrong, or the valve layout does not
+                allow a state.
         """
         shape = tuple(valves.shape)
         segments = self.twins[0].spec.segments
@@ -375,10 +365,9 @@ class WarpBatch(Claimable):
         return [SnakeState.history(pieces) if pieces else None for pieces in histories]
 
     def follow(self, duration: float, samples: int) -> list[SnakeState | None]:
-        """Simulate the gaits of `set_gaits` for a duration (s).
+        """Simulate the gaits set by `set_gaits` for a duration (s).
 
-        The samples are equally spaced, and the last sample is at the end of the
-        duration.
+        The samples are equally spaced, and the last one is at the end of the duration.
         """
         return self._run_observed(
             count_steps("duration", duration, "time step", self._h), samples, gait=True
@@ -387,8 +376,8 @@ class WarpBatch(Claimable):
     def arrays(self) -> dict[str, Any]:
         """Return qpos, qvel, pressure and valves as device arrays, keyed by name.
 
-        The arrays have a leading axis of runs and the DLPack interface. Positions in
-        `qpos` are relative to `origins`.
+        The arrays have a leading axis of runs and support DLPack. Positions in `qpos`
+        are relative to `origins`.
         """
         chambers = self._engine.structs["chambers"]
         data = self._engine.data
@@ -400,11 +389,11 @@ class WarpBatch(Claimable):
         }
 
     def openings(self) -> np.ndarray:
-        """Return the number of openings of each inlet, shape (runs, segments, 2)."""
+        """Return how often each inlet valve has opened, shape (runs, segments, 2)."""
         return np.asarray(self._engine.structs["chambers"].openings.numpy())
 
     def describe(self) -> dict[str, object]:
-        """Return the settings of the device engine that a recording stores."""
+        """Return the names of the engine and the device, to be stored in recordings."""
         return {"engine": "warp", "device": self.device.name}
 
     def _run_observed(
@@ -467,8 +456,8 @@ class WarpBatch(Claimable):
     def _history(
         self, rows: list[Any], times: np.ndarray, steps: np.ndarray
     ) -> SnakeState:
-        # The result has axes of samples and runs. `steps` is the number of time steps
-        # before each sample, over which forces are averaged.
+        # The fields of the result have leading axes of samples and runs. Forces are
+        # averaged over `steps`, the number of time steps before each sample.
         table = np.stack([row.numpy() for row in rows]).astype(float)
         shape = table.shape[:2]
         widths = self._engine.widths
@@ -524,8 +513,9 @@ class WarpBatch(Claimable):
         free: np.ndarray,
         free_rate: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
-        # Moments of the segments (N·m) and stored energy (J). All arguments have
-        # leading axes of samples and runs. `free` excludes the rest bends.
+        # Return the moments of the segments (N·m) and the stored energy (J). All
+        # arguments have leading axes of samples and runs. The free bends in `free` do
+        # not include the rest bends.
         torque = np.empty_like(bend)
         stored = np.empty(bend.shape[:2])
         for number, twin in enumerate(self._robots):
@@ -547,7 +537,7 @@ class WarpBatch(Claimable):
 
 
 def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
-    # Each row of `places` contains a translation x, y (m) and a rotation (rad).
+    # Each row of `places` contains a translation in x and y (m) and a rotation (rad).
     moved = qpos.copy()
     yaw = places[:, 2]
     c = np.cos(yaw)
@@ -555,7 +545,7 @@ def _moved(qpos: np.ndarray, places: np.ndarray) -> np.ndarray:
     moved[:, 0] = places[:, 0] + c * qpos[:, 0] - s * qpos[:, 1]
     moved[:, 1] = places[:, 1] + s * qpos[:, 0] + c * qpos[:, 1]
     moved[:, 2] += _INITIAL_LIFT
-    # The new orientation is the quaternion of the yaw times the current quaternion.
+    # The new orientation is the product of the yaw quaternion and the old orientation.
     w, i, j, k = qpos[:, 3:7].T
     a = np.cos(yaw / 2)
     b = np.sin(yaw / 2)

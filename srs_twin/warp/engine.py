@@ -1,4 +1,4 @@
-"""Models, states and time steps of twins on a device, using MuJoCo Warp."""
+"""Engine that simulates a batch of twins on a device with MuJoCo Warp."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ from srs_twin.warp.translation import (
 )
 
 _CAPACITY_FACTOR = 4
-"""Ratio of the capacity for contacts and constraint rows to their number at rest."""
+"""Ratio of the allocated contacts or constraint rows to their number at rest."""
 
 _UNUSED_FIELDS = ("dof_length",)
-"""Model fields that may differ between runs, because only sleeping bodies use them."""
+"""Model fields that may differ between robots, as only sleeping bodies use them."""
 
 _MAX_ITERATIONS = 50
-"""Maximum number of solver iterations of the engine."""
+"""Maximum number of iterations of MuJoCo's constraint solver."""
 
 _AUTORESET = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
 class DeviceEngine:
-    """Twins of a batch on a device, one twin per world.
+    """Engine that simulates the runs of a batch on a device, with one world per run.
 
     Attributes:
         loaded: whether the twins have loaded contact.
         slots: number of valve slots per time step.
         steps: number of time steps per control tick.
-        structs: structs of all worlds, keyed by the names in `build_kernels`.
-        count: device array with the number of time steps since the reset.
-        widths: number of columns of each part of an observation (kernel `observe`).
+        structs: batched structs for the kernels, keyed as in `build_kernels`.
+        count: number of time steps since the reset, a device array of shape (1,).
+        widths: number of columns for each quantity in an observation, keyed by name.
     """
 
     def __init__(
@@ -67,12 +67,7 @@ class DeviceEngine:
     ) -> None:
         """Copy models, states and records to the device, and compile the kernels.
 
-        Args:
-            robots: distinct twins.
-            robot_of_run: index of each run's twin.
-            device: Warp device.
-            deterministic: whether sums are computed in a fixed order, so that repeated
-                runs are bit-identical.
+        The array `robot_of_run` contains the index of each run's twin in `robots`.
 
         Raises:
             InputError: the robots differ in a property that all worlds share.
@@ -140,7 +135,7 @@ class DeviceEngine:
             for name in ("contacts", "sparsity", "contact_state", "workspace"):
                 records[name] = [solve[name] for solve in solves]
         structs = {name: warp_struct(values[0]) for name, values in records.items()}
-        # `values` holds either one record for all robots or one record per robot.
+        # `values` contains one record for all robots, or one record per robot.
         self.structs = {
             name: stack_records(
                 structs[name],
@@ -161,11 +156,10 @@ class DeviceEngine:
                 engine, without=("model", "data", "objects")
             )
             self.structs["engine"] = self._views(structs["engine"], engine._fields[3:])
-            # The solve needs c(v₋) and c(v̄). c(v₋) is copied, because the engine
-            # overwrites its array with c(v̄).
+            # The friction solve needs c(v₋) and c(v̄). The engine overwrites its array
+            # with c(v̄), so c(v₋) has a separate array.
             self.structs["engine"].qfrc_bias = wp.zeros_like(self.data.qfrc_bias)
             self.structs["workspace"].residual = self.data.qfrc_bias
-        # Columns of an observation (kernel `observe`).
         self.widths = {
             "qpos": len(qpos),
             "qvel": self._model.nv,
@@ -205,7 +199,7 @@ class DeviceEngine:
         }
 
     def _view(self, name: str) -> wp.array:
-        # The view of an array of vectors or matrices is an array of scalars.
+        # An array of vectors or matrices is viewed as an array of scalars.
         array = getattr(self.data, name)
         size = wp.types.type_size(array.dtype)
         if size == 1:
@@ -272,13 +266,13 @@ class DeviceEngine:
     def rest(
         self, chosen: np.ndarray, qpos: np.ndarray, contacts: Sequence[ContactState]
     ) -> None:
-        """Put worlds at rest with empty chambers.
+        """Set chosen worlds to rest with empty chambers.
 
         Args:
             chosen: indices of the worlds.
             qpos: generalised positions, with one row per chosen world.
-            contacts: contact states, one per chosen world. Without loaded contact the
-                sequence is empty.
+            contacts: contact state of each chosen world, or an empty sequence without
+                loaded contact.
         """
         self._set(self.data.qpos, chosen, qpos)
         for array in (
@@ -315,14 +309,14 @@ class DeviceEngine:
             wp.copy(getattr(self.structs["wave"], name), getattr(stacked, name))
 
     def command(self, commands: wp.array) -> None:
-        """Set the valve states of a tick, shape (worlds, slots, segments, 2)."""
+        """Set the valve states in a tick, shape (worlds, slots, segments, 2)."""
         if commands.shape != self._commands.shape:
             self._commands = wp.empty_like(commands)
             self._graphs = {}
         wp.copy(self._commands, commands)
 
     def update_supply_pressure(self) -> None:
-        """Copy changed supply pressures of the twins' chambers to the device."""
+        """Copy the supply pressures of the twins to the device."""
         relaxations = [chambers.relaxation(self._slot) for chambers in self._chambers]
         for name in ("asymptotes", "worth"):
             rows = np.array(
@@ -332,12 +326,7 @@ class DeviceEngine:
             getattr(self.structs["relaxation"], name).assign(rows)
 
     def run(self, steps: int, *, gait: bool = False) -> None:
-        """Compute time steps without observation, as CUDA graphs on a GPU.
-
-        Args:
-            steps: number of steps.
-            gait: whether the gaits of `set_waves` replace the latest valve commands.
-        """
+        """Compute time steps as in `WarpBatch.run`, using CUDA graphs on a GPU."""
         with wp.ScopedDevice(self._device):
             if not self._device.is_cuda:
                 for _ in range(steps):
@@ -353,7 +342,7 @@ class DeviceEngine:
                 wp.capture_launch(self._graphs[gait])
 
     def observe(self) -> Any:
-        """Return an observation with one row per world, and reset the accumulators."""
+        """Return an observation with one row per world, and reset the force sums."""
         data = self.data
         model = self._model
         out = wp.zeros(
@@ -372,7 +361,7 @@ class DeviceEngine:
 
 
 def allocated_bytes(data: Any) -> int:
-    """Return the device memory of MuJoCo Warp's data, including its nested records."""
+    """Return the number of bytes of all device arrays in MuJoCo Warp data."""
     total = 0
     for item in fields(data):
         value = getattr(data, item.name)
@@ -384,8 +373,7 @@ def allocated_bytes(data: Any) -> int:
 
 
 def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None:
-    # Fields in which the models differ get one value per world, if the engine allows
-    # it.
+    # A field in which the models differ gets one value per world.
     distinct = {id(world_model): world_model for world_model in models}
     if len(distinct) == 1:
         return

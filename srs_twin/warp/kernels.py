@@ -1,11 +1,11 @@
-"""Warp kernels for chambers, loaded contacts and sums of forces.
+"""Warp kernels for chambers, loaded contact and contact-force sums.
 
-The kernels are executed before and after the steps of MuJoCo Warp. A kernel has one
-thread per world, or one thread per world and segment. The struct for one world is a
-view into the struct for all worlds.
+The kernels run before and after the time steps of MuJoCo Warp. A kernel runs one thread
+per world, or one thread per segment of each world.
 """
 
-# No `from __future__ import annotations` here, because Warp needs types, not strings.
+# Warp needs annotations that are types, so `from __future__ import annotations` is not
+# allowed here.
 from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -25,9 +25,9 @@ class StepSettings(NamedTuple):
         h: time step, s.
         slot: duration of a valve slot, s.
         slots: number of valve slots per time step.
-        tick: number of time steps per tick.
-        mean_control: whether the mean control over a step drives the bodies. If false,
-            the control at the beginning of the step drives the bodies.
+        tick: number of time steps per control tick.
+        mean_control: whether the bodies are driven by the mean control over a time step
+            instead of the control at the beginning of the step.
     """
 
     h: float
@@ -42,13 +42,14 @@ class ChamberState(NamedTuple):
 
     Attributes:
         pressure: gauge pressure, shape (segments, 2), Pa.
-        linear: linear bend x, which is the input of the bend law, shape (segments,),
-            rad.
-        bend, bend_rate: free bend without the rest bend (rad) and its derivative
+        linear: argument x of the bend law φ(x) (`pneumatics.chambers`), shape
+            (segments,), rad.
+        bend, bend_rate: free bend minus the rest bend (rad) and its time derivative
             (rad/s), shape (segments,).
-        valves: valve states of the latest slot, shape (segments, 2).
-        openings: number of openings of each inlet, shape (segments, 2).
-        drawn: pneumatic energy of each segment since `reset`, shape (segments,), J.
+        valves: valve states in the latest slot, shape (segments, 2).
+        openings: number of times that each inlet valve has opened, shape (segments, 2).
+        drawn: pneumatic energy consumed by each segment since the reset, shape
+            (segments,), J.
     """
 
     pressure: np.ndarray
@@ -61,12 +62,12 @@ class ChamberState(NamedTuple):
 
 
 class GaitWave(NamedTuple):
-    """Parameters of a gait (`control.gait`).
+    """Parameters of a gait (`control.gait.Gait`).
 
     Attributes:
-        frequency: frequency f, Hz.
-        offset: offset φ, dimensionless.
-        rest: sin(r π/2), where r is the fraction of the period at rest (dimensionless).
+        frequency: gait frequency f, Hz.
+        offset: steering offset φ, dimensionless.
+        rest: rest level sin(π r/2) for the rest fraction r, dimensionless.
         lag: phase lag of each segment, shape (segments,), rad.
     """
 
@@ -77,7 +78,7 @@ class GaitWave(NamedTuple):
 
 
 class BodyViews(NamedTuple):
-    """Views of the engine's data for observation, named like the fields of MjData."""
+    """Views of the observed engine data, named like the fields of MjData."""
 
     qpos: np.ndarray
     qvel: np.ndarray
@@ -89,15 +90,16 @@ class BodyViews(NamedTuple):
 
 
 class Accumulators(NamedTuple):
-    """Forces in one world, summed between samples.
+    """Mid-step positions and contact-force sums of one world.
 
     Attributes:
-        mid_qpos: qpos in the middle of the step, shape (nq,).
-        step_force: forces on wheels and collision geoms in the latest step, shape
-            (contacts, 3), N.
-        force_sum: sum of `step_force` since the latest sample, shape (contacts, 3), N.
-        obstacle_sum: sum of the normal forces exerted by obstacles since the latest
-            sample, shape (collision geoms, 3), N.
+        mid_qpos: generalised positions in the middle of the time step, shape (nq,).
+        step_force: floor force on each wheel in the latest time step, shape (contacts,
+            3), N. With loaded contact, the friction on each collision geom follows.
+        force_sum: sum of `step_force` over the time steps since the latest sample,
+            shape (contacts, 3), N.
+        obstacle_sum: sum of the normal forces of obstacles over the time steps since
+            the latest sample, shape (collision geoms, 3), N.
     """
 
     mid_qpos: np.ndarray
@@ -107,7 +109,10 @@ class Accumulators(NamedTuple):
 
 
 _OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
-"""Kernel options. A kernel is a module, because its constants depend on the batch."""
+"""Options of all kernels.
+
+Each kernel has its own Warp module, because its constants depend on the batch.
+"""
 
 Kernels = dict[str, Any]
 
@@ -115,12 +120,12 @@ Kernels = dict[str, Any]
 def build_kernels(
     structs: Mapping[str, WarpStruct], settings: StepSettings
 ) -> SimpleNamespace:
-    """Build the kernels for structs of given shapes.
+    """Build the kernels of a batch.
 
     Args:
-        structs: `relaxation`, `chambers`, `wave`, `accumulators`, `addresses` and
-            `bodies`. Loaded contacts also need `engine`, `contacts`, `sparsity`,
-            `contact_state` and `workspace`.
+        structs: structs with the keys `relaxation`, `chambers`, `wave`, `accumulators`,
+            `addresses` and `bodies`. Loaded contact also needs `engine`, `contacts`,
+            `sparsity`, `contact_state` and `workspace`.
         settings: constants for all worlds.
     """
     functions = as_warp_functions(_PARTS, **warp_functions())
@@ -138,7 +143,7 @@ def build_kernels(
 def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
     GaitWaves = wave.batched
     wave_of = wave.select
-    # Warp treats these captured variables as compile-time constants.
+    # Warp treats captured variables as compile-time constants.
     SLOT = settings.slot
     SLOTS = settings.slots
     TICK = settings.tick
@@ -166,13 +171,13 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
             time = (wp.float64(count[0] * SLOTS + s) + wp.float64(0.5)) * wp.float64(
                 SLOT
             )
-            # In double precision the phase remains accurate in long runs.
+            # Double precision keeps the phase accurate in long runs.
             turns = wp.float64(gait.frequency) * time
             angle = wp.float64(6.283185307179586) * (
                 turns - wp.floor(turns)
             ) - wp.float64(gait.lag[j])
             value = wp.sin(angle) + wp.float64(gait.offset)
-            # Without the margin, rounding could delay a valve event by one slot.
+            # Without the margin of 1e-9, rounding could delay valve events by one slot.
             edge = wp.float64(gait.rest) - wp.float64(1e-9)
             out[i, s, j, 0] = 2 * int(value >= edge) - 1
             out[i, s, j, 1] = 2 * int(value < -edge) - 1
@@ -205,9 +210,7 @@ def _chamber_kernel(
         relaxation = relaxation_of(relaxations, i)
         air = chambers_of(all_chambers, i)
         pressure = air.pressure[j]
-        # With this drive, the bend of a segment with the damping time c/k follows the
-        # free bend without lag. The free bend is the value at the beginning of the
-        # step.
+        # The second term cancels the lag of the bend that damping would cause.
         driven = air.bend[j] + relaxation.damping_time * air.bend_rate[j]
         bend = air.bend[j] + relaxation.bias[j]
         for s in range(SLOTS):
@@ -218,7 +221,7 @@ def _chamber_kernel(
         air.bend_rate[j] = derivative * (pull - air.linear[j]) / relaxation.tau
         end = air.bend[j] + relaxation.damping_time * air.bend_rate[j]
         driven += END_WEIGHT * (end - driven)
-        # A control is the pressure of one chamber, so it cannot be negative.
+        # Each control is a chamber pressure, so it must not be negative.
         ctrl[i, 2 * j] = wp.max(driven, 0.0) / relaxation.gain[j, 0]
         ctrl[i, 2 * j + 1] = wp.max(-driven, 0.0) / relaxation.gain[j, 1]
 
@@ -255,7 +258,6 @@ def _accumulation_kernel(
         energy_loss: wp.array(dtype=wp.float64),
         internal_loss: wp.array(dtype=wp.float64),
     ):
-        # With a preloaded contact, the engine's sensors measure the forces.
         i = wp.tid()
         air = chambers_of(all_chambers, i)
         sums = accumulators_of(all_accumulators, i)
@@ -312,9 +314,9 @@ def _observation_kernel(
 
 
 def advance_slot(relaxation, air, state, j, before):  # type: ignore[no-untyped-def]
-    """Advance the chambers of segment j by a valve slot, and return the new bend, rad.
+    """Advance the chambers of segment j by a slot and return the new free bend, rad.
 
-    `before` is the bend at the beginning of the slot.
+    The argument `before` is the free bend at the beginning of the slot, rad.
     """
     pressure = air.pressure[j]
     content_before = filling_content(
@@ -324,7 +326,7 @@ def advance_slot(relaxation, air, state, j, before):  # type: ignore[no-untyped-
     after, _, _ = apply_bend_law(x, relaxation)
     after += relaxation.bias[j]
     content = filling_content(state, plus, minus, after, relaxation, AMBIENT_PA)
-    # The air that is added to filling chambers comes from the supply.
+    # The supply provides the air that enters the filling chambers.
     air.drawn[j] = air.drawn[j] + relaxation.worth * (content - content_before)
     pressure[0] = plus
     pressure[1] = minus
@@ -337,12 +339,12 @@ def advance_slot(relaxation, air, state, j, before):  # type: ignore[no-untyped-
 
 
 def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
-    """Return the power dissipated by the dampers of the segments, W."""
+    """Return the power dissipated by the damping of the segments, W."""
     power = float(0.0)
     hinges = at.hinges.shape[1]
     for j in range(at.hinges.shape[0]):
-        # Dampers act on deviations from the free bend rate, which is divided equally
-        # among the hinges.
+        # The dampers act on the difference between each hinge velocity and the free
+        # bend rate, which is divided equally among the hinges of a segment.
         fraction = air.bend_rate[j] / float(hinges)
         for n in range(hinges):
             deviation = qvel[at.hinges[j, n]] - fraction
@@ -354,7 +356,7 @@ def internal_power(air, at, qvel, damping):  # type: ignore[no-untyped-def]
 
 
 def preloaded_power(sums, at, sensors):  # type: ignore[no-untyped-def]
-    """Return the power dissipated by the floor (W), and read the wheel forces.
+    """Return the power dissipated by floor friction (W), and store the wheel forces.
 
     The sensors report velocities one step later than forces, so the velocities are
     multiplied by the forces of the previous step.
@@ -377,7 +379,7 @@ def external_power(at, sensors):  # type: ignore[no-untyped-def]
 
 
 def add_forces(sums, at, sensors):  # type: ignore[no-untyped-def]
-    """Add the forces of the latest step to the sums."""
+    """Add the contact forces of the latest time step to the force sums."""
     for w in range(sums.step_force.shape[0]):
         for k in range(3):
             sums.force_sum[w, k] = sums.force_sum[w, k] + sums.step_force[w, k]
@@ -388,7 +390,7 @@ def add_forces(sums, at, sensors):  # type: ignore[no-untyped-def]
 
 
 def write_bodies(body, at, row):  # type: ignore[no-untyped-def]
-    """Write the state of the bodies to a row, and return the next column."""
+    """Write body states to an observation row, and return the next free column."""
     k = int(0)
     for n in range(body.qpos.shape[0]):
         row[k] = body.qpos[n]
@@ -404,14 +406,14 @@ def write_bodies(body, at, row):  # type: ignore[no-untyped-def]
         b = at.connectors[c]
         for n in range(3):
             row[k + n] = body.xpos[b, n]
-        # The heading is the direction of the connector's x axis in the plane.
+        # The heading is the horizontal direction of the connector's x axis.
         row[k + 3] = wp.atan2(body.xmat[b, 3], body.xmat[b, 0])
         k += 4
     return k
 
 
 def write_chambers(air, row, begin):  # type: ignore[no-untyped-def]
-    """Write the state of the chambers to a row, and return the next column."""
+    """Write chamber states to an observation row, and return the next free column."""
     k = int(begin)
     for j in range(air.linear.shape[0]):
         for side in range(2):
@@ -425,7 +427,7 @@ def write_chambers(air, row, begin):  # type: ignore[no-untyped-def]
 
 
 def move_sums(sums, row, begin):  # type: ignore[no-untyped-def]
-    """Write the sums of forces to a row, reset the sums, and return the next column."""
+    """Move force sums to an observation row, and return the next free column."""
     k = int(begin)
     for w in range(sums.shape[0]):
         for n in range(3):
@@ -445,14 +447,14 @@ _PARTS = (
     write_chambers,
     move_sums,
 )
-"""Functions that the kernels call. `as_warp_functions` translates them."""
+"""Functions called by the kernels, which `as_warp_functions` translates."""
 
 
 @wp.func
 def integrate_position(
     qpos: wp.array(dtype=float), qvel: wp.array(dtype=float), h: float
 ):
-    """Integrate the positions over time h (s) at constant velocities.
+    """Integrate the generalised positions over a time h (s) at constant velocities.
 
     The coordinates of the free joint precede the coordinates of the hinges.
     """
@@ -461,7 +463,6 @@ def integrate_position(
     rotation = wp.vec3(qvel[3], qvel[4], qvel[5])
     speed = wp.length(rotation)
     half = 0.5 * h * speed
-    # The lower bound avoids a division by zero for a body that does not rotate.
     axis = rotation / wp.max(speed, 1e-20)
     w = qpos[3]
     x = qpos[4]
@@ -512,7 +513,7 @@ def _middle_kernels(
         all_accumulators: AllAccumulators,
         bias: wp.array2d(dtype=float),
     ):
-        # Store the engine's velocity as v̂, and restore the positions at mid-step.
+        # Store the predicted velocity v̂, and restore the positions at mid-step.
         i = wp.tid()
         engine = engine_of(engines, i)
         workspace = workspace_of(workspaces, i)

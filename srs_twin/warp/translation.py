@@ -1,10 +1,9 @@
-"""Translation of numba kernels and their records for Warp.
+"""Translation of Numba functions and their records to Warp.
 
-Warp functions need argument types, single precision and callees that are Warp
-functions. Each numba function is copied with these changes, and its tolerances are
-replaced by tolerances for single precision. A record is a named tuple of arrays,
-numbers and further records. The Warp versions of a record are a struct of one world and
-a struct of all worlds.
+Warp functions need annotated arguments, and can only call other Warp functions. Each
+Numba function is therefore copied with annotations, translated callees and tolerances
+for single precision. A record is a named tuple of arrays, numbers and further records.
+Each record is translated to a struct of one world and a struct of all worlds.
 """
 
 from __future__ import annotations
@@ -26,17 +25,18 @@ _TOLERANCES = {
     # Tolerance of the squared residual (`friction_solve`), (kg·m/s)².
     "_ABSOLUTE_TOLERANCE": 1e-15,
 }
-"""Single-precision values of module constants in translated functions."""
+"""Values of module constants for single precision, keyed by name."""
 
 
 def as_warp_functions(
     functions: Sequence[Callable[..., Any]], **translated: Any
 ) -> dict[str, Any]:
-    """Return the Warp versions of `functions` and `translated`, keyed by name.
+    """Translate functions to Warp, and return all Warp functions keyed by name.
 
     Args:
-        functions: functions compiled by numba. Callees precede their callers.
-        **translated: Warp functions that the functions call, keyed by name.
+        functions: functions to translate, which may be compiled by Numba. Callees must
+            precede their callers.
+        **translated: Warp functions that the functions may call, keyed by name.
     """
     namespace: dict[str, Any] = _TOLERANCES | {"Traction": _TRACTION} | translated
     for function in functions:
@@ -79,7 +79,7 @@ _FRICTION_SOLVE = (
     "_assemble",
     "_line_search",
 )
-"""Functions of `friction_solve`, in an order in which callees precede callers."""
+"""First functions of `friction_solve` to translate, with callees before callers."""
 
 _FRICTION_STEP = (
     "_newton",
@@ -88,7 +88,7 @@ _FRICTION_STEP = (
     "solve_friction",
     "store_friction",
 )
-"""Functions of `friction_solve` that use the Newton step. Callees precede callers."""
+"""Remaining functions of `friction_solve` to translate, with callees before callers."""
 
 _OBJECT_FUNCTIONS = (
     "apply_object_friction",
@@ -97,7 +97,7 @@ _OBJECT_FUNCTIONS = (
     "add_object_jacobian",
     "couple_objects",
 )
-"""Functions of the friction solve that only act on movable objects."""
+"""Functions for movable objects, which the device engine does not support."""
 
 
 def _no_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
@@ -105,7 +105,7 @@ def _no_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
 
 
 def warp_functions() -> dict[str, Any]:
-    """Return Warp versions of the chamber laws, the friction laws and the solve."""
+    """Return the Warp versions of the chamber and friction functions, keyed by name."""
     functions = as_warp_functions(
         [
             stick_slip.stick_slip_friction,
@@ -124,21 +124,21 @@ def warp_functions() -> dict[str, Any]:
     functions |= dict.fromkeys(_OBJECT_FUNCTIONS, no_objects)
     solve = [getattr(friction_solve, name) for name in _FRICTION_SOLVE]
     functions = as_warp_functions(solve, **functions)
-    # The CPU version calls C functions of the engine, which Warp cannot call.
+    # The CPU version calls C functions of MuJoCo, which Warp cannot call.
     functions["_solve_direction"] = functions["solve_direction_portably"]
     step = [getattr(friction_solve, name) for name in _FRICTION_STEP]
     return as_warp_functions(step, **functions)
 
 
 class WarpStruct(NamedTuple):
-    """Warp versions of a record.
+    """Types of the Warp structs for a record.
 
     Attributes:
-        single: struct of one world, which translated functions take as argument.
+        single: struct of one world, which is an argument of translated functions.
         batched: struct of all worlds, whose fields have a leading axis of worlds.
-        select: Warp function that returns the struct of one world from a batched struct
-            and an index.
-        inner: Warp versions of the fields that are records, keyed by name.
+        select: Warp function that returns the single struct of the world with a given
+            index in a batched struct.
+        inner: Warp structs for the fields that are records, keyed by field name.
     """
 
     single: Any
@@ -148,11 +148,11 @@ class WarpStruct(NamedTuple):
 
 
 def warp_struct(example: Any, without: Sequence[str] = ()) -> WarpStruct:
-    """Create the Warp versions of a record.
+    """Create the Warp structs for a record.
 
     Args:
-        example: record of one world, a named tuple of arrays, numbers and records.
-        without: names of omitted fields.
+        example: record of one world, which defines the types and array dimensions.
+        without: names of fields that the structs omit.
     """
     kind = type(example).__name__
     inner: dict[str, WarpStruct] = {}

@@ -1,8 +1,4 @@
-"""Command `srs-twin doctor`, which checks the installation and the machine.
-
-The module `checks` contains checks that run in this process. The module `probes`
-contains tests that may crash or hang, which run in child processes.
-"""
+"""Command `srs-twin doctor`, which checks the installation and the machine."""
 
 from __future__ import annotations
 
@@ -32,7 +28,7 @@ def doctor(
     """Check the installation and the output folder.
 
     Options:
-        --out DIR: Output folder to check for write access.
+        --out DIR: Output folder that is checked for write access.
     """
     from srs_twin.cli.doctor.checks import failed_checks
 
@@ -50,7 +46,7 @@ def doctor(
 
 
 def run_checks(folder: Path) -> list[Check]:
-    """Return all checks, sorted by topic.
+    """Run all checks and return the results, sorted by topic.
 
     Raises:
         InputError: temporary files cannot be written.

@@ -1,4 +1,4 @@
-"""Checks that run in the current process."""
+"""Checks of `srs-twin doctor` that run in the current process."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MACHINE = "machine"
 VIEWING = "viewing (optional)"
 EXTRAS = "extras"
 TOPICS = (INSTALLATION, SIMULATION, MACHINE, VIEWING, EXTRAS)
-"""Topics of the checks, in output order."""
+"""Topics of the checks, in the order in which they are printed."""
 
 Status = Literal["ok", "missing", "broken", "undecided"]
 
@@ -31,12 +31,12 @@ class Check:
     """Result of one check of `srs-twin doctor`.
 
     Attributes:
-        topic: one of `TOPICS`.
-        name: unique name.
+        topic: topic of the check, one of `TOPICS`.
+        name: unique name of the check.
         status: "ok", "missing" (absent or insufficient), "broken" (present but not
             working) or "undecided" (not tested, or no result in time).
-        detail: result in words.
-        remedy: command or instruction, or an empty string if the status is "ok".
+        detail: text that describes the result.
+        remedy: instruction for solving the problem, empty if the status is "ok".
         necessary: whether runs fail if the check fails.
     """
 
@@ -56,7 +56,7 @@ class Check:
 
 
 def failed_checks(checks: Iterable[Check]) -> list[Check]:
-    """Return the necessary checks that are neither ok nor undecided."""
+    """Return the necessary checks with the status "missing" or "broken"."""
     return [
         check
         for check in checks
@@ -76,7 +76,7 @@ PURPOSES = {
     "video": "videos (`srs-twin render RUN --video out.mp4`)",
     "rl": "training of policies (tools/train_ppo.py)",
 }
-"""Purpose of each extra in pyproject.toml."""
+"""Purpose of each optional extra in pyproject.toml."""
 
 _LISTED_PACKAGES = (
     "mujoco",
@@ -87,13 +87,13 @@ _LISTED_PACKAGES = (
     "matplotlib",
     "rerun-sdk",
 )
-"""Packages that affect results most, and whose versions are therefore printed."""
 
 _OMITTABLE_PACKAGES = ("dm-control", "rerun-sdk")
 """Packages that are installed by default but not needed by `run` and `compare`."""
 
-# Modules whose names differ from the package name. For rerun-sdk, only the bindings are
-# imported, because importing the Python part takes as long as all other packages.
+# Module names that differ from the package names. Only the bindings of rerun-sdk are
+# imported, because importing its Python part takes as long as importing all other
+# packages.
 _MODULES = {
     "rerun-sdk": "rerun_bindings",
     "pyyaml": "yaml",
@@ -107,7 +107,7 @@ class RequiredPackage:
     """Package that srs_twin requires.
 
     Attributes:
-        name: name of the distribution on the package index.
+        name: name of the package on the package index.
         requirement: requirement in pip syntax, such as "mujoco<4,>=3.17".
         installed: installed version, or None.
         fits: whether the installed version satisfies the requirement.
@@ -134,11 +134,10 @@ class RequiredPackage:
 def required_packages(
     requirements: Sequence[str] | None = None,
 ) -> list[RequiredPackage]:
-    """Return the packages required on this machine, with installed versions.
+    """Return the packages required on this machine, with their installed versions.
 
     Args:
-        requirements: requirements in pip syntax. By default, the requirements of
-            srs_twin are used.
+        requirements: requirements in pip syntax, by default those of srs_twin.
     """
     from packaging.requirements import Requirement
 
@@ -160,7 +159,7 @@ def required_packages(
 
 
 def modules(packages: Sequence[RequiredPackage]) -> list[str]:
-    """Return the modules of all installed packages that no extra requires."""
+    """Return the module names of all installed packages that are always required."""
     names = (
         package.name
         for package in packages
@@ -212,7 +211,7 @@ def packages_check(packages: Sequence[RequiredPackage], *, checkout: bool) -> Ch
 def extra_checks(
     extras: Sequence[str], packages: Sequence[RequiredPackage], *, checkout: bool
 ) -> Iterator[Check]:
-    """Yield one check per extra."""
+    """Yield a check of the required packages for each extra."""
     for extra in extras:
         members = [package for package in packages if package.extra == extra]
         command = f"uv sync --extra {extra}" if checkout else ""
@@ -223,7 +222,7 @@ def extra_checks(
 
 
 def checks_of_installation() -> Iterator[Check]:
-    """Yield checks of the installed srs_twin, required packages and extras."""
+    """Yield checks of the srs_twin installation, its required packages and extras."""
     metadata = installed_metadata()
     checkout = (data_root() / "pyproject.toml").is_file()
     packages = required_packages()
@@ -269,7 +268,7 @@ def _installed_check(
 
 
 def installed_metadata() -> Message:
-    """Return the metadata of the installed srs_twin, empty if it is not installed."""
+    """Return the package metadata of srs_twin, empty if it is not installed."""
     try:
         return metadata.metadata(DISTRIBUTION)  # type: ignore[return-value]
     except metadata.PackageNotFoundError:
@@ -290,7 +289,7 @@ def _installed(name: str) -> str | None:
 
 
 def output_check(folder: Path) -> Check:
-    """Check that a temporary file can be written to a folder."""
+    """Check that files can be written to a folder."""
     try:
         check_output_folder(folder)
     except InputError as error:

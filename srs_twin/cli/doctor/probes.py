@@ -1,7 +1,7 @@
-"""Probes, which are tests that may crash or hang and therefore run in child processes.
+"""Checks of `srs-twin doctor` that run in child processes, as they may crash or hang.
 
-A probe returns a description of what works, or raises an exception that states why
-something does not work.
+A probe is a function that returns a description of what works, or raises an exception
+that states what does not work.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from srs_twin.viewing.rerun.viewer import (
 )
 
 _TIME_LIMIT_S = 60.0
-"""Time limit for a probe, s. On an idle machine, a probe takes about 1 s."""
+"""Time limit for a probe, s."""
 
 _SIMULATED_S = 0.2
-"""Simulated time per model, s."""
+"""Simulated time for each model, s."""
 
 _REINSTALL = "`uv sync --reinstall` in a checkout, else `pip install --force-reinstall`"
 
@@ -48,13 +48,13 @@ def imports() -> str:
     for module in modules(required_packages()):
         try:
             importlib.import_module(module)
-        except Exception as error:  # a package may raise anything
+        except Exception as error:  # a package may raise any exception
             raise SrsError(f"{module}: {describe_error(error)}") from error
     return "every required package imports"
 
 
 def kernels() -> str:
-    """Compare a compiled kernel with the Python function and find the kernel cache."""
+    """Compare a compiled kernel with its Python source, and find the kernel cache."""
     from srs_twin.pneumatics.flow import flow
 
     kernel: Any = flow
@@ -95,12 +95,12 @@ def rendering() -> str:
 
 
 class Probe(NamedTuple):
-    """Probe with the information shown to the user.
+    """Probe, with its topic and a remedy for failures.
 
     Attributes:
-        topic: name of the checked feature in the output.
-        run: function called in the child process.
-        remedy: remedy shown if the probe fails.
+        topic: topic of the check, one of `checks.TOPICS`.
+        run: function that is called in the child process.
+        remedy: instruction that is shown if the probe fails.
     """
 
     topic: str
@@ -140,7 +140,7 @@ NO_VULKAN = (
 
 
 def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
-    """Run all probes, yield the checks and remove all temporary files.
+    """Run all probes and yield their results.
 
     Raises:
         InputError: temporary files cannot be written.
@@ -164,8 +164,8 @@ def probed_checks(*, time_limit_s: float = _TIME_LIMIT_S) -> Iterator[Check]:
 def _run(name: str, folder: str, time_limit_s: float) -> Check:
     topic, _, remedy = PROBES[name]
     necessary = topic != VIEWING
-    # Runs set this value too. With other values, importing MuJoCo loads an OpenGL
-    # library.
+    # OpenGL is disabled as in simulations. Otherwise, importing MuJoCo would load an
+    # OpenGL library.
     environment = {"MUJOCO_GL": "disabled"} | os.environ | {"PYTHONSAFEPATH": "1"}
     try:
         done = subprocess.run(
@@ -232,7 +232,7 @@ def rerun_check(folder: Path, time_limit_s: float) -> Check:
 if __name__ == "__main__":
     try:
         print(PROBES[sys.argv[1]].run())
-    except Exception as failure:  # libraries may raise anything
+    except Exception as failure:  # libraries may raise any exception
         if isinstance(failure, SrsError):
             sys.exit(" ".join(str(failure).split()))
         sys.exit(describe_error(failure))

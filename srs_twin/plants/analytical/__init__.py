@@ -1,4 +1,4 @@
-"""Plant `AnalyticalSnake` with the dissertation's planar model and its variants."""
+"""Plant `AnalyticalSnake`, which implements the analytical models of the snake."""
 
 from __future__ import annotations
 
@@ -52,23 +52,21 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
-# Maximum interval at which body and chambers exchange bends and pressures if the
-# connectors are point masses, at a time unit of 1, s. With an interval of 0.25 ms the
-# pressures oscillate below ambient pressure. Halving the interval does not change the
-# results.
+# Maximum interval between two exchanges of bends and pressures for a body with point
+# masses and a time unit of 1, s. With 0.25 ms instead, the pressures oscillate and fall
+# below ambient pressure.
 _POINT_MASS_COUPLING_STEP = 0.0001
 
 
 class AnalyticalSnake(PneumaticPlant):
-    """Planar model of the dissertation (Section 3.1) and its variants.
+    """Snake with the planar model of the dissertation (Section 3.1) or a variant of it.
 
-    The snake is a chain of masses on arcs of constant curvature and moves under floor
-    friction. The equation of motion is Eq. 11, summed over the body (E22). The bends
-    are given by Eq. 14. In the model `simplified`, each chord has the length of the
-    straight segment. In the model `compliant`, load and inertia deflect the bends.
+    The snake is a chain of masses that are connected by arcs of constant curvature. The
+    equation of motion is Eq. 11, summed over the body (E22), and Eq. 14 determines the
+    bends. The class `AnalyticalOptions` describes the variants.
 
     Attributes:
-        timestep: maximum step of the integrator, s. Valve events also end a step.
+        timestep: maximum time step of the integrator, s.
     """
 
     name = "analytical"
@@ -92,20 +90,20 @@ class AnalyticalSnake(PneumaticPlant):
 
         Args:
             spec: robot to simulate.
-            supply_pa: supply pressure, Pa. The default is the robot's nominal pressure.
-            tick: control tick, s. The default is `TICK_S` times the time unit of the
-                robot (`robot.scale`).
+            supply_pa: supply pressure, by default the robot's nominal pressure, Pa.
+            tick: duration of a control tick, by default `TICK_S` times the time unit of
+                the robot (`robot.scale`), s.
             layout: valve layout, "3/2" or "in_out".
-            pneumatics: "lag", "orifice", or a `Pneumatics` object.
-            sensor: curvature sensor, which is "ideal", "hall" with its defaults, or a
-                `Sensor` object.
-            world: floor slope and obstacles. Without `world`, the floor is level and
-                has no obstacles.
+            pneumatics: model of valves and chambers, "lag", "orifice" or a `Pneumatics`
+                object.
+            sensor: curvature sensor, "ideal", "hall" or a `Sensor` object.
+            world: slope of the floor and obstacles, by default a level floor without
+                obstacles.
             **options: fields of `AnalyticalOptions`, such as model="compliant" or
                 friction="wheel".
 
         Raises:
-            InputError: an option or the tick is not allowed, or the options do not fit
+            InputError: the tick or an option is invalid, or the model does not support
                 the robot or the world.
         """
         self.spec = spec
@@ -213,8 +211,8 @@ class AnalyticalSnake(PneumaticPlant):
     def _advance(
         self, schedule: Schedule, steps: TimeSteps
     ) -> tuple[int, Motion, Trace]:
-        # The pressures may depend on compliant bends, so chambers and body are advanced
-        # alternately in chunks of one or two steps.
+        # If the pressures depend on compliant bends, chambers and body are advanced
+        # alternately, in chunks of about one coupling interval.
         motions = []
         traces = []
         done = 0
@@ -247,11 +245,11 @@ class AnalyticalSnake(PneumaticPlant):
 
     @property
     def jumps(self) -> int:
-        """Number of jumps between resting poses in the model "quasistatic"."""
+        """Number of jumps between resting poses, always 0 in planar models."""
         return self.body.jumps
 
     def describe(self) -> dict[str, Any]:
-        """Return the settings that a run records."""
+        """See `Plant.describe`."""
         options = self.options
         about = super().describe() | {
             "model": options.model,
@@ -287,8 +285,7 @@ class AnalyticalSnake(PneumaticPlant):
         inertia = self._connector_inertia(cells.mass)
         solid = BodyParameters.of(cells.mass, inertia, cells.length, cells.gap, frozen)
         if isinstance(cells, Cells):
-            # `floor.drag` is the drag on one connector. On a divided body, the total
-            # drag is distributed over all points.
+            # All points of a divided body share the drag on the connectors equally.
             drag = floor.drag * self.spec.geometry.connectors / len(cells.mass)
             floor = floor._replace(drag=drag)
         if options.base == "clamped":
@@ -333,12 +330,11 @@ class AnalyticalSnake(PneumaticPlant):
         return inertia
 
     def steps(self, schedule: Schedule, samples: int) -> TimeSteps:
-        """Return the integrator's steps for a schedule.
+        """Return the time steps of the integrator for a schedule.
 
         Args:
             schedule: valve commands.
-            samples: number of equally spaced samples. Each sample is at the end of a
-                step.
+            samples: number of equally spaced samples, each at the end of a step.
         """
         longest = self.timestep
         if self._coupled:

@@ -1,15 +1,14 @@
-r"""Bodies of the planar analytical models: connectors on arcs of constant curvature.
+r"""Bodies of the planar models, with connectors joined by arcs of constant curvature.
 
-The bends of a clamped chain are the free bends of Eq. 14, as on a test bench. No floor
-or obstacle acts on the chain, so the bends alone determine its motion. The recursive
-Newton–Euler algorithm computes the moments of the segments in two loops. The loop from
-head to tail computes the acceleration a_j of each connector j,
+If the head of a chain is clamped in the air, the free bends of Eq. 14 alone determine
+the motion. The recursive Newton–Euler algorithm computes the moments of the segments in
+two loops. The loop from head to tail computes the acceleration a_j of each connector j,
 
 $$ a_{j+1} = a_j - (\ddot L - L\dot\psi^2)\,e(\psi) - (L\ddot\psi + 2\dot L\dot\psi)\,e_\perp(\psi). $$
 
-Here chord j has length L and direction ψ. The unit vector e(ψ) is parallel to the
-chord, and e_⊥(ψ) is normal to it. The loop from tail to head sums forces and moments.
-The moment T_j of segment j is the generalised force of the bend q_j.
+Here chord j has length L and direction ψ. The unit vectors e(ψ) and e_⊥(ψ) are parallel
+and normal to the chord. The loop from tail to head sums forces and moments. It computes
+the moment T_j of segment j as the generalised force of the bend q_j.
 """
 
 from __future__ import annotations
@@ -48,16 +47,18 @@ from srs_twin.robot.spec import RobotSpec
 class Motion(NamedTuple):
     """Motion of a body at several times.
 
+    `QuasistaticArcs` instead uses states as in `spatial_kinematics` and two bends per
+    segment.
+
     Attributes:
         states: states in the layout of `kernels`, shape (samples, STATES or more). With
-            obstacles, the last columns hold the mean obstacle forces on each point
+            obstacles, further columns contain the mean obstacle force on each point
             since the previous sample.
         velocities: velocity of the centre of mass in the mean-heading frame (m/s), yaw
             rate (rad/s) and, for compliant bends, bend rates (rad/s), shape (samples, 3
             or more).
-        bend, bend_rate: bends (rad) and bend rates (rad/s) of the segments, shape
-            (samples, segments). On a body with skin, the arrays have one column per
-            cell.
+        bend, bend_rate: bends (rad) and bend rates (rad/s), shape (samples, segments).
+            If the segments are divided into cells, the shape is (samples, cells).
         torque: net moment of each segment, shape (samples, segments), N·m.
     """
 
@@ -72,10 +73,10 @@ class Body(Stateful, ABC):
     """Abstract base class for the mechanics of an analytical model.
 
     Attributes:
-        state: current state in the layout of `kernels`. `CompliantBends` adds further
-            entries.
-        velocity: current velocities, in the format of `Motion.velocities`.
-        obstacles: obstacles that the body can touch, or None if contact is disabled.
+        state: current state. Planar bodies use the layout of `kernels`, to which
+            `CompliantBends` appends entries.
+        velocity: current velocities, as in `Motion.velocities`.
+        obstacles: obstacles that the body can touch, or None if there are none.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("state", "velocity")
@@ -85,7 +86,7 @@ class Body(Stateful, ABC):
     obstacles: Obstacles | None = None
 
     compliant = False
-    """Whether load and inertia deflect the bends from the free bends."""
+    """Whether load and inertia deflect the segments from their free bends."""
 
     def __init__(
         self,
@@ -94,7 +95,7 @@ class Body(Stateful, ABC):
         cells: LumpedSegments,
         bends: int = 0,
     ) -> None:
-        """Set the constants. `bends` is the number of compliant bends."""
+        """Store the constants of a body with `bends` compliant bends."""
         self.solid = solid
         self.floor = floor
         self.cells = cells
@@ -106,11 +107,14 @@ class Body(Stateful, ABC):
         return 0
 
     def bends(self) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
-        """Return the bends (rad) and rates (rad/s), or (None, None) if prescribed."""
+        """Return the bends (rad) and bend rates (rad/s) if the bends are compliant.
+
+        For prescribed bends, the result is (None, None).
+        """
         return None, None
 
     def reset(self, pose: Pose) -> None:
-        """Reset to a straight body at rest with a given pose of its centre of mass."""
+        """Place the body at rest with a given centre of mass and mean heading."""
         self.state, self.velocity = map(np.zeros, self._shapes)
         self.state[:3] = pose
 
@@ -156,23 +160,22 @@ class Body(Stateful, ABC):
     def move(
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
-        """Advance by several steps.
+        """Advance the body by several time steps.
 
         Args:
             steps: lengths of the steps, shape (steps,), s.
-            trace: pressures and free bends of the chambers at the start and the two
-                stages of each step, 1 + 2 · steps rows.
+            trace: chamber states at the start and at the two stages of each step,
+                1 + 2 · steps rows.
             sample_steps: number of steps before each sample, ascending, shape
                 (samples,).
 
         Returns:
-            The number of completed steps, and the states and velocities at the samples
-            in the layout of `Motion`. If a step fails, the later steps are not
-            computed.
+            Number of completed steps, and the values of `state` and `velocity` at the
+            samples. If a step fails, the later steps are not computed.
         """
 
     def stored(self, bend: np.ndarray, free: np.ndarray) -> float | np.ndarray:
-        """Return the elastic energy of all segments, shape (samples,), J.
+        """Return the total elastic energy of the segments, shape (samples,), J.
 
         Args:
             bend: bends of the cells, shape (samples, cells), rad.
@@ -184,11 +187,11 @@ class Body(Stateful, ABC):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """Compute the motion from states, velocities and chamber states."""
+        """Compute the motion at samples of states, velocities and chamber states."""
 
 
 class PrescribedBends(Body):
-    """Body of the models `complete` and `simplified`, with the bends of Eq. 14."""
+    """Body of the models `complete` and `simplified`, whose bends obey Eq. 14."""
 
     state_attributes = ("_state_rate",)
 
@@ -229,20 +232,19 @@ class PrescribedBends(Body):
 
 
 class ClampedBends(Body):
-    """Chain with a clamped head in the air."""
+    """Chain in the air whose head is clamped."""
 
     state_attributes = ("_head_pose",)
 
     def __init__(
         self, solid: BodyParameters, floor: FloorFriction, cells: LumpedSegments
     ) -> None:
-        # A chain in the air has no friction.
         super().__init__(
             solid, floor._replace(mu_t=0.0, mu_back=0.0, mu_n=0.0, drag=0.0), cells
         )
 
     def reset(self, pose: Pose) -> None:
-        """See `Body.reset`. The head stays at its initial pose."""
+        """Clamp the head of a straight body with a given centre of mass and heading."""
         super().reset(pose)
         x, y, heading = pose
         ahead = self.cells.com_behind_head
@@ -253,19 +255,19 @@ class ClampedBends(Body):
     def set_state(
         self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """See `Body.set_state`. A clamped chain can only start at rest."""
+        """Raise an `InputError`, because a clamped chain can only start at rest."""
         raise InputError("a snake that is clamped at its head can only start at rest")
 
     def move(
         self, steps: np.ndarray, trace: Trace, sample_steps: np.ndarray
     ) -> tuple[int, np.ndarray, np.ndarray]:
-        """See `Body.move`. The method `motion` computes the states."""
+        """See `Body.move`. The method `motion` computes the states instead."""
         return len(steps), *self._allocate(len(sample_steps))
 
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`. Only the bends determine the motion."""
+        """Compute the motion from the bends, and overwrite states and velocities."""
         trace = self._split(trace)
         torque = np.empty_like(trace.bend)
         simulate_clamped(trace, self.solid, self._head_pose, states, velocities, torque)
@@ -276,7 +278,7 @@ class ClampedBends(Body):
 
 class _Chain(NamedTuple):
     # Positions are in the world frame, relative to the head connector. `lever` is the
-    # velocity of all connectors behind a segment per unit of its bend rate (m).
+    # velocity of a segment's rear end per unit bend rate, for a fixed front end (m).
 
     position: np.ndarray
     acceleration: np.ndarray
@@ -298,13 +300,12 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
     """Compute states, velocities and moments of a chain with a clamped head.
 
     Args:
-        trace: chamber states. The bends of the chain equal the free bends.
+        trace: chamber states, whose free bends are the bends of the chain.
         solid: constants of the chain.
-        head: pose of the head: x, y (m) and heading (rad).
-        states: output for pose and velocity of the centre of mass in the world frame,
-            in the layout of `kernels`.
-        velocities: output for the velocity in the mean-heading frame (m/s) and the mean
-            yaw rate (rad/s), shape (samples, 3).
+        head: position x, y (m) and heading (rad) of the head.
+        states: output for pose and velocity of the body in the layout of `kernels`.
+        velocities: output for the velocity of the centre of mass in the mean-heading
+            frame (m/s) and the yaw rate (rad/s), shape (samples, 3).
         torque: output for net moments of the segments, shape (samples, segments), N·m.
     """
     n = solid.mass.shape[0]
@@ -329,9 +330,8 @@ def simulate_clamped(trace, solid, head, states, velocities, torque):  # type: i
 
 @inlined
 def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-untyped-def]
-    # `heading` is the heading of the head (rad), which stays at the origin. `total` is
-    # the mass of the chain (kg). The result is the motion of the centre of mass and of
-    # the mean heading.
+    # `heading` is the heading of the head (rad), which is fixed at the origin. `total`
+    # is the mass of the chain (kg).
     n = solid.mass.shape[0]
     position = chain.position
     acceleration = chain.acceleration
@@ -365,7 +365,7 @@ def _accelerate(trace, k, solid, total, heading, chain):  # type: ignore[no-unty
         v_y = v_y - chord_rate * s - span * chord_spin * c
         acceleration[j + 1, 0] = acceleration[j, 0] - inward * c + lateral * s
         acceleration[j + 1, 1] = acceleration[j, 1] - inward * s - lateral * c
-        # A bend shortens the chord and rotates the chord by half of the bend.
+        # A bend shortens the chord and rotates it by half the bend angle.
         chain.lever[j, 0] = -chord.derivative * c - span / 2 * s
         chain.lever[j, 1] = -chord.derivative * s + span / 2 * c
         fraction = solid.mass[j + 1] / total
@@ -396,12 +396,11 @@ def _fill_moments(solid, chain, torque):  # type: ignore[no-untyped-def]
 
 
 class CompliantBends(Body):
-    """Body of the model `compliant`, whose segments are springs and dampers.
+    """Body of the model `compliant`, whose segments act as springs and dampers.
 
     A segment with bend q and free bend q_f exerts the moment k (q_f − q) + c
-    (q̇_f − q̇), where k is the stiffness and c = k · damping_time the damping. Without
-    mass and load, the bend of a segment equals the free bend, which obeys Eq. 14.
-    Inertia and friction deflect the segment from the free bend.
+    (q̇_f − q̇), where k is the stiffness and c = k · damping_time the damping. Load and
+    inertia deflect the segment from the free bend, which obeys Eq. 14.
     """
 
     state_attributes = ("_sampled", "_contact_loads")
@@ -430,8 +429,8 @@ class CompliantBends(Body):
             compliant_kernels.BENDS + self._bends,
             compliant_kernels.BENDS + 2 * self._bends,
         )
-        # After the momenta, the state holds the impulses of the obstacles on each
-        # point, and the time.
+        # With obstacles, the state ends with the impulses that the obstacles exert on
+        # each point, and the time.
         self._impulses = slice(self._momenta.stop, None)
         count = 0 if obstacles is None else obstacles.force.size + 1
         self._shapes = self._momenta.stop + count, self._shapes[1]

@@ -1,20 +1,20 @@
-"""Division of segments into cells, for bodies with skin or with obstacle contact.
+"""Division of segments into cells, for robots with skin and for contact with obstacles.
 
 A segment of constant curvature with bend q is divided into a chain of arcs, which are
 called cells. The bend of cell c is s_c q, where s_c is the fraction of q assigned to
 the cell. The contact points of the body are at the ends of the cells, and the mass is
-distributed over these points by the trapezoidal rule. The kernels treat the cells as
-the segments of a longer chain. The mean heading over all contact points differs from
-the mean heading over the connectors by a linear function of the bends.
+distributed over these points by the trapezoidal rule. The kernels treat each cell as a
+segment. The mean heading of all points differs from the mean heading of the connectors
+by a linear function of the bends.
 
 For prescribed bends, the moment of a segment is T_j = Σ s_c T_c, where T_c is the
-moment of cell c. This sum follows from the virtual work T_j δq_j. In the `compliant`
-model the bends of the cells are degrees of freedom. The stiffness of a cell is k/s_c
-and its damping is c/s_c, so that the cells in series have the segment's stiffness k and
-damping c. Cells in the rigid gap are much stiffer.
+moment of cell c. In the model `compliant`, the bends of the cells are degrees of
+freedom. A cell has the stiffness k/s_c and the damping c/s_c, so that the cells in
+series have the stiffness k and the damping c of the segment.
 
-A wheeled robot is also divided if it can touch obstacles, because a load between two
-connectors bends a segment unevenly. Its masses and wheels stay at the connectors.
+The segments of a wheeled robot are divided if the robot can touch obstacles, because a
+load between two connectors bends a segment unevenly. In this case, all masses and
+wheels remain at the connectors.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from srs_twin.compute.arrays import Array
 from srs_twin.robot.spec import Geometry, RobotSpec
 
 _RIGID_RATIO = 1e6
-"""Ratio of a cell's stiffness in the rigid gap to the stiffness of the segment.
+"""Stiffness of a cell in the rigid gap, relative to the stiffness of the segment.
 
-With this ratio the bend of a cell in the gap stays below a microradian.
+With this ratio, such a cell bends by less than a microradian.
 """
 
 
 class Discretisation(NamedTuple):
-    """Division of each segment into cells, which are arcs between contact points.
+    """Division of a segment into cells, which are arcs between contact points.
 
     Attributes:
         length: lengths of the cells, head first, shape (cells,), m.
-        fraction: fraction s_c of the segment's bend in each cell, shape (cells,). The
-            fraction is 0 in the rigid gap.
+        fraction: fraction s_c of the segment's bend in each cell, 0 in the rigid gap,
+            shape (cells,), dimensionless.
     """
 
     length: Array
@@ -47,10 +47,7 @@ class Discretisation(NamedTuple):
 
     @classmethod
     def of(cls, geometry: Geometry, points: int) -> Discretisation:
-        """Return a division into at least `points` cells of about equal length.
-
-        The ends of the segment's arc are also ends of cells.
-        """
+        """Divide a segment into about `points` cells of similar length."""
         half_gap = geometry.rigid_gap / 2
         arc = geometry.segment_length
         pieces = [(half_gap, 0.0), (arc, 1.0), (half_gap, 0.0)]
@@ -71,17 +68,16 @@ class Discretisation(NamedTuple):
 
 
 class LumpedSegments:
-    """Undivided segments of a wheeled robot.
-
-    The masses and the contacts are at the connectors.
+    """Undivided segments of a robot with masses and contacts at the connectors.
 
     Attributes:
-        spec: robot whose body is divided.
-        mass: mass at each connector or end of a cell, shape (points,), kg.
-        length: length of each segment's arc or of each cell, shape (cells,), m.
+        spec: robot to which the segments belong.
+        mass: mass at each point, shape (points,), kg. The points are the connectors or,
+            in the subclass `Cells`, the ends of the cells.
+        length: arc length of all segments, or of each cell with shape (cells,), m.
         gap: length of the straight part of each segment, m.
-        inverse_fraction: inverse 1/s_c of each cell's fraction of the bend, shape
-            (segments, cells per segment), or 1 for segments without cells.
+        inverse_fraction: inverse fraction 1/s_c of each cell, or `_RIGID_RATIO` in the
+            rigid gap, shape (segments, cells per segment), or 1 without cells.
     """
 
     inverse_fraction: float | Array = 1.0
@@ -94,7 +90,7 @@ class LumpedSegments:
 
     @property
     def com_behind_head(self) -> float:
-        """Distance of the straight body's centre of mass from the head connector, m."""
+        """Distance from the head connector to the straight body's centre of mass, m."""
         pitch = self.spec.geometry.pitch
         return (
             pitch
@@ -103,15 +99,15 @@ class LumpedSegments:
         )
 
     def split(self, bend: Array) -> Array:
-        """Return the bends of the cells, shape (…, cells), from segment bends."""
+        """Convert segment bends to cell bends, shape (…, cells)."""
         return bend
 
     def total(self, bend: Array) -> Array:
-        """Return the bends of the segments, shape (…, segments), from cell bends."""
+        """Convert cell bends to segment bends, shape (…, segments)."""
         return bend
 
     def moments(self, torque: Array) -> Array:
-        """Return the moments of the segments from the moments T_c of the cells."""
+        """Convert cell moments T_c to segment moments T_j, N·m."""
         return torque
 
     def lead(self, bend: Array) -> float:
@@ -123,12 +119,12 @@ class LumpedSegments:
         return values
 
     def on_connectors(self, force: Array) -> Array:
-        """Return the forces on the connectors, shape (samples, N, 2)."""
+        """Distribute point forces to adjacent connectors, shape (samples, N, 2), N."""
         return force
 
 
 class Cells(LumpedSegments):
-    """Segments that are divided into `points_per_segment` cells each."""
+    """Segments, each of which is divided into `points_per_segment` cells."""
 
     def __init__(self, spec: RobotSpec, cells: Discretisation, mass: Array) -> None:
         """Divide all segments of a robot.
@@ -136,7 +132,7 @@ class Cells(LumpedSegments):
         Args:
             spec: robot whose body is divided.
             cells: division of each segment into cells.
-            mass: masses at the ends of all cells, shape (points,), kg.
+            mass: masses at the ends of the cells, shape (points,), kg.
         """
         super().__init__(spec)
         self._segments = spec.segments
@@ -192,7 +188,7 @@ class Cells(LumpedSegments):
         return shared
 
     def obstacle_force(self, force: Array) -> Array:
-        """Return the force on each connector and its adjoining half segments, N."""
+        """Assign point forces to the nearest connector, shape (samples, N, 2), N."""
         stations = self._behind_head / self.spec.geometry.pitch
         distance = np.abs(np.arange(self.spec.geometry.connectors)[:, None] - stations)
         weights = np.clip(0.5 + (0.5 - distance) / _MIDDLE, 0.0, 1.0)
@@ -201,14 +197,14 @@ class Cells(LumpedSegments):
 
 
 _MIDDLE = 1e-6
-"""Width of the transition between a segment's halves, as a fraction of the segment.
+"""Width of the transition zone in the middle of a segment, relative to the pitch.
 
-A force within the transition is divided between the two halves.
+A force in this zone is divided between the two halves of the segment.
 """
 
 
 def cells_of_skin(spec: RobotSpec) -> Cells:
-    """Divide a robot with skin into cells, with masses from the trapezoidal rule."""
+    """Divide a robot with skin into cells, and distribute the mass to their ends."""
     assert spec.skin is not None and spec.mass.segments is not None, "a robot with skin"
     discretisation = Discretisation.of(spec.geometry, spec.skin.points)
     cells = np.outer(

@@ -1,10 +1,10 @@
 r"""Compiled kernel of the `compliant` analytical model.
 
 **Equations.** Kinematics and floor are the same as in the model `complete` (`kernels`),
-but the bends q are unknown. The velocities u contain the velocity v_c of the centre of
+but the bends q are unknown. The vector u contains the velocity v_c of the centre of
 mass in the frame of the mean heading, the yaw rate θ̇ of this frame, and the bend rates
-q̇. The velocities of connector i along and across its heading are R_{t,i} u and R_{n,i}
-u. The matrix R_i(q) contains both rows and a third row for the yaw rate. With the
+q̇. Connector i has the velocity R_{t,i} u along its heading and R_{n,i} u across its
+heading. The matrix R_i(q) contains both rows and a third row for the yaw rate. With the
 momenta p, Hamilton's equations are
 
 $$ p = M(q)\,u, \quad M = \sum m_i \bigl(R_{t,i}^T R_{t,i} + R_{n,i}^T R_{n,i}\bigr), \qquad
@@ -13,34 +13,37 @@ $$ p = M(q)\,u, \quad M = \sum m_i \bigl(R_{t,i}^T R_{t,i} + R_{n,i}^T R_{n,i}\b
 Here m_i is the mass of a connector, T the kinetic energy, k the stiffness, c the
 damping, and f_i the friction force and moment on a connector. The compressed air exerts
 the moment τ = k G (p⁺ − p⁻), where G is the gain and p⁺, p⁻ are the chamber pressures.
-The first three momenta are the linear momentum and the angular momentum L, as in
-`complete`. Only the floor changes these momenta, so they are conserved exactly without
-friction.
+The first three momenta are the linear momentum and the angular momentum L. Only
+external forces change these momenta. Without external forces, the momenta are therefore
+conserved exactly.
 
 **Integration.** The equations are integrated by the SDIRK2 method of `kernels`, with a
 Newton solve for u at each stage. The Newton matrix contains friction, stiffness,
-damping and the antisymmetric matrix of the gyroscopic forces. It neglects the changes
-of friction and M with q, which are of order γ² h² for a step h. The gyroscopic forces
-are necessary in the straight shape, where alternating rotations of the connectors move
-no point mass. M is then singular, and only damping resists such rotations.
+damping and the antisymmetric matrix of the gyroscopic forces. The matrix neglects that
+friction and M depend on q, because this effect is of order γ² h² for a step h. The
+gyroscopic forces are necessary in the straight shape, in which alternating rotations of
+the connectors move no point mass. M is then singular, and only damping resists such
+rotations.
 
-**Linear cost.** The cost of a solve is proportional to the number of segments. Let z
-contain the velocity of a connector, its spin ω, and the rate of change of its velocity
-at constant u, all relative to the mean-heading frame. Across segment j, z changes
-according to
+**Linear cost.** The cost of a solve is proportional to the number of segments. For each
+connector, the vector z contains the velocity, the spin ω and the rate of change of the
+velocity at constant u, all expressed in the mean-heading frame. From the front end to
+the rear end of segment j, the vector z changes according to
 
 $$ z_{j+1} = z_j + \tau_j\,\omega_j + t_j\,\dot q_j. $$
 
-The coefficients τ_j and t_j depend on the bend. The Newton matrix is the sum of Zᵀ B Z
-over the connectors, where Z maps u to z. The matrix B of a connector contains the mass
-m, the derivatives of friction and, between velocities and rates, ± a m with a = γ h.
-The linear system is solved by the articulated-body algorithm. A loop from tail to head
-eliminates each bend from the Newton matrix of the body behind the segment. A loop from
-head to tail then computes the bends by back substitution.
+The coefficients τ_j and t_j depend on the shape and motion of the body. The Newton
+matrix is the sum of Zᵀ B Z over the connectors, where Z maps u to z. The matrix B of a
+connector contains the mass m and the derivatives of friction. The entries of B that
+couple velocities and their rates are ± a m with a = γ h. The articulated-body algorithm
+solves the linear system. A loop from tail to head eliminates each bend rate from the
+Newton matrix of the body behind the segment. A loop from head to tail then computes the
+bend rates by back substitution.
 
-The vector z of the head is initially unknown. Rates must be relative to the centre of
-mass, which gives the constraint Σ m ż = 0. The two Lagrange multipliers of this
-constraint are propagated together with z and are equal to v_c.
+The vector z of the head is initially unknown. The velocity rates ż are relative to the
+centre of mass and therefore satisfy the constraint Σ m ż = 0. The two Lagrange
+multipliers of this constraint are equal to v_c, and the loops include them together
+with z.
 """
 
 from __future__ import annotations
@@ -114,24 +117,25 @@ from srs_twin.plants.analytical.obstacles import (
 from srs_twin.robot.spec import GRAVITY
 
 BENDS = STATES
-"""Index of the first bend in the state. The momenta of the bends follow the bends."""
+"""Index of the first bend in the state, in which the momenta follow the bends."""
 
 _NEWTON_STEPS = 1000
-"""Maximum number of Newton iterations, nearly reached by bodies at rest on a slope."""
+"""Maximum number of Newton iterations. A body at rest on a slope nearly reaches it."""
 _NEWTON_TOLERANCE = 1e-9
-"""Tolerance of velocities in the Newton method, at a time unit of 1, m/s."""
+"""Velocity tolerance of the Newton method at a time unit of 1, m/s."""
 _NEWTON_ARM = 0.1
-"""Lever arm that converts rates into velocities, at a length unit of 1, m."""
+"""Lever arm that converts angular rates to velocities at a length unit of 1, m."""
 _MOST_PASSES = 10
-"""Maximum number of updates of the normal forces that determine obstacle friction."""
+"""Maximum number of updates of the obstacles' normal forces per stage."""
 _LOAD_TOLERANCE = 1e-4
 """Tolerance of the obstacles' normal forces, relative to the weight of the body."""
 _MARGIN = SPEED_LIMIT / 10
-"""Speed added to that of the body in the search for nearby obstacles, m/s."""
+"""Assumed maximum speed of the body in the search for nearby obstacles, m/s."""
 
 # Columns of `WorkArrays.links`, the coefficients τ and t that propagate z over a
-# segment. Coefficients τ multiply the spin, and coefficients t the bend rate. The
-# coefficients of the spin component of z are constant, 0 and −1, and are not stored.
+# segment. The coefficients τ multiply the spin, and the coefficients t the bend rate.
+# The constant coefficients of the spin component of z, τ = 0 and t = −1, are not
+# stored.
 _SPIN_X = 0
 _SPIN_Y = 1
 _SPIN_X_RATE = 2
@@ -146,7 +150,7 @@ _LINK_COLUMNS = 8
 _X = 0  # Velocity, m/s.
 _Y = 1
 _M = 2  # Spin, rad/s.
-_X_RATE = 3  # Rate of the velocity, m/s².
+_X_RATE = 3  # Rate of change of the velocity, m/s².
 _Y_RATE = 4
 _MULTIPLIER_X = 5
 _MULTIPLIER_Y = 6
@@ -159,8 +163,8 @@ class CompliantModel(NamedTuple):
 
     Attributes:
         stiffness, damping: stiffness k (N·m/rad) and damping c (N·m·s/rad) of each
-            cell, shape (cells,). An undivided segment is one cell.
-        obstacles: obstacles that the body can touch, or None if contact is disabled.
+            cell, shape (cells,).
+        obstacles: obstacles that the body can touch, or None if there are none.
     """
 
     solid: BodyParameters
@@ -179,7 +183,7 @@ class CompliantModel(NamedTuple):
         floor: FloorFriction,
         obstacles: Obstacles | None = None,
     ) -> CompliantModel:
-        """Return the model. An array argument has shape (segments, cells)."""
+        """Return the model. Arrays have shape (segments, cells per segment)."""
         cells = len(solid.mass) - 1
         if np.ndim(stiffness) == 0:
             segments = cells
@@ -196,16 +200,14 @@ class CompliantModel(NamedTuple):
 def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
     for j in range(q.shape[0]):
         spin = u[2] + 0.5 * (body[SPIN, j] + body[SPIN, j + 1])
-        # The heading of a chord differs by half a bend from the heading of the
-        # segment's front end.
         chord = chord_terms(q[j], solid, j)
         derivative = chord.derivative
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
         chord_rate = derivative * u[3 + j]
-        # The chord has direction (c, s). The coefficients t change at rate −forth along
-        # the chord and at rate −aside across the chord.
+        # The chord has the direction (c, s). The coefficients t change at the rates
+        # −forward along the chord and −lateral across the chord.
         forward = chord.curvature * u[3 + j] + 0.5 * span * spin
         lateral = derivative * spin - 0.5 * chord_rate
         link = links[j]
@@ -221,9 +223,8 @@ def _fill_propagation(body, q, u, solid, links):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_loads(body, u, a, solid, floor, loads):  # type: ignore[no-untyped-def]
-    # The columns of `loads` are named in `kinematics`. The result is the force exerted
-    # by the floor (x, y), the moment of this force about the centre of mass, and the
-    # dissipated power (W).
+    # The function returns the floor force (x, y; N), the moment about the centre of
+    # mass (N·m), and the dissipated power (W).
     fx = fy = moment = power = 0.0
     for i in range(solid.mass.shape[0]):
         mass = solid.mass[i]
@@ -273,7 +274,7 @@ def _damper_power(model, rates, free_rates):  # type: ignore[no-untyped-def]
 
 @compiled
 def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untyped-def]
-    """Compute the momenta and forces of the equations of motion, as input of `solve`.
+    """Compute momenta, forces and Newton matrices of the equations of motion.
 
     All quantities are expressed in the frame of the mean heading.
 
@@ -283,10 +284,10 @@ def balance(q, u, moment, a, model, floor, workspace):  # type: ignore[no-untype
             (3 + segments,).
         moment: moment k q_f + c q̇_f on each segment due to its free bend q_f, shape
             (segments,), N·m.
-        a: implicit step γ h for `solve`, s.
-        model: constants, a `CompliantModel`. Its obstacles hold the pose of the body.
+        a: implicit step γ h, s.
+        model: constants, a `CompliantModel`. The obstacles contain the body's pose.
         floor: friction parameters of the floor.
-        workspace: work arrays, a `WorkArrays`.
+        workspace: work arrays, a `WorkArrays`, which receive the results.
 
     Returns:
         Power dissipated by the floor and the obstacles, W.
@@ -324,13 +325,13 @@ def _sum_behind(q, u, moment, model, workspace):  # type: ignore[no-untyped-def]
     fy = force[1]
     floor_moment = force[2]
     # Sum the momenta (px, py, pm), forces (x, y) and moment (m) of all connectors
-    # behind a segment. Moments are about the connector at the front end of the segment.
+    # behind a segment. Moments are about the connector at the rear end of the segment.
     px = py = pm = x = y = m = 0.0
     for j in range(n - 2, -1, -1):
         load = workspace.loads[j + 1]
         link = workspace.links[j]
-        # If the mean heading is constant, the head rotates by `fraction` times the
-        # bend.
+        # At a constant mean heading, a bend rotates the head by `fraction` times the
+        # bend angle.
         fraction = (n - 1 - j) / n
         mass_fraction = mass[j + 1] / model.solid.weight
         px = px + load[MOMENTUM_X]
@@ -410,8 +411,8 @@ def solve(a, model, workspace):  # type: ignore[no-untyped-def]
     Args:
         a: implicit step γ h, positive, s.
         model: constants, a `CompliantModel`.
-        workspace: work arrays after `balance`, with the residual. The solution is
-            written to `workspace.step`.
+        workspace: work arrays filled by `balance`, with the residual of the stage. The
+            field `step` receives the solution.
     """
     mass = model.solid.mass
     loads = workspace.loads
@@ -445,8 +446,8 @@ def _eliminate_bend(j, a, model, workspace):  # type: ignore[no-untyped-def]
             + link[_BEND_Y_RATE] * matrix[_Y_RATE, k]
         )
     pivot[_RIGHT] += workspace.residual[3 + j]
-    # In the momentum equation of an implicit step, damping has a factor of a and
-    # stiffness the factor a².
+    # The momentum equation of an implicit step multiplies damping by a and stiffness by
+    # a².
     bend_stiffness = a * model.damping[j] + a * a * model.stiffness[j]
     stiff = bend_stiffness + _by_bend(link, pivot)
     for k in range(_UNKNOWNS + 1):
@@ -478,7 +479,8 @@ class _HeadSolution(NamedTuple):
 
 @kernel_only
 def _substitute_bends(head, workspace):  # type: ignore[no-untyped-def]
-    # The Newton step is computed from head to tail. The multipliers equal v_c.
+    # A loop from head to tail computes the Newton step. The multipliers are the step of
+    # v_c.
     step = workspace.step
     n = workspace.loads.shape[0]
     step[0] = head.multiplier_x
@@ -539,24 +541,24 @@ class WorkArrays(NamedTuple):
     """Work arrays for N connectors.
 
     Attributes:
-        body: poses and velocities of the connectors (rows as in `kinematics`), shape
-            (ROWS, N).
+        body: poses and velocities of the connectors, with the rows of `kinematics`,
+            shape (ROWS, N).
         links: coefficients that propagate z over a segment, shape (segments,
             _LINK_COLUMNS).
-        loads: momenta, friction and mass matrices of the connectors, shape (N,
+        loads: momentum, force and Newton matrix of each connector, shape (N,
             LOAD_COLUMNS).
-        pivots: eliminated rows of the bends, with the right-hand side last, shape
-            (segments, _UNKNOWNS + 1).
+        pivots: rows of the Newton matrix that eliminate the bends, with the right-hand
+            side in the last column, shape (segments, _UNKNOWNS + 1).
         matrix: Newton matrix of the body behind a connector, with the right-hand side
-            last, shape (_UNKNOWNS, _UNKNOWNS + 1).
+            in the last column, shape (_UNKNOWNS, _UNKNOWNS + 1).
         bend, moment: bends (rad) and moments due to the free bends (N·m) at a stage,
             shape (segments,).
-        momentum, force: momenta p and their rates dp/dt, shape (3 + segments,).
+        momentum, force: momenta p and time derivatives dp/dt, shape (3 + segments,).
         residual, step: residual of a stage, and Newton step, shape (3 + segments,).
         last, drift: velocities before a stage, and time derivatives of the velocities
             between stages, shape (3 + segments,).
-        rate, known: time derivative f(Y) of the state at a stage, and known part of Y,
-            shape (state,).
+        rate, known: time derivative f(Y) of the state Y at a stage, and known part of
+            Y, shape (state,).
     """
 
     body: np.ndarray
@@ -630,10 +632,9 @@ def _begin_stage(bend, rate, model, workspace):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _stage(a, free, row, model, floor, u, workspace):  # type: ignore[no-untyped-def]
-    # Solves Y = known + a f(Y) and returns whether the Newton method converged. Y
-    # contains the deviations of the bends from the free bends, because the free bends
-    # are known exactly. `u` holds the first guess of the velocities, which the solution
-    # replaces.
+    # Solves Y = known + a f(Y) and returns whether the Newton method converged. The
+    # free bends are known exactly, so Y contains the deviations of the bends from them.
+    # The solution replaces the first guess of the velocities in `u`.
     known = workspace.known
     q = workspace.bend
     residual = workspace.residual
@@ -689,7 +690,6 @@ def _stage(a, free, row, model, floor, u, workspace):  # type: ignore[no-untyped
 
 @inlined
 def _fill_rates(a, power, free, row, model, floor, u, workspace):  # type: ignore[no-untyped-def]
-    # `power` is the power dissipated by floor and obstacles (W).
     known = workspace.known
     force = workspace.force
     k = workspace.rate
@@ -720,9 +720,8 @@ class CompliantState(NamedTuple):
     Attributes:
         state: state in the layout of `kernels`, followed by the bends (rad) and the
             momenta of the bends (kg·m²/s). With obstacles, the state also contains the
-            impulses on each point (N·s) and the time (s).
-        velocity: velocities in the layout of `balance`. The next Newton solve starts
-            from these velocities.
+            impulse on each point (N·s) and the time (s).
+        velocity: velocities u of `balance`, from which the next Newton solve starts.
     """
 
     state: np.ndarray
@@ -739,7 +738,7 @@ def _fastest_point(u, reach):  # type: ignore[no-untyped-def]
 
 @compiled
 def advance(now, steps, free, marks, model, samples, workspace):  # type: ignore[no-untyped-def]
-    """Advance a body in place and return the number of completed steps.
+    """Advance a body by several time steps and return the number of completed steps.
 
     Args:
         now: state of the body, a `CompliantState`, changed in place.
@@ -773,8 +772,8 @@ def advance(now, steps, free, marks, model, samples, workspace):  # type: ignore
         for j in range(size - 3):
             known[BENDS + j] -= free.bend[2 * i, j]
         for stage in range(2):
-            # The Newton method starts from velocities that are extrapolated linearly
-            # between stages, which saves half of the iterations.
+            # The Newton method starts from linearly extrapolated velocities and
+            # therefore needs only half as many iterations.
             lead, rest = (a, h - a) if stage == 0 else (h - a, a)
             for j in range(size):
                 last[j] = u[j]

@@ -1,35 +1,35 @@
-r"""Compiled functions for the friction on connectors and its derivatives.
+r"""Compiled functions for the friction forces on connectors and their derivatives.
 
-**Coasting.** In `slide`, a straight body slides without rotation, and all connectors
-have the same velocity. The body therefore moves like a point. Its mass cancels from the
-equation of motion
+**Coasting.** The function `slide` simulates a straight body that slides without
+rotation. All connectors have the same velocity v, and the mass of the robot cancels
+from the equation of motion
 
 $$ \dot v = f(v; \mu_t/(1 + s), \mu_n), \qquad s = \sum_w \frac{I_w}{M R^2}. $$
 
 Here f is the friction law with the coefficients μ_t along and μ_n across the heading,
 for a normal load of g per unit mass. Wheel w has radius R and moment of inertia
-I_w about its axle, and M is the mass of the robot. The spin of the wheels adds the
-relative inertia s along the heading, which increases the stopping distance by the
-factor 1 + s. No other force acts, so neither component of v changes sign. Each
-component is integrated by the midpoint rule until it is 0. The positions depend
-smoothly on the velocities and coefficients, as parameter fits require.
+I_w about its axle, and M is the mass of the robot. The rotation of the wheels adds the
+relative inertia s along the heading, which increases the stopping distance by a factor
+of 1 + s. No other force acts, so neither component of v changes sign. Each component is
+integrated by the midpoint rule until it is 0. The positions depend smoothly on the
+initial velocities and the coefficients, as parameter fits require.
 
-**Instantaneous loads.** A connector of weight W has two wheels at the distance a on
-either side of its centre line, and its centre of mass is at height h. A lateral
-force F_n increases the load of the outer wheel. The connector is assumed not to tip
-over. The friction law gives the lateral forces φ_L and φ_R per unit load of the left
-and right wheel, so the loads N_L and N_R are
+**Instantaneous loads.** A connector of weight W has one wheel on either side, at a
+distance a from its centre line, and a centre of mass at height h. A lateral force F_n
+increases the load on the outer wheel. The connector is assumed not to tip over. The
+friction law gives the lateral forces φ_L and φ_R per unit load on the left and right
+wheel, so the loads N_L and N_R are
 
 $$ N_{L,R} = \tfrac W2 \mp k F_n, \qquad F_n = N_L φ_L + N_R φ_R
    = \frac W2\,\frac{φ_L + φ_R}{1 - k (φ_R - φ_L)}, \qquad k = \frac h{2a}. $$
 
-Negative loads are replaced by 0. Derivatives are computed at constant loads and are
-therefore symmetric. This simplification does not change the solution, but the Newton
-method needs a few more iterations.
+Negative loads are replaced by 0. The derivatives are computed at constant loads and are
+therefore symmetric. This simplification requires a few more Newton iterations, but does
+not change the solution.
 
 **Skin** has different friction coefficients for slip towards the tail and towards the
-head. The law `cosine` has no potential, so its derivatives are not symmetric. Skin and
-`cosine` are therefore compiled separately from the kernels of other floors.
+head. The law `cosine` has no potential, so its derivatives are not symmetric and
+require separate kernels.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 
 class FloorFriction(NamedTuple):
-    """Friction parameters and inclination of the floor, for the kernels.
+    """Friction parameters and slope of the floor, for the kernels.
 
     Attributes:
-        case: tuple of None whose length is the index into `_CASES`. The length of a
-            tuple is part of its numba type. A kernel is therefore compiled only for the
-            number of contacts and the friction law of its floor.
-        track: distance of each of the two contacts of a connector from the centre line,
-            m. The value 0 means one contact per connector.
+        case: tuple of None whose length is an index into `_CASES`. Numba compiles a
+            kernel separately for each length, and thus for each kind of contact and
+            each friction law.
+        track: distance from a connector's centre line to each of its two contacts, m,
+            or 0 for one contact per connector.
         mu_t, mu_n: friction coefficients along and across the heading, dimensionless.
         slip: slip speed ε, m/s.
         drag: axial drag on each connector, N.
-        load_transfer: load k transferred between the wheels per unit lateral force,
-            dimensionless. Static loads have k = 0.
+        load_transfer: load k transferred between the wheels per unit lateral force, or
+            0 for static loads, dimensionless.
         mu_back: friction coefficient along the heading for slip towards the tail,
             dimensionless.
         gravity: component of gravity normal to the floor, m/s².
@@ -81,20 +81,20 @@ class FloorFriction(NamedTuple):
 
 
 class ContactTerms(NamedTuple):
-    """Force and moment of the contacts of a connector, with derivatives.
+    """Contact force and moment on a connector, with their derivatives.
 
-    In the names of derivatives, the first letter denotes the force or moment, and the
-    second letter the velocity. The letters stand for the directions along (t), across
-    (n) and about the vertical (m). The derivative `mt` is not stored, because `mt` =
-    `tm`. Except under the law `cosine`, friction is the gradient of a potential, so the
-    derivatives are symmetric.
+    In the name of a derivative, the first letter denotes the force or moment, and the
+    second letter the velocity. The letters t and n denote the directions along and
+    across the heading, and m denotes rotation about the vertical. The derivatives are
+    symmetric except under the law `cosine`, which has no potential. The derivative `mt`
+    always equals `tm` and is not stored.
 
     Attributes:
         t, n: forces along and across the heading, N.
         m: moment about the vertical, N·m.
-        tt, tn, nt, nn: derivatives of forces with respect to velocities, N·s/m.
-        tm, nm, mn: derivatives of forces with respect to the spin, and of the moment
-            with respect to the lateral velocity, N·s.
+        tt, tn, nt, nn: derivatives of the forces with respect to the velocities, N·s/m.
+        tm, nm, mn: derivatives of the forces with respect to the spin, and of the
+            moment with respect to the lateral velocity, N·s.
         mm: derivative of the moment with respect to the spin, N·m·s.
     """
 
@@ -121,8 +121,8 @@ def _one_contact(friction_law, along, across, spin, weight, floor):  # type: ign
 
 @kernel_only
 def _sum_pair(left, right, a, b, arm):  # type: ignore[no-untyped-def]
-    # `left` and `right` are outputs of a friction law, to be multiplied by `a` and `b`.
-    # `arm` is the distance of each contact from the centre line (m).
+    # `left` and `right` are results of a friction law, which are multiplied by `a` and
+    # `b`.
     a_t, a_n, a_tt, a_tn, a_nt, a_nn = left
     b_t, b_n, b_tt, b_tn, b_nt, b_nn = right
     return ContactTerms(
@@ -162,7 +162,7 @@ def _loaded_pair(friction_law, v_a, v_b, mu_a, mu_b, across, weight, floor):  # 
     a_n = left[1]
     b_n = right[1]
     lateral_force = weight / 2 * (a_n + b_n) / (1 - floor.load_transfer * (b_n - a_n))
-    # `a` is the load on the left wheel. The right wheel carries the rest of the weight.
+    # `a` is the load on the left wheel (N).
     a = min(max(weight / 2 - floor.load_transfer * lateral_force, 0.0), weight)
     return _sum_pair(left, right, a, weight - a, floor.track)
 
@@ -204,18 +204,19 @@ def floor_friction(
     load_transfer: float = 0.0,
     mu_back: float | None = None,
 ) -> FloorFriction:
-    """Return the friction of a level floor without drag, at a time unit of 1.
+    """Return the friction of a level floor without drag, for a time unit of 1.
 
     Args:
         friction_law: friction law, one of `robot.friction.FRICTION_LAWS`.
-        track: distance of each of the two contacts from the centre line, m. The value 0
-            means one contact per connector.
+        track: distance from a connector's centre line to each of its two contacts, m,
+            or 0 for one contact per connector.
         mu_t: friction coefficient along the heading, dimensionless.
         mu_n: friction coefficient across the heading, dimensionless.
         slip: slip speed ε, m/s.
         load_transfer: load transferred between the wheels per unit lateral force,
             dimensionless.
-        mu_back: friction coefficient for slip towards the tail, or None for wheels.
+        mu_back: friction coefficient along the heading for slip towards the tail, or
+            None for wheels.
     """
     if mu_back is not None or friction_law == "cosine":
         contacts = _skin
@@ -246,11 +247,11 @@ def floor_friction(
 
 @kernel_only
 def with_reduced_slip_speed(floor, speed):  # type: ignore[no-untyped-def]
-    """Return a floor on which a body at rest does not creep down a slope.
+    """Reduce the slip speed so that a body at rest does not creep down a slope.
 
     Under a regularised friction law, any force moves a contact. On a slope, the slip
-    speed is therefore reduced to a fixed fraction of `speed`, the approximate maximum
-    speed of the body in m/s.
+    speed is therefore limited to a fixed fraction of `speed`, which is the approximate
+    speed of the fastest point of the body in m/s.
     """
     slip = floor.slip
     if floor.pull_x != 0.0 or floor.pull_y != 0.0:
@@ -320,7 +321,7 @@ def _compile_connector_friction(along, across, spin, weight, floor):  # type: ig
 
 @kernel_only
 def derivatives_of_force(terms, c, s):  # type: ignore[no-untyped-def]
-    """Return the force derivatives xx, xy, yx and yy in the body frame.
+    """Return the force derivatives xx, xy, yx and yy in the body frame, N·s/m.
 
     `c` and `s` are the cosine and sine of the connector's heading.
     """
@@ -342,11 +343,11 @@ class Twist(NamedTuple):
 class BodyForces(NamedTuple):
     """Net force and moment exerted by the floor, in the body frame, with derivatives.
 
-    In the names of derivatives, the first letter denotes the force and the second
-    letter the velocity. The letter z stands for the moment and for the yaw rate.
+    In the name of a derivative, the first letter denotes the force and the second
+    letter the velocity. The letter z denotes the moment or the yaw rate.
 
     Attributes:
-        x, y: force, N.
+        x, y: components of the force, N.
         moment: moment about the centre of mass, N·m.
         power: dissipated power, W.
         xx, xy, yx, yy: derivatives of the force with respect to the velocity, N·s/m.
@@ -392,8 +393,8 @@ def _symmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
         along = vx * c + vy * s
         across = vy * c - vx * s
         f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
-        # The lever arms of the forces are equal to the derivatives of the velocities
-        # along and across with respect to the yaw rate.
+        # The lever arms of the axial and lateral forces are equal to the derivatives of
+        # `along` and `across` with respect to the yaw rate.
         t_arm = px * s - py * c
         n_arm = px * c + py * s
         fx += f.t * c - f.n * s
@@ -432,9 +433,6 @@ def _unsymmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
         across = vy * c - vx * s
         f = connector_friction(along, across, spin, mass[i] * floor.gravity, floor)
         d_xx, d_xy, d_yx, d_yy = derivatives_of_force(f, c, s)
-        # The derivatives of the force with respect to the spin are taken at constant
-        # velocity. The derivatives of the moment with respect to the velocity are taken
-        # at constant spin.
         spin_x = f.tm * c - f.nm * s
         spin_y = f.tm * s + f.nm * c
         moment_x = f.tm * c - f.mn * s
@@ -469,7 +467,7 @@ def forces_and_derivatives(body, mass, u, floor) -> Any:  # type: ignore[no-unty
     """Return the `BodyForces` exerted on a body with prescribed bends.
 
     Args:
-        body: posed body, shape (ROWS, N).
+        body: poses and velocities of the connectors, shape (ROWS, N).
         mass: masses of the connectors, shape (N,), kg.
         u: velocity of the centre of mass in the body frame (m/s), and yaw rate (rad/s).
         floor: friction parameters of the floor.
@@ -485,15 +483,16 @@ def _compile_forces_and_derivatives(body, mass, u, floor):  # type: ignore[no-un
 
 @compiled
 def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
-    """Compute the floor forces along and across (N) and moments (N·m) on connectors.
+    """Compute the forces and moments that the floor exerts on the connectors.
 
     Args:
-        body: posed body, shape (ROWS, N).
+        body: poses and velocities of the connectors, shape (ROWS, N).
         mass: masses of the connectors, shape (N,), kg.
         u: velocity of the centre of mass in the body frame (m/s) and yaw rate (rad/s),
             shape (3 or more,).
         floor: friction parameters of the floor.
-        force: output for forces and moment on each connector, shape (N, 3).
+        force: output for the forces along and across the heading (N) and the moment
+            (N·m) on each connector, shape (N, 3).
     """
     for i in range(mass.shape[0]):
         c = body[COS, i]
@@ -509,14 +508,14 @@ def fill_forces(body, mass, u, floor, force):  # type: ignore[no-untyped-def]
         force[i, 2] = terms.m
 
 
-# If a contact moves at this multiple of the slip speed, the friction force is within
-# 1e-4 of its limit, even for a friction ellipse with an axis ratio of 1:14.
+# Ratio of sliding speed to slip speed at which the friction force is within 1e-4 of its
+# limit, even for a friction ellipse with an axis ratio of 1:14.
 _SLIDING_RATIO = 1000.0
 
 _MIN_SLIP_SPEED = 1e-7  # Minimum slip speed on a slope at a time unit of 1, m/s.
 _COASTING_STEP = 5e-4  # Maximum time step of `slide`, s.
 _COASTING_SLIP_SPEED = (
-    1e-9  # slip speed of `slide`, m/s, which only avoids a division by 0
+    1e-9  # Slip speed of `slide`, m/s, which only prevents a division by 0.
 )
 
 
@@ -538,7 +537,8 @@ def slide(
 
     Args:
         velocity: initial velocities along and across the heading, m/s.
-        times: times of the positions, ascending from 0, shape (times,), s.
+        times: times at which positions are computed, ascending from 0, shape (times,),
+            s.
         friction_law: friction law, one of `robot.friction.FRICTION_LAWS`.
         mu_t: friction coefficient along the heading, dimensionless.
         mu_n: friction coefficient across the heading, dimensionless.

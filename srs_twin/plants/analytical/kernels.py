@@ -1,45 +1,46 @@
 r"""Compiled kernels of the models with prescribed bends (`complete`, `simplified`).
 
-**Forward dynamics.** The connectors have masses m_i, with the sum M, and moments of
-inertia J_i, which are 0 for point masses. The chambers prescribe the bends q(t), so
-only the pose of the body is unknown. Connector i has position r_i and heading θ +
-φ_i(q), where θ is the mean heading. Let r_c be the centre of mass and ρ_i(q) the
-position r_i − r_c in the frame of the mean heading. The velocity v of the centre of
-mass and the angular momentum L obey
+**Forward dynamics.** The connectors have masses m_i, with sum M, and moments of inertia
+J_i, which are 0 for point masses. The chambers prescribe the bends q(t), so only the
+pose of the body is unknown. Connector i has position r_i and heading θ + φ_i(q), where
+θ is the mean heading. The vector ρ_i(q) is the position r_i − r_c relative to the
+centre of mass r_c, expressed in the frame of the mean heading. The velocity v of the
+centre of mass and the angular momentum L obey
 
 $$ M \dot v = \sum f_i, \qquad \dot L = \sum \bigl(r_i - r_c\bigr) \times f_i + n_i, \qquad
    L = I(q)\,\dot\theta + h(q, \dot q). $$
 
-Here f_i is the friction force on connector i and n_i the yaw moment exerted by its
-wheels. The body has the moment of inertia I = Σ m_i |ρ_i|² + J_i. The bend rates
-contribute h = Σ m_i ρ_i × ρ̇_i + J_i φ̇_i to L. The equations are Eq. 11 multiplied by
-eᵀ, which eliminates the segment torques. Because L is a state, the scheme does not need
-q̈, and discontinuities of q̈ at valve events do not reduce the order of the scheme.
+Here f_i is the friction force on connector i, and n_i is the yaw moment exerted by the
+wheels of the connector. The body has the moment of inertia I = Σ m_i |ρ_i|² + J_i. The
+bend rates contribute h = Σ m_i ρ_i × ρ̇_i + J_i φ̇_i to L. The equations are the sum of
+Eq. 11 over all connectors, in which the moments of the segments cancel. L is integrated
+instead of the yaw rate, so the equations do not contain q̈. Jumps of q̈ at valve events
+therefore do not reduce the order of the integrator.
 
-Friction is stiff, so the velocities are integrated by the two-stage, second-order,
-L-stable SDIRK method of Alexander (1977). At each stage, the Newton method solves for
-the three velocities. Friction has a convex potential, whose derivative along a Newton
-step shows whether the step was too long.
+Friction is stiff, so the integrator is the two-stage, second-order, L-stable SDIRK
+method of Alexander (1977). At each stage, the Newton method solves for the three
+velocities. Friction has a convex potential, whose derivative along a Newton step shows
+whether the step was too long.
 
 **Inverse dynamics.** The function `inverse_dynamics` computes the moments of the
 segments from given bends by the recursive Newton–Euler algorithm. A loop from head to
 tail computes the linear accelerations a_i and the angular accelerations ε_i of the
 connectors, for a fixed head and a constant rate of the mean heading. The balance of
-forces and moments gives the linear acceleration a and the angular acceleration α of the
-whole body,
+forces and moments determines the linear acceleration a and the angular acceleration α
+of the whole body,
 
 $$ M a = \sum f_i - m_i a_i, \qquad
    I \alpha = \sum n_i - J_i \varepsilon_i + \rho_i \times (f_i - m_i a_i). $$
 
-A loop from tail to head sums the loads on all connectors behind segment j. The sum
-consists of the force F_j and the moment N_j about the rear end of the segment. A
-massless segment has a chord of length L(q) with the derivative L'. The unit vector e
-along the chord has the mean heading of the segment's ends. The virtual work of the
-segment is T_j δq_j, so
+A loop from tail to head sums the loads on all connectors behind segment j to a force
+F_j and a moment N_j about the rear end of the segment. The segment is massless, and its
+chord has the length L(q), with the derivative L'. The unit vector e along the chord has
+the mean heading of both ends of the segment. The virtual work of the segment is T_j
+δq_j, which gives
 
 $$ T_j = -L'\, F_j \cdot e + \tfrac12 L\, e \times F_j - N_j. $$
 
-The moments T_j solve Eq. 11 at a cost linear in the number of segments.
+The algorithm solves Eq. 11 at a cost that is proportional to the number of segments.
 """
 
 from __future__ import annotations
@@ -107,8 +108,8 @@ _CHORD_COLUMNS = 4
 
 
 class _InverseArrays(NamedTuple):
-    # `load` first holds the accelerations of the connectors, and then the loads on
-    # them.
+    # `load` contains the accelerations of the connectors, which are then replaced by
+    # the loads on the connectors.
 
     body: np.ndarray
     friction: np.ndarray
@@ -124,7 +125,7 @@ def inverse_dynamics(
     Args:
         velocities: velocity of the centre of mass in the mean-heading frame (m/s) and
             yaw rate (rad/s), shape (samples, 3).
-        trace: chamber states. In this model the bends equal the free bends.
+        trace: chamber states, whose free bends are the bends of the segments.
         model: constants of body and floor.
         torque: output for the moments, shape (samples, segments), N·m.
     """
@@ -149,8 +150,9 @@ def _inverse_dynamics(velocities, trace, model, torque, workspace):  # type: ign
 
 @kernel_only
 def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-untyped-def]
-    # At a constant rate `yaw` of the mean heading, `workspace.load` receives the linear
-    # accelerations relative to the head (m/s²) and the angular accelerations (rad/s²).
+    # Fills `workspace.load` with the linear accelerations of the connectors relative to
+    # the head (m/s²) and the angular accelerations (rad/s²), for a constant rate `yaw`
+    # of the mean heading (rad/s).
     q = trace.bend[k]
     rate = trace.bend_rate[k]
     acceleration = trace.bend_acceleration[k]
@@ -158,7 +160,7 @@ def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-unt
     chords = workspace.chords
     motion = workspace.load
     n = solid.mass.shape[0]
-    # alpha is the angular acceleration of the head relative to the mean heading.
+    # `alpha` is the angular acceleration of the head relative to the mean heading.
     alpha = 0.0
     for j in range(n - 1):
         alpha += (n - 1 - j) / n * acceleration[j]
@@ -167,14 +169,14 @@ def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-unt
     motion[0, 1] = y
     motion[0, 2] = alpha
     for j in range(n - 1):
-        # The heading of a chord differs by half a bend from the heading at either end.
         chord = chord_terms(q[j], solid, j)
         derivative = chord.derivative
         span = chord.span
         c = body[COS, j] * chord.cos_half + body[SIN, j] * chord.sin_half
         s = body[SIN, j] * chord.cos_half - body[COS, j] * chord.sin_half
-        # The chord has direction (c, s) and turns at rate chord_spin. The second
-        # derivative of the chord vector has the components `along` and `across`.
+        # The chord has the direction (c, s) and turns at the rate `chord_spin`. The
+        # second time derivative of the chord vector has the components `along` and
+        # `across`.
         chord_spin = yaw + body[SPIN, j] - rate[j] / 2
         along = (
             derivative * acceleration[j]
@@ -198,9 +200,10 @@ def _fill_accelerations(trace, k, yaw, solid, workspace):  # type: ignore[no-unt
 
 @kernel_only
 def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
-    # The accelerations in `workspace.load` become forces (N) and moments (N·m), which
-    # include the acceleration of the whole body. The result is the moment of the loads
-    # about the centre of mass (N·m), or 0 if the friction moment acts.
+    # Replaces the accelerations in `workspace.load` by forces (N) and moments (N·m),
+    # including those due to the acceleration of the whole body. The function returns
+    # the moment of all loads about the centre of mass (N·m), which is 0 if the friction
+    # moment acts.
     solid = model.solid
     body = workspace.body
     friction = workspace.friction
@@ -217,7 +220,6 @@ def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
         s = body[SIN, i]
         x = body[X, i]
         y = body[Y, i]
-        # Rotate friction from the frame of the connector to the mean-heading frame.
         floor_x = friction[i, 0] * c - friction[i, 1] * s
         floor_y = friction[i, 0] * s + friction[i, 1] * c
         load[i, 0] = mass[i] * load[i, 0] - floor_x
@@ -241,8 +243,8 @@ def _balance_loads(inertia, model, workspace):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
-    # `remainder` is the moment of the loads about the centre of mass (N·m). The mean
-    # heading is constant, so a bend rotates the whole body and the remainder does work.
+    # The moment `remainder` of all loads about the centre of mass (N·m) does work,
+    # because a virtual bend at constant mean heading rotates the head.
     chords = workspace.chords
     load = workspace.load
     n = load.shape[0]
@@ -251,8 +253,8 @@ def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
         fx = fx + load[j + 1, 0]
         fy = fy + load[j + 1, 1]
         moment = moment + load[j + 1, 2]
-        # In the symbols of the module docstring, `arm` is L e × F and `lengthening` is
-        # L' F · e.
+        # With the symbols of the module docstring, `arm` is L e × F, and `lengthening`
+        # is L' F · e.
         arm = chords[j, _SPAN_X] * fy - chords[j, _SPAN_Y] * fx
         lengthening = chords[j, _DERIVATIVE_X] * fx + chords[j, _DERIVATIVE_Y] * fy
         torque[j] = arm / 2 - lengthening - moment + (n - 1 - j) / n * remainder
@@ -260,7 +262,7 @@ def _sum_moments(workspace, remainder, torque):  # type: ignore[no-untyped-def]
 
 
 GAMMA = 1 - math.sqrt(0.5)
-"""Diagonal γ of the SDIRK2 method, whose stages are at γ h and h, dimensionless."""
+"""Diagonal coefficient γ of SDIRK2, which has stages at γ h and h, dimensionless."""
 
 # Indices into the state.
 STATE_X = 0  # Centre of mass, m.
@@ -269,32 +271,29 @@ HEADING = 2  # Mean heading, rad.
 STATE_VX = 3  # Velocity of the centre of mass, world frame, m/s.
 STATE_VY = 4
 MOMENT = 5  # Angular momentum L, kg·m²/s.
-ENERGY_LOSS = 6  # Energy lost to friction, and potential energy gained, J.
+ENERGY_LOSS = 6  # Dissipated energy plus the increase of potential energy, J.
 STATES = 7
 
 SPEED_LIMIT = 100.0
-"""Speed above which a solution is rejected as diverged, m/s."""
+"""Speed of the centre of mass at which a solution counts as diverged, m/s."""
 
 _NEWTON_STEPS = 100  # Maximum number of Newton iterations per stage.
-_NEWTON_TOLERANCE = 1e-8  # Tolerance of the velocities at a time unit of 1, m/s.
+_NEWTON_TOLERANCE = 1e-8  # Velocity tolerance at a time unit of 1, m/s.
 _NEWTON_ARM = 0.1
 """Lever arm that converts a yaw rate to a velocity, at a length unit of 1, m."""
 _OVERSHOOT = 0.1
-"""Maximum overshoot of a Newton step, relative to the derivative before the step."""
+"""Maximum derivative beyond the minimum, relative to that before the Newton step."""
 
 
 @inlined
 def is_too_long(derivative_before, derivative_after):  # type: ignore[no-untyped-def]
-    """Return whether a Newton step went beyond the minimum of the potential.
-
-    The derivative of the potential along the step then changes sign.
-    """
+    """Return whether a Newton step went too far beyond the minimum of the potential."""
     return derivative_after < -_OVERSHOOT * derivative_before
 
 
 @inlined
 def shorter_fraction(derivative_before, derivative_after):  # type: ignore[no-untyped-def]
-    """Return the fraction of a Newton step at which the derivative is about 0."""
+    """Estimate the Newton step fraction, 0.1 to 0.7, at which the derivative is 0."""
     return min(
         max(derivative_before / (derivative_before - derivative_after), 0.1), 0.7
     )
@@ -320,7 +319,7 @@ def _solve3(a, b, c, right):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
-    if abs(angle) > 0.1:  # rad; for smaller angles the neglected terms are below 1e-17
+    if abs(angle) > 0.1:  # For smaller angles (rad), the series is exact to 1e-17.
         dc = math.cos(angle)
         ds = math.sin(angle)
     else:
@@ -332,14 +331,14 @@ def _rotate(c, s, angle):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def copy(values, out):  # type: ignore[no-untyped-def]
-    """Copy an array without the overlap check that numba adds to slice assignments."""
+    """Copy an array without the overlap check of slice assignments in numba."""
     for j in range(out.shape[0]):
         out[j] = values[j]
 
 
 @inlined
 def is_slow(state):  # type: ignore[no-untyped-def]
-    """Return whether the velocity is below the speed limit and not NaN."""
+    """Return whether both velocity components are below `SPEED_LIMIT` and not NaN."""
     return abs(state[STATE_VX]) < SPEED_LIMIT and abs(state[STATE_VY]) < SPEED_LIMIT
 
 
@@ -352,11 +351,11 @@ def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-unty
         velocity: velocities after the step.
         marks: number of steps before each sample, ascending.
         done: number of completed steps.
-        mark: index of the next sample.
+        mark: index of the first sample that has not been recorded.
         samples: output for states and velocities.
 
     Returns:
-        The index of the next sample after the copy.
+        Index of the first sample that has not been recorded after the copy.
     """
     while mark < marks.shape[0] and marks[mark] == done:
         copy(state, samples.states[mark])
@@ -366,17 +365,11 @@ def record(state, velocity, marks, done, mark, samples):  # type: ignore[no-unty
 
 
 class _StageEquation(NamedTuple):
-    """Equation of a stage, momentum = known momentum + a · force.
-
-    Attributes:
-        a: implicit step γ h, s.
-        weight, inertia, moment: mass M (kg), moment of inertia I (kg·m²) and angular
-            momentum h due to the bend rates (kg·m²/s).
-        known_x, known_y: velocity of the centre of mass in the world frame, without the
-            change due to friction, m/s.
-        known_moment: angular momentum without the change due to friction, kg·m²/s.
-        acts: 1 if the friction moment acts, otherwise 0.
-    """
+    # Equation of an integrator stage, momentum = known momentum + a · force, with the
+    # implicit step a = γ h (s). `weight`, `inertia` and `moment` are the terms M (kg),
+    # I (kg·m²) and h (kg·m²/s) of the module docstring. The known velocity in the world
+    # frame (m/s) and the known angular momentum (kg·m²/s) exclude the effect of
+    # friction. `acts` is 1 if the friction moment acts, and 0 otherwise.
 
     a: float
     weight: float
@@ -442,9 +435,9 @@ class _Heading(NamedTuple):
 
 @kernel_only
 def _stage(stage, a, bends, heading, model, workspace):  # type: ignore[no-untyped-def]
-    # Solves Y = known + a f(Y) and returns whether the Newton method converged.
-    # `workspace.after` holds `known`, and `workspace.guess` the first guess of the
-    # velocities. The solution replaces the first guess.
+    # Solves Y = known + a f(Y) and returns whether the Newton method converged. The
+    # known part is in `workspace.after`. The solution replaces the first guess of the
+    # velocities in `workspace.guess`.
     solid = model.solid
     floor = model.floor
     known = workspace.after
@@ -516,13 +509,12 @@ class StepArrays(NamedTuple):
     """Work arrays of `step` for N connectors.
 
     Attributes:
-        body: posed body, shape (ROWS, N).
+        body: poses and velocities of the connectors, shape (ROWS, N).
         rates: time derivatives of the state at the stages, shape (2, STATES).
         after: state at the end of a step, shape (STATES,).
-        guess: velocity in the body frame (m/s) and yaw rate (rad/s) at the end of a
-            step, shape (3,).
-        pace: time derivative of `guess`, from which the first guess of the Newton
-            method is extrapolated, shape (3,).
+        guess: velocity in the body frame (m/s) and yaw rate (rad/s), shape (3,).
+        pace: time derivative of `guess`, used to extrapolate the first guess of the
+            Newton method, shape (3,).
     """
 
     body: np.ndarray
@@ -546,9 +538,9 @@ def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
         h: length of the step, s.
         bends: bends and rates at the two stages, shape (2, segments).
         model: constants of body and floor.
-        workspace: work arrays. The state at the end is written to `after`, and the
-            derivatives at the stages to `rates`. `guess` and `pace` are updated from
-            the start to the end of the step.
+        workspace: work arrays. The step writes its final state to `after` and the
+            derivatives at the stages to `rates`. It also replaces the initial values
+            of `guess` and `pace` by the final values.
     """
     u = workspace.guess
     pace = workspace.pace
@@ -561,8 +553,8 @@ def step(state, h, bends, model, workspace):  # type: ignore[no-untyped-def]
     s = math.sin(state[HEADING])
     copy(state, after)
     for stage in range(2):
-        # The Newton method starts from velocities that are extrapolated linearly
-        # between stages, which saves half of the iterations.
+        # The Newton method starts from linearly extrapolated velocities and therefore
+        # needs only half as many iterations.
         lead, rest = (a, between) if stage == 0 else (between, a)
         x = u[0]
         y = u[1]
@@ -618,7 +610,7 @@ def observe(
     n = len(solid.mass)
     shapes = [(count, n, 2), (count, n), (count, n, 2), (count,)]
     out = Observation(*map(np.zeros, shapes))
-    # With contiguous arrays, the kernel is compiled only once for all models.
+    # All models pass contiguous arrays, so numba compiles the kernel only once.
     bends = Bends(*map(np.ascontiguousarray, bends))
     body = np.zeros((ROWS, n))
     _observe(states, velocities, bends, solid, floor, out, body, np.zeros((n, 3)))

@@ -1,4 +1,4 @@
-"""Compiled kinematics of all analytical models.
+"""Compiled kinematics of the planar analytical models.
 
 Positions and velocities of the connectors are relative to the centre of mass, in the
 frame of the mean heading.
@@ -14,22 +14,21 @@ import numpy as np
 from srs_twin.compute.compiled import compiled, inlined, kernel_only
 from srs_twin.robot import geometry
 
-# Rows of a body array, shape (ROWS, N), which contains the poses and velocities of the
-# connectors, one column per connector.
+# Rows of a body array, shape (ROWS, N), whose columns contain the pose and velocity of
+# each connector.
 COS = 0  # Cosine of the connector's heading relative to the mean heading.
-SIN = 1  # Sine of the connector's heading relative to the mean heading.
+SIN = 1
 SPIN = 2  # Rate of the connector's heading relative to the mean heading, rad/s.
 X = 3  # Position, m.
 Y = 4
-VX = 5  # velocity, m/s
+VX = 5  # Velocity, m/s.
 VY = 6
 ROWS = 7
 
-# Columns of the array with loads on the connectors in the `compliant` model. They
-# contain the momentum relative to the centre of mass, the force and moment, and the
-# Newton matrix. The Newton matrix is the mass minus γ h times the derivative of the
-# force with respect to the velocity. In the names of the matrix entries, M stands for
-# the yaw rate.
+# Columns of the load array of the model `compliant`. A row contains the momentum of a
+# connector relative to the centre of mass, force and moment on the connector, and a
+# Newton matrix. The matrix is the mass minus γ h times the derivative of the force with
+# respect to the velocity. In the names of the matrix entries, M denotes the yaw rate.
 MOMENTUM_X = 0
 MOMENTUM_Y = 1
 MOMENTUM_YAW = 2
@@ -58,10 +57,10 @@ class BodyParameters(NamedTuple):
         mass: masses of the connectors, shape (N,), kg.
         inertia: moments of inertia of the connectors about their centres, 0 for point
             masses, shape (N,), kg·m².
-        length: length l of each segment, shape (segments,), m.
+        length: length l of each segment's arc, shape (segments,), m.
         gap: rigid gap L_o, m.
-        frozen: 1 if all chords have length l + L_o (model `simplified`), or 0 if the
-            chords shorten with the bend.
+        frozen: 1 if all chords have the length l + L_o (model `simplified`), or 0 if a
+            bend shortens the chord.
         weight: total mass M, kg.
         pitch: mean distance between the connectors of the straight body, m.
     """
@@ -83,7 +82,7 @@ class BodyParameters(NamedTuple):
         gap: float,
         frozen: float = 0.0,
     ) -> BodyParameters:
-        """Return the constants. `length` may be a single value for all segments."""
+        """Return the constants. A scalar `length` applies to all segments."""
         lengths = np.full(len(mass) - 1, length)
         return cls(
             mass,
@@ -100,8 +99,8 @@ class Chord(NamedTuple):
     """Chord between the ends of a segment with bend q.
 
     Attributes:
-        cos_half, sin_half: cosine and sine of q/2, the angle between the chord and the
-            heading at either end.
+        cos_half, sin_half: cosine and sine of q/2, which is the angle between the chord
+            and the heading at either end.
         span: length L of the chord, m.
         derivative, curvature: derivatives dL/dq (m/rad) and d²L/dq² (m/rad²).
     """
@@ -115,7 +114,7 @@ class Chord(NamedTuple):
 
 @kernel_only
 def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
-    """Return the `Chord` of segment j (0 at the head) for the bend q (rad)."""
+    """Return the `Chord` of segment j, counted from 0 at the head, for bend q (rad)."""
     half_turn = _half_turn(q)
     length = solid.length[j]
     span, derivative, curvature = _spans(half_turn, length, solid.gap)
@@ -131,9 +130,9 @@ def chord_terms(q, solid, j):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_chords(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    # The loop is separate so that the compiler can vectorise it. `out` serves as a
-    # buffer. The result is the heading of the head relative to the mean heading (rad),
-    # and its rate (rad/s).
+    # The loop is in a separate function so that the compiler can vectorise it. The
+    # function returns the heading of the head relative to the mean heading (rad), and
+    # the rate of this heading (rad/s).
     cosine = out[COS]
     sine = out[SIN]
     span = out[X]
@@ -161,13 +160,17 @@ class _Centre(NamedTuple):
 
 @compiled
 def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
-    """Compute a posed body, and return I (kg·m²) and h (kg·m²/s) as in `kernels`.
+    """Compute the poses and velocities of the connectors from the bends.
 
     Args:
         q: bends, shape (segments,), rad.
         rate: bend rates, shape (segments,), rad/s.
         solid: constants of the body.
-        out: output for the posed body, shape (ROWS, N).
+        out: output for poses and velocities, shape (ROWS, N).
+
+    Returns:
+        Moment of inertia I (kg·m²), and angular momentum h due to the bend rates
+        (kg·m²/s), as in `kernels`.
     """
     mass = solid.mass
     lead, lead_rate = _fill_chords(q, rate, solid, out)
@@ -179,8 +182,8 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
     total = cx = cy = cvx = cvy = 0.0
     for i in range(mass.shape[0]):
         if i > 0:
-            # The heading of a chord differs by half a bend from the heading at either
-            # end of the segment.
+            # The heading of the chord differs by half the bend from the heading at
+            # either end of the segment.
             half_c = out[COS, i]
             half_s = out[SIN, i]
             span = out[X, i]
@@ -212,8 +215,8 @@ def pose_body(q, rate, solid, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-untyped-def]
-    # `lead` is the heading of the head relative to the mean heading (rad). The
-    # transformation also moves the origin to the centre of mass.
+    # Moves the origin to the centre of mass and rotates the axes to the mean heading.
+    # `lead` is the heading of the head relative to the mean heading (rad).
     mass = solid.mass
     connector_inertia = solid.inertia
     cosine = out[COS]
@@ -223,8 +226,8 @@ def _transform_to_mean(out, solid, centre, lead, lead_rate):  # type: ignore[no-
     place_y = out[Y]
     rate_x = out[VX]
     rate_y = out[VY]
-    # The head of a long coil may lead the mean heading by more than a full turn, so
-    # series expansions for small angles are not applicable.
+    # In a long coil, `lead` may exceed a full turn, so a series expansion for small
+    # angles is not applicable.
     a = math.cos(lead)
     b = math.sin(lead)
     inertia = moment = 0.0

@@ -1,36 +1,32 @@
 r"""Contact of the `compliant` model with obstacles.
 
-**Shapes.** The body is a chain of straight stretches, one around each point of the
-chain of `cells`. A stretch has the heading of its point, round ends and half width w.
-It reaches half way to the neighbouring points. Each circle and each side of a polygon
-is represented by a line segment with a radius. A contact force acts where a stretch is
-closest to an obstacle, and it loads only the point of this stretch.
+**Shapes.** The body is a chain of straight stretches, one for each point of the module
+`cells`. A stretch has the heading of its point, a half width w and round ends, and it
+extends halfway to the neighbouring points. Each circle and each side of a polygon is
+represented by a line segment with a radius. The contact force acts where the stretch is
+closest to the obstacle, and it loads only the point of this stretch.
 
-**Law.** The normal force N and the friction f_t of a contact depend on the overlap δ
-and on the normal and tangential velocities v_n and v_t of the body at the contact. A
-positive v_n means that the body moves away from the obstacle:
+**Contact law.** The normal force N and the friction f_t of a contact depend on the
+overlap δ and on the normal and tangential velocities v_n and v_t of the body at the
+contact. If v_n is positive, the body moves away from the obstacle:
 
 $$ N = k\,δ_+\,(1 - χ v_n)_+, \qquad
    f_t = -μ N \frac{v_t}{\sqrt{v_t^2 + ε^2}}. $$
 
 Here ( )₊ denotes the positive part, so N is never negative. The dissipation coefficient
-χ removes energy (Hunt and Crossley, 1975), μ is the friction coefficient and ε the slip
-speed. The contact stiffness is k = m/T², where m is the mass of the robot and T =
-`CONTACT_TIME_S` is a time constant. In the limit T → 0 the contact is rigid. Force and
-stiffness are evaluated at the end of each implicit stage of length a = γ h, in which δ
-changes by −a v_n. Stiff contacts therefore do not limit the time step. The Newton
-matrix contains the derivative
+χ describes the energy loss in an impact (Hunt and Crossley, 1975), μ is the friction
+coefficient, and ε is the slip speed. The contact stiffness is k = m/T², where m is the
+mass of the robot and T = `CONTACT_TIME_S` is a time constant. Forces are evaluated at
+the end of each implicit stage of length a = γ h, in which δ changes by −a v_n. Stiff
+contacts therefore do not limit the time step. The Newton matrix contains the derivative
 
 $$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) . $$
 
-The Newton matrix neglects the change of the normal's direction during a step.
+The matrix neglects that the direction of the normal changes during a step.
 
-The Newton method relies on a convex potential. Friction has such a potential only if
-the normal forces are constant. Each stage is therefore solved repeatedly, with friction
-computed from the normal forces of the previous solution.
-
-The contact model of the twin is independent of this one. It has rods between hinges,
-different shapes and MuJoCo's constraint forces.
+The Newton method relies on a convex potential, which friction has only if the normal
+forces are constant. Each stage is therefore solved repeatedly, with friction computed
+from the normal forces of the previous solution.
 """
 
 from __future__ import annotations
@@ -75,7 +71,7 @@ CONTACT_TIME_S = 0.001
 _LOSS_S_PER_M = 20.0
 """Dissipation coefficient χ at a speed unit of 1, s/m.
 
-It limits rebound speeds to 1/χ.
+The coefficient limits rebound speeds to 1/χ.
 """
 
 # Columns of `Obstacles.shape`, m.
@@ -89,7 +85,7 @@ _SHAPE_COLUMNS = 5
 # Entries of `Obstacles.pose`.
 _COM_X = 0  # Centre of mass, m.
 _COM_Y = 1
-_COS = 2  # cosine of the mean heading
+_COS = 2  # Cosine of the mean heading.
 _SIN = 3
 
 
@@ -98,20 +94,21 @@ class Obstacles(NamedTuple):
 
     Attributes:
         shape: start point (x, y), end point (x, y) and radius of each line segment,
-            shape (obstacles, _SHAPE_COLUMNS), m. A circle is a line segment of length
-            0.
-        stretch: length of the body ahead of and behind each point, shape (points, 2),
-            m.
+            shape (obstacles, _SHAPE_COLUMNS), m. For a circle, both
+            points are its centre.
+        stretch: lengths of the stretch ahead of and behind each point, shape (points,
+            2), m.
         half_width: half width w of the body, m.
         stiffness, loss: contact stiffness k (N/m) and dissipation coefficient χ (s/m).
         friction, slip: friction coefficient μ (dimensionless) and slip speed ε (m/s).
-        pose: pose of the body at the end of a stage, shape (4,).
+        pose: centre of mass (m), and cosine and sine of the mean heading, at the end of
+            a stage, shape (4,).
         near: number of obstacles within reach of the body, followed by the indices of
             these obstacles.
-        force: force exerted by the obstacles on each point at the latest evaluation, in
-            the world frame, shape (points, 2), N.
-        normal: normal forces at the latest evaluation, shape (obstacles, points), N.
-        load: normal forces used by the friction law, shape (obstacles, points), N.
+        force: latest force exerted by the obstacles on each point, in the world frame,
+            shape (points, 2), N.
+        normal: latest normal forces, shape (obstacles, points), N.
+        load: normal forces in the friction law, shape (obstacles, points), N.
     """
 
     shape: np.ndarray
@@ -131,7 +128,7 @@ class Obstacles(NamedTuple):
 def make_obstacles(
     world: World, spec: RobotSpec, cells: LumpedSegments, slip: float
 ) -> Obstacles:
-    """Convert obstacles for the kernels. `slip` is the slip speed ε in m/s."""
+    """Create the `Obstacles` of a world, with a slip speed ε of `slip` (m/s)."""
     shapes = np.array(list(_shapes(world)), dtype=float).reshape(-1, _SHAPE_COLUMNS)
     half = np.broadcast_to(
         (np.asarray(cells.length) + cells.gap) / 2, len(cells.mass) - 1
@@ -165,7 +162,11 @@ def _shapes(world: World) -> Iterator[tuple[float, ...]]:
 
 @compiled_if(is_given)
 def find_near(obstacles, state, reach):  # type: ignore[no-untyped-def]
-    """List the obstacles within the distance `reach` (m) of the centre of mass."""
+    """List the obstacles that the body can touch.
+
+    `reach` is an upper bound on the distance of the body's axis from the centre of mass
+    (m).
+    """
     near = obstacles.near
     near[0] = 0
     for k in range(obstacles.shape.shape[0]):
@@ -191,8 +192,8 @@ def set_pose(obstacles, known, a, u):  # type: ignore[no-untyped-def]
     """Store the pose of the body at the end of an implicit stage.
 
     Args:
-        obstacles: obstacles whose pose is set.
-        known: part of the stage equation that does not depend on the velocities.
+        obstacles: `Obstacles` in which the pose is stored.
+        known: known part of the state Y in the stage equation Y = known + a f(Y).
         a: implicit step γ h, s.
         u: velocity in the frame of the mean heading (m/s) and yaw rate (rad/s).
     """
@@ -239,8 +240,9 @@ class _Stretch(NamedTuple):
 
 
 class _Gap(NamedTuple):
-    # `place` is the distance (m) along the heading from the chain point to the closest
-    # point of the body. (x, y) is the vector from the obstacle to the body (m).
+    # `place` is the distance (m) along the heading from the chain point to the place
+    # where the stretch is closest to the obstacle. (x, y) is the vector (m) from the
+    # line segment of the obstacle to this place.
 
     place: float
     x: float
@@ -259,9 +261,10 @@ def _gap(stretch, line):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def _closest(stretch, line):  # type: ignore[no-untyped-def]
-    # The results are a distance along the stretch (m) and a fraction of the line. The
-    # unit vector u is along the stretch, the vector b is along the line, and the vector
-    # d points from the stretch to the line.
+    # The function returns the position of the closest points as a distance along the
+    # stretch (m) and a fraction of the line segment. The unit vector u is parallel to
+    # the stretch, the vector b is parallel to the line segment, and the vector d points
+    # from the chain point to the start of the line segment.
     px = stretch.x
     py = stretch.y
     ux = stretch.cos
@@ -276,7 +279,7 @@ def _closest(stretch, line):  # type: ignore[no-untyped-def]
     dy = line.y - py
     if size == 0.0:
         return min(max(dx * ux + dy * uy, lowest), highest), 0.0
-    # The determinant is 0 if the stretch and the line are parallel.
+    # The determinant `angle` is 0 if the stretch is parallel to the line segment.
     angle = size - mixed * mixed
     place = 0.5 * (lowest + highest)
     if angle > 1e-12 * size:
@@ -289,9 +292,9 @@ def _closest(stretch, line):  # type: ignore[no-untyped-def]
 
 
 class _Contact(NamedTuple):
-    # Vectors are in the frame of the mean heading. The unit normal points away from the
-    # obstacle, and the lever arm (m) points from the chain point to the contact on the
-    # body's surface. The derivatives of N and f_t are with respect to v_n and v_t
+    # Vectors are in the frame of the mean heading. The unit normal (n_x, n_y) points
+    # away from the obstacle. The lever arm (m) points from the chain point to the
+    # contact on the surface of the body. The derivatives are dN/dv_n and df_t/dv_t
     # (N·s/m). `power` is the power dissipated by the contact (W).
 
     n_x: float
@@ -307,8 +310,8 @@ class _Contact(NamedTuple):
 
 @inlined
 def _contact(o, a, load, reach, stretch, gap, velocity):  # type: ignore[no-untyped-def]
-    # `load` is the normal force in the friction law (N), and `reach` is the distance
-    # between the axes of body and obstacle at first contact (m).
+    # `load` is the normal force in the friction law (N). `reach` is the distance from
+    # the axis of the body to the line segment of the obstacle at first contact (m).
     distance = math.sqrt(gap.x * gap.x + gap.y * gap.y)
     n_x = gap.x / distance
     n_y = gap.y / distance
@@ -346,14 +349,14 @@ def add_contacts(obstacles, body, u, a, loads):  # type: ignore[no-untyped-def]
 
     Args:
         obstacles: `Obstacles` that contain the pose of the body and receive the forces.
-        body: posed body, shape (ROWS, points).
+        body: poses and velocities of the points, shape (ROWS, points).
         u: velocities as in `compliant_kernels.balance`, shape (3 + cells,).
         a: implicit step γ h, s.
-        loads: loads on the points, changed in place.
+        loads: loads on the points, changed in place, shape (points, LOAD_COLUMNS).
 
     Returns:
-        Force (x, y; N) and moment about the centre of mass (N·m) in the frame of the
-        mean heading, and the power dissipated by the contacts, W.
+        Force components x and y (N) in the frame of the mean heading, moment about the
+        centre of mass (N·m), and power dissipated by the contacts (W).
     """
     o = obstacles
     cos = o.pose[_COS]
@@ -405,8 +408,9 @@ def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
     load[FORCE_X] += contact.normal * nx - contact.tangential * ny
     load[FORCE_Y] += contact.normal * ny + contact.tangential * nx
     load[FORCE_YAW] += contact.normal * n_m + contact.tangential * t_m
-    # Here n_x, n_y and n_s are the derivatives of the normal force with respect to the
-    # velocities x and y and the spin. t_x, t_y and t_s are the derivatives of friction.
+    # n_x, n_y and n_s are the derivatives of the normal force with respect to the
+    # velocities along x and y and to the spin. t_x, t_y and t_s are the corresponding
+    # derivatives of friction.
     n_x = contact.normal_derivative * nx
     n_y = contact.normal_derivative * ny
     n_s = contact.normal_derivative * n_m
@@ -429,10 +433,10 @@ def _add_load(load, contact, a):  # type: ignore[no-untyped-def]
 
 @compiled_if(is_given, otherwise=False)
 def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
-    """Store the latest normal forces for the friction law.
+    """Copy the latest normal forces to the friction law.
 
     Returns:
-        True if a normal force changed by more than `scale` (N).
+        Whether a normal force has changed by more than `scale` (N).
     """
     o = obstacles
     changed = False
@@ -448,22 +452,20 @@ def update_loads(obstacles, scale):  # type: ignore[no-untyped-def]
 def fill_rates(obstacles, model, free, free_rates, rates, workspace):  # type: ignore[no-untyped-def]
     """Compute the time derivatives of the impulses, the time and `ENERGY_LOSS`.
 
-    Without obstacles, `ENERGY_LOSS` holds the dissipated energy, and the work of the
-    torques is the energy of the body plus this loss. With obstacles, the integral of
-    the losses would miss the energy dissipated in impacts. The reason is that the
-    implicit method evaluates the stiff normal forces when an impact has almost stopped
-    the body. `ENERGY_LOSS` then holds the work of the compressed air, whose rate Σ T_j
-    q̇_f,j is smooth. Here T = k (q_f − q) + c (q̇_f − q̇) is the torque of a whole
-    segment with bend q, free bend q_f, stiffness k and damping c.
+    With obstacles, `ENERGY_LOSS` is not the dissipated energy, but the work of the
+    compressed air, whose rate Σ T_j q̇_f,j is smooth. Here T = k (q_f − q) + c (q̇_f −
+    q̇) is the torque of a whole segment with bend q, free bend q_f, stiffness k and
+    damping c. An integral of the dissipated power would miss the energy that is lost in
+    impacts, because the normal forces are evaluated when an impact is almost over.
 
     Args:
-        obstacles: obstacles with the forces of the stage.
+        obstacles: `Obstacles` with the forces at the stage.
         model: constants, a `compliant_kernels.CompliantModel`.
-        free: free bends of the cells, rad.
-        free_rates: rates of the free bends, rad/s.
-        rates: rates of the bends, rad/s.
-        workspace: work arrays with the bends. The output is written to its field
-            `rate`.
+        free: free bends of the cells, shape (cells,), rad.
+        free_rates: rates of the free bends, shape (cells,), rad/s.
+        rates: bend rates of the cells, shape (cells,), rad/s.
+        workspace: work arrays, a `WorkArrays`, whose field `rate` receives the time
+            derivatives.
     """
     k = workspace.rate
     q = workspace.bend

@@ -29,7 +29,7 @@ SLIP_SPEED_M_S = 0.00025
 
 
 def default_timestep(tick: float, scale: Scale) -> float:
-    """Return the default maximum time step (s) for a control tick (s)."""
+    """Return the default maximum time step (s) for a control tick (s) and a scale."""
     if scale == SHIPPED:
         return TIMESTEP_S
     return divide(tick, TIMESTEP_S * scale.time)
@@ -57,43 +57,42 @@ class AnalyticalOptions:
     """Assumptions and numerical settings of an analytical model.
 
     Attributes:
-        model: model of the bends. In "complete" and "simplified" the chambers prescribe
-            the bends. In "simplified" the chords of a body without skin also keep the
-            length l + L_o. In "compliant" load and inertia deflect the bends.
-            "quasistatic" (module `quasistatic`) is the only model for robots whose
-            segments bend in two directions, and it accepts no other robots.
+        model: model of the bends. In "complete" and "simplified", the chambers
+            prescribe the bends. In "simplified", all chords also have the constant
+            length l + L_o. In "compliant", the bends also depend on load and inertia.
+            Robots whose segments bend in two directions require "quasistatic" (module
+            `quasistatic`), which supports no other robots.
         friction: friction law of a robot on wheels. "axis" is the law of the
-            dissertation, with one contact per connector. In "wheel" each connector has
-            two wheels. In "ellipse" and "cosine" each connector has two skids.
-            "viscous" is only for tests. A robot with skin has the friction law of the
-            skin instead.
-        load: load of a wheel or skid. "static" is half of the weight of its connector.
+            dissertation, with one contact per connector. A connector has two wheels in
+            "wheel", and two skids in "ellipse" and "cosine". "viscous" is intended for
+            tests. A robot with skin has the friction law of the skin instead.
+        load: load on a wheel or skid. "static" is half the weight of the connector.
             "instantaneous" adds the load transfer due to the lateral force (module
             `floor`).
         friction_torque: whether the moment of friction about the centre of mass acts.
             The value False requires "simplified" and selects the first model of the
             dissertation.
-        inertia: moment of inertia of each connector. "point" sets it to 0. "connector"
-            assumes a compact body with two wheels, as in the twin. "lumped" is the
-            dissertation's j(i) = Σ m L²/3, which counts the masses of the segments
-            twice (E19).
-        base: support of the snake, "free" on the floor, or with its head "clamped" in
-            the air. "compliant" bodies cannot be clamped.
-        track: distance of each of the two contacts of a connector from the centre line,
-            m. The default for laws with wheels or skids is the robot's half track. The
-            default for other laws is 0, and each connector then has one contact.
-        contact: whether the body touches obstacles (module `obstacles`), which requires
-            the model "compliant". Without contact, the body passes through obstacles.
-        cells: approximate number of cells per segment, for a wheeled robot that can
-            touch obstacles.
-        timestep: maximum time step, s. The default is `TIMESTEP_S` times the time unit
-            of the robot (`robot.scale`), adjusted so that it divides the tick.
-        tolerance: maximum error of a time step in which friction reverses, expressed as
-            a velocity, m/s. With prescribed bends, steps with a larger error are
-            divided (module `steps`). The default is `TOLERANCE_M_S` times the time
-            unit.
-        slip_speed: slip speed ε of the friction law, m/s. The default is
-            `SLIP_SPEED_M_S` times the time unit.
+        inertia: moment of inertia of each connector. "point" sets the moment to 0.
+            "connector" assumes a compact body with two wheels, as in the twin. "lumped"
+            is the dissertation's j(i) = Σ m L²/3, which counts the masses of the
+            segments twice (E19).
+        base: support of the snake, "free" on the floor, or with the head "clamped" in
+            the air. The model "compliant" does not support "clamped".
+        track: distance from a connector's centre line to each of its two contacts, or 0
+            for one contact per connector, m. The default is the robot's half track for
+            laws with wheels or skids, and 0 for other laws.
+        contact: whether the body touches obstacles instead of passing through them
+            (module `obstacles`). The value True requires the model "compliant".
+        cells: approximate number of cells per segment of a wheeled robot that can touch
+            obstacles.
+        timestep: maximum time step, by default `TIMESTEP_S` times the time unit of the
+            robot (`robot.scale`), s. For time units other than 1, the default is
+            adjusted so that it divides the tick.
+        tolerance: estimated error above which a time step with prescribed bends is
+            divided (module `steps`), expressed as a velocity, m/s. The default is
+            `TOLERANCE_M_S` times the time unit.
+        slip_speed: slip speed ε of the friction law, by default `SLIP_SPEED_M_S` times
+            the time unit, m/s.
     """
 
     model: str = "complete"
@@ -128,7 +127,7 @@ class AnalyticalOptions:
             )
 
     def friction_law_on(self, spec: RobotSpec) -> str:
-        """Return the friction law of the skin, or `friction` for a robot without skin."""
+        """Return the friction law of the skin, or `friction` for a robot on wheels."""
         return self.friction if spec.skin is None else spec.skin.friction_law
 
     def track_of(self, spec: RobotSpec) -> float:
@@ -143,14 +142,14 @@ class AnalyticalOptions:
         """Check that a robot in a world can be simulated with these options.
 
         Raises:
-            InputError: the robot cannot be simulated. The message lists all reasons.
+            InputError: the robot cannot be simulated, for the reasons in the message.
         """
         raise_violations(
             (*refusals("model", self.model, spec, world), *self.violations(spec))
         )
 
     def violations(self, spec: RobotSpec | None) -> Iterator[Violation]:
-        """Yield each conflict between two options or an option and the robot."""
+        """Yield the conflicts between options, and between options and the robot."""
         if not self.friction_torque and self.model != "simplified":
             yield Violation(
                 "friction_torque",

@@ -1,46 +1,43 @@
-r"""Spatial body without inertia (model `quasistatic`) on a floor.
+r"""Spatial body without inertia, for the model `quasistatic`.
 
 A segment is an arc of constant curvature and twist. The rotation vector w describes the
 rotation from the frame of the segment's rear connector to the frame of the front
 connector. The components z, −y and x of w are the bend to the left, the bend upwards
 and the twist. The generalised coordinates are the pose of the head connector and the
-bends q and twists of all segments. Weight and contacts act at points along the axis of
-the body, which has radius r.
+bends q and twists of all segments. The body has the radius r, and weight and contact
+forces act at points along its axis.
 
 **Equilibrium.** Without inertia, the forces are balanced at all times. The chambers
-impose the free bends q̂ with stiffness k and damping c. Point i has height z_i, mass
-m_i and normal load N_i. In a time step of length h, the velocities of the coordinates
-minimise
+impose the free bends q̂, and the segments resist deviations from q̂ with stiffness k
+and damping c. Point i has height z_i, mass m_i and normal load N_i. In a time step of
+length h, the velocities of the coordinates minimise
 
-$$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,\dot q^2
+$$ \tfrac12 k\,(q + h\dot q - \hat q)^2 + \tfrac h2 c\,(\dot q - \dot{\hat q})^2
    + \sum_i m_i g\,h \dot z_i + \tfrac{\kappa_i}2 \max(0, r - z_i - h\dot z_i)^2 + h
-   \sum_i N_i D(s_i) + \tfrac h2 \sum_i \frac{m_i}{\tau}(\dot z_i^2 + \dot\rho_i^2), $$
+   \sum_i N_i D(s_i) + \tfrac h2 \sum_i \frac{m_i}{\tau}(\dot z_i^2 + \dot\rho_i^2). $$
 
-divided by h. The first three terms are the elastic energy, the dissipation in the
-segments, and the potential energy of the weight. The stiffness of the floor is κ_i =
-m_i g/δ, so that a resting point sinks by δ. D(s_i) is the dissipation potential of a
-friction law. The slip s_i is the velocity of the material point vertically below the
-axis. The last term is a drag with time constant τ. As a result, the pose at rest has
-the minimum potential energy, and the body moves along the floor with the minimum
-dissipated power.
+The first three terms are the elastic energy, the dissipation in the segments, and the
+change of the potential energy. The floor at point i has the stiffness κ_i = m_i g/δ, so
+that a resting point sinks by δ. D(s_i) is the dissipation potential of the friction
+law. The slip s_i is the velocity of the material point vertically below the axis. The
+last term is a drag with the time constant τ. A body at rest therefore has minimum
+potential energy, and a moving body dissipates minimum power on the floor.
 
-The normal loads N_i that multiply D depend on the solution. A step is therefore solved
-up to four times, each time with the loads of the previous solution. Friction laws
-without a potential, such as `cosine`, cannot be used, because they leave no function to
-minimise.
+The normal loads N_i in the friction term depend on the solution. Each step is therefore
+solved up to four times, with the loads of the previous solution. Friction laws without
+a potential, such as `cosine`, cannot be used, because no function could be minimised.
 
 **Jumps.** The resting pose can become unstable. A real body then topples within a time
-that depends on its inertia. In this model, the drag takes the place of inertia. It acts
-on the vertical velocity ż_i and on the surface velocity ρ̇_i of rolling. Between jumps
-the drag changes the loads by the fraction ż/(g τ), which is below 0.01. Steps in which
-a point moves too far are divided. A jump is counted when the speed of a point exceeds
-√(g r)/4.
+that depends on its inertia. In this model, inertia is replaced by the drag, which acts
+on the vertical velocity ż_i and on the rolling velocity ρ̇_i of the surface. Between
+jumps, the drag changes the loads by the fraction ż/(g τ), which is below 0.01. The
+model counts a jump when the speed of a point exceeds √(g r)/4.
 
 **Validity.** Inertia may be neglected if the inertia number (2πf)² A/(μ g) is small,
-where f is the gait frequency, A the amplitude of the lateral motion and μ the friction
-coefficient. The sag number m g λ²/(k p) measures how far the weight bends the body
-between its supports, where λ is the wavelength along the body, m the mass within a
-wavelength, and p the pitch of the connectors.
+where f is the gait frequency, A is the amplitude of the lateral motion, and μ is the
+friction coefficient. The sag number m g λ²/(k p) measures how far the weight bends the
+body between its supports. Here λ is the wavelength along the body, m is the mass within
+a wavelength, and p is the distance between connectors.
 """
 
 from __future__ import annotations
@@ -59,22 +56,22 @@ from srs_twin.pneumatics import Trace
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 _DEPTH_RATIO = 1 / 2000
-"""Depth of a resting point in the floor, relative to the radius of the body."""
+"""Depth by which a resting point sinks into the floor, relative to the body radius."""
 _DRAG_TIME_S = 0.5
 """Time constant τ of the drag on vertical motion and rolling at a time unit of 1, s."""
 _MOVE_RATIO = 0.05
-"""Maximum motion of a point in a substep, relative to the radius of the body."""
+"""Maximum displacement of a point in a substep, relative to the body radius."""
 _JUMP_RATIO = 0.25
-"""Minimum speed of a point in a jump, relative to √(g r)."""
+"""Speed of a point above which a jump is counted, relative to √(g r)."""
 
 
 def make_constants(
     spec: RobotSpec, slip_speed: float, base: str
 ) -> kinematics.QuasistaticBody:
-    """Compute the constants of a robot on a level floor or with a clamped head.
+    """Compute the constants of a robot on a level floor or with its head clamped.
 
     Args:
-        spec: spatial robot to simulate.
+        spec: robot whose segments bend in two directions.
         slip_speed: slip speed ε of the friction law, m/s.
         base: support of the body, "free" or "clamped".
 
@@ -131,14 +128,14 @@ class QuasistaticArcs(Body):
     """Body of the model `quasistatic`, with states as in `spatial_kinematics`.
 
     Attributes:
-        constants: parameters of body and floor that do not change during a run.
+        constants: constant parameters of the body and the floor.
         workspace: work arrays of a time step.
     """
 
     state_attributes: ClassVar[tuple[str, ...]] = ("_sampled", "_connector_heading")
 
     def __init__(self, spec: RobotSpec, slip_speed: float, base: str) -> None:
-        """Create the body. See `make_constants` for the arguments."""
+        """Create the body from the arguments of `make_constants`."""
         self._spec = spec
         self.constants = make_constants(spec, slip_speed, base)
         points = len(self.constants.mass)
@@ -157,7 +154,7 @@ class QuasistaticArcs(Body):
         return int(self.state[kinematics.JUMPS])
 
     def reset(self, pose: Pose) -> None:
-        """See `Body.reset`. The modules start with their rest bends."""
+        """See `Body.reset`. The segments start with their rest bends."""
         self.state, self.velocity = map(np.zeros, self._shapes)
         constants = self.constants
         segments = self._spec.segments
@@ -177,7 +174,7 @@ class QuasistaticArcs(Body):
     def set_state(
         self, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """See `Body.set_state`. A body without inertia can only start at rest."""
+        """Raise an `InputError`, because the body can only start straight at rest."""
         raise InputError("model 'quasistatic' can only start straight and at rest")
 
     def move(
@@ -195,7 +192,7 @@ class QuasistaticArcs(Body):
     def motion(
         self, states: np.ndarray, velocities: np.ndarray, trace: Trace
     ) -> Motion:
-        """See `Body.motion`. The bends have shape (samples, segments, 2)."""
+        """See `Body.motion`. Bends and moments have shape (samples, segments, 2)."""
         shape = len(states), self._spec.segments, 3
         bend = states[:, kinematics.BENDS : self._impulses.start].reshape(shape)[
             ..., :2
@@ -209,13 +206,14 @@ class QuasistaticArcs(Body):
     def observe(
         self, time: np.ndarray, motion: Motion, trace: Trace, measured_bend: np.ndarray
     ) -> SpatialState:
-        """Return the observable states of a motion as a history.
+        """Return a history of the observable states.
 
         Args:
             time: times of the samples, shape (samples,), s.
-            motion: motion at the times of the samples.
-            trace: chamber states at the times of the samples.
-            measured_bend: bends measured by the sensors, rad.
+            motion: motion at these times.
+            trace: chamber states at these times.
+            measured_bend: bends measured by the sensors, shape (samples, segments, 2),
+                rad.
         """
         count = len(time)
         n = self._spec.geometry.connectors
@@ -296,7 +294,7 @@ class QuasistaticArcs(Body):
 
 
 def quaternions(frames: np.ndarray) -> np.ndarray:
-    """Return the unit quaternions (w, x, y, z), w ≥ 0, of rotation matrices."""
+    """Convert rotation matrices to unit quaternions (w, x, y, z) with w ≥ 0."""
     from scipy.spatial.transform import Rotation
 
     turns: np.ndarray = Rotation.from_matrix(frames.reshape(-1, 3, 3)).as_quat(

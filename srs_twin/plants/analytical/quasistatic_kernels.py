@@ -1,4 +1,4 @@
-"""Compiled time steps of the spatial body without inertia (`quasistatic`)."""
+"""Compiled time steps of the model `quasistatic`."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ from srs_twin.robot import friction
 from srs_twin.robot.spec import GRAVITY
 
 _MAX_SWEEPS = 4
-"""Maximum number of solves per step, each with updated normal forces."""
+"""Maximum number of times that a step is solved with updated normal forces."""
 _MAX_ITERATIONS = 30
 _SOFTER = (1e3, 1e2, 10.0, 1.0)
-"""Factors on the slip speed that are tried in this order if the Newton method fails.
+"""Factors that multiply the slip speed, in this order, if the Newton method fails.
 
-Each solve starts from the solution with the previous factor.
+The solution for each factor is the initial value for the next factor.
 """
 _MAX_TRIALS = 14
 _MAX_DERIVATIVE_RATIO = 0.5
-"""Fraction of the initial derivative below which a line search ends."""
+"""Magnitude of the derivative at which a line search ends, relative to the start."""
 _MAX_HALVINGS = 14
 _TOLERANCE = 1e-6
-"""Tolerance of the residual power, relative to friction times slip speed."""
+"""Tolerance of the residual power, relative to body weight times slip speed."""
 _LOAD_TOLERANCE = 1e-4
-"""Tolerance of the normal forces in a step, relative to the weight of the body."""
+"""Tolerance of the normal forces in a step, relative to the body weight."""
 _ellipse = compiled(friction.ellipse)
 
 
@@ -61,8 +61,8 @@ def _begin_step(state, body, workspace, h):  # type: ignore[no-untyped-def]
     for p in range(workspace.point.shape[0]):
         rows = workspace.rows[p]
         mass = body.mass[p]
-        # The velocity of a point depends only on the head and on the segments up to the
-        # point. The first `used` velocities belong to these parts of the body.
+        # The velocity of a point depends only on the first `used` velocities, which
+        # belong to the head and to the segments up to the point.
         used = 9 + 3 * (p // count)
         drag = mass / body.drag_time
         for i in range(used):
@@ -107,7 +107,8 @@ def _residual(velocity, body, workspace, h, slip, out, with_matrix):  # type: ig
         up = 0.0
         for i in range(used):
             up += rows[UP, i] * velocity[i]
-        # The floor is a spring. Its force depends on the height at the end of the step.
+        # The floor is a spring, whose force depends on the height of the point at the
+        # end of the step.
         spring = body.free * body.mass[p] * GRAVITY / body.depth
         load = spring * max(0.0, body.radius - workspace.point[p, 2] - h * up)
         workspace.load[p] = load
@@ -120,8 +121,8 @@ def _residual(velocity, body, workspace, h, slip, out, with_matrix):  # type: ig
             along += rows[ALONG, i] * velocity[i]
             across += rows[ACROSS, i] * velocity[i]
         mu_t = mu.forward if along >= 0.0 else mu.backward
-        # f_t and f_lat are the friction along and across the body. tt, tn and nn are
-        # the derivatives of friction with respect to the velocities along and across.
+        # f_t and f_lat are the friction forces along and across the body. tt, tn and nn
+        # are the derivatives of these forces with respect to `along` and `across`.
         f_t, f_lat, tt, tn, _, nn = _ellipse(
             along, across, workspace.friction_load[p], mu_t, mu.across, slip
         )
@@ -190,7 +191,8 @@ def _product(a, b):  # type: ignore[no-untyped-def]
 @compiled
 def _minimise(velocity, body, workspace, h, slip, tolerance):  # type: ignore[no-untyped-def]
     size = velocity.shape[0]
-    # g is the gradient of the minimised function, and d is the Newton step.
+    # g is the gradient of the minimised function divided by h, and d is the Newton
+    # step.
     g = workspace.residual
     d = workspace.direction
     for _ in range(_MAX_ITERATIONS):
@@ -201,8 +203,8 @@ def _minimise(velocity, body, workspace, h, slip, tolerance):  # type: ignore[no
         first = _product(g, d)
         if not first < -tolerance:
             return np.isfinite(first)
-        # The derivative along d increases monotonically. The search ends where the
-        # derivative is nearly 0.
+        # The derivative along d increases monotonically, so that `low` and `high` can
+        # bracket the minimum.
         low = 0.0
         high = 0.0
         t = 1.0
@@ -219,7 +221,7 @@ def _minimise(velocity, body, workspace, h, slip, tolerance):  # type: ignore[no
                 low = t
                 derivative_low = derivative
                 if high == 0.0:
-                    break  # accept a full Newton step
+                    break  # Accept a full Newton step.
             else:
                 high = t
                 derivative_high = derivative
@@ -241,7 +243,7 @@ def _solve_step(velocity, state, body, workspace, h, weight):  # type: ignore[no
         converged = _minimise(velocity, body, workspace, h, slip, tolerance)
         if not converged:
             # The Newton method overshoots if sticking points are far from the solution.
-            # The solve is then repeated with a larger slip speed.
+            # The step is then solved with larger slip speeds first.
             for i in range(velocity.shape[0]):
                 velocity[i] = 0.0
             for factor in _SOFTER:
@@ -260,7 +262,7 @@ def _solve_step(velocity, state, body, workspace, h, weight):  # type: ignore[no
 
 @compiled
 def move_state(velocity, state, body, workspace, h, turn, old):  # type: ignore[no-untyped-def]
-    """Advance a state by h (s) with the solved velocities."""
+    """Advance a state in place by a time h (s) with constant velocities."""
     segments = workspace.bend.shape[0]
     for j in range(segments):
         for i in range(3):
@@ -343,13 +345,13 @@ def _count_jump(state, fastest, body):  # type: ignore[no-untyped-def]
 
 @allocating
 def advance(now, steps, free, sample_steps, body, workspace, samples):  # type: ignore[no-untyped-def]
-    """Advance by several steps and return the number of completed steps.
+    """Advance a body by several time steps and return the number of completed steps.
 
     Args:
         now: state of the body, a `QuasistaticState`, changed in place.
         steps: lengths of the steps, shape (steps,), s.
         free: free bends at the start and after each step, shape (steps + 1, S, 2), rad.
-        sample_steps: number of steps before each sample.
+        sample_steps: number of steps before each sample, ascending, shape (samples,).
         body: constants of body and floor.
         workspace: work arrays.
         samples: output for states and velocities, a `Samples`.
@@ -382,7 +384,7 @@ def advance(now, steps, free, sample_steps, body, workspace, samples):  # type: 
                     )
                 if h * fastest <= body.longest_move:
                     break
-                # Reject the step and retry from the old velocity with half the length.
+                # Repeat the step from the old velocity with half the length.
                 h /= 2
                 fastest = np.inf
                 copy(start, velocity)

@@ -1,9 +1,8 @@
-"""Compiled kinematics of a chain of arcs with curvature and twist in space.
+"""Compiled kinematics of the model `quasistatic`, a spatial chain of twisted arcs.
 
-The module `quasistatic` describes the model. The first six velocities are the velocity
-and the angular velocity of the head connector in the world frame. The other velocities
-are the rates of the bend to the left, the bend upwards and the twist of each segment,
-from head to tail.
+The first six velocities are the velocity and the angular velocity of the head connector
+in the world frame. The other velocities are the rates of the bend to the left, the bend
+upwards and the twist of each segment, from head to tail.
 """
 
 from __future__ import annotations
@@ -15,9 +14,10 @@ import numpy as np
 
 from srs_twin.compute.compiled import allocating, compiled, inlined
 
-# A state contains the position and the rotation matrix (by rows) of the head connector,
-# the quantities below, the bends, the impulses exerted by the floor on all points,
-# shape (points, 3), and the normal loads of the points.
+# Indices into the state, which starts with the position and the rotation matrix (by
+# rows) of the head connector. After the bends and twists of the segments, the state
+# contains the impulses of the floor on the points, shape (points, 3), and the normal
+# loads on the points.
 ROTATION = 3
 WORK = 12  # Work of the compressed air, J.
 FRICTION_LOSS = 13  # Energy dissipated by the floor, J.
@@ -25,11 +25,11 @@ INTERNAL_LOSS = 14  # Energy dissipated by bending and twisting, J.
 DRAG_LOSS = 15  # Energy dissipated by the drag of vertical and rolling motion, J.
 CLOCK = 16  # Time, s.
 JUMPS = 17  # Number of jumps between resting poses.
-IS_JUMPING = 18  # Equal to 1 during a jump, otherwise 0.
+IS_JUMPING = 18  # 1 during a jump, otherwise 0.
 BENDS = 19
 
-# Number of rows of `Workspace.rows`. The rows are the velocities of a contact along the
-# body, across the body and upwards, and the rolling velocity.
+# Rows of the Jacobians in `Workspace.rows`, which yield the velocity of a contact along
+# the body, across the body and upwards, and the rolling velocity.
 ROWS = 4
 ALONG, ACROSS, UP, ROLL = range(ROWS)
 
@@ -38,7 +38,8 @@ class SkinFriction(NamedTuple):
     """Friction coefficients of a skin, and the slip speed of the friction law.
 
     Attributes:
-        ahead, backward: coefficients for slip towards the head and the tail, dimensionless.
+        forward, backward: coefficients for slip towards the head and towards the tail,
+            dimensionless.
         across: coefficient across the heading, dimensionless.
         slip: slip speed ε, m/s.
     """
@@ -50,7 +51,7 @@ class SkinFriction(NamedTuple):
 
 
 class QuasistaticState(NamedTuple):
-    """State (in the layout of this module) and velocities of a spatial body."""
+    """State and velocities of a spatial body, in the layout of this module."""
 
     state: np.ndarray
     velocity: np.ndarray
@@ -60,19 +61,19 @@ class QuasistaticBody(NamedTuple):
     """Constants of body and floor, for S segments with P points each.
 
     Attributes:
-        fraction: fraction of the arc ahead of a point, shape (P,), dimensionless.
-        front, rear: straight lengths from the front connector to the arc, and from the
-            arc to the point, shape (P,), m.
+        fraction: fraction of the arc that is ahead of each point, shape (P,),
+            dimensionless.
+        front, rear: straight lengths ahead of each point, in front of the arc and
+            behind the arc, shape (P,), m.
         mass: masses of the points, shape (S P,), kg.
-        length, gap: length of an arc, and straight length at each end of an arc, m.
-        stiffness, damping: stiffness (N·m/rad) and damping (N·m·s/rad) of bends and
-            twist, shape (3,).
-        radius, depth: radius of the body, and depth of its resting points in the floor,
-            m.
-        drag_time: ratio τ of mass to drag coefficient for vertical and rolling motion,
-            s.
-        longest_move: maximum motion of a point in a substep, m.
-        jump_speed: minimum speed of a point in a jump, m/s.
+        length, gap: length of an arc, and straight length at each end of the arc, m.
+        stiffness, damping: stiffness (N·m/rad) and damping (N·m·s/rad) of the two bends
+            and the twist, shape (3,).
+        radius, depth: radius of the body, and depth by which resting points sink into
+            the floor, m.
+        drag_time: time constant τ of the drag on vertical motion and rolling, s.
+        longest_move: maximum displacement of a point in a substep, m.
+        jump_speed: speed of a point above which a jump is counted, m/s.
         free: 1 if the body is on the floor, or 0 if its head is clamped in the air.
     """
 
@@ -100,22 +101,22 @@ class Workspace(NamedTuple):
         position, frame: positions (m) and rotation matrices of the connectors, shapes
             (S + 1, 3) and (S + 1, 3, 3).
         point: positions of the points, shape (S P, 3), m.
-        heading: cosine and sine of the body's horizontal direction at each point, shape
-            (S P, 2).
-        motion: Jacobian from the body's velocities to velocity and angular velocity of
-            each point, shape (S P, 6, velocities).
-        rows: Jacobian from the body's velocities to the contact velocities of each
+        heading: cosine and sine of the horizontal direction of the body at each point,
+            shape (S P, 2).
+        motion: Jacobian from the velocities of the body to the velocity and angular
+            velocity of each point, shape (S P, 6, velocities).
+        rows: Jacobian from the velocities of the body to the contact velocities of each
             point, shape (S P, ROWS, velocities).
-        load, friction_load: normal force on each point, and normal force used by the
+        load, friction_load: normal force on each point, and normal force in the
             friction law, shape (S P,), N.
         force: friction along and across the body, shape (S P, 2), N.
         linear: derivative of the residual without contacts, shape (velocities,
             velocities).
-        at_rest: residual without contacts if all velocities are zero, shape
-            (velocities,).
+        at_rest: residual without contacts at zero velocities, shape (velocities,).
         matrix: lower triangle of the Newton matrix, shape (velocities, velocities).
-        residual, direction, trial: vectors of the Newton method, shape (velocities,).
-        bend, bend_rate: free bends (rad) and their rates (rad/s), with a twist of 0,
+        residual, direction, trial: residual, Newton step and trial velocities, shape
+            (velocities,).
+        bend, bend_rate: free bends and a twist of 0 (rad), and their rates (rad/s),
             shape (S, 3).
         base: Jacobian from the rates of a segment's bends and twist to the spatial
             velocity of its rear connector, shape (S, 6, 3).
@@ -142,7 +143,7 @@ class Workspace(NamedTuple):
 
 
 def work_arrays(segments: int, points: int) -> Workspace:
-    """Allocate the arrays for `segments` segments with `points` points each."""
+    """Allocate the work arrays for segments with `points` points each."""
     n = segments + 1
     count = segments * points
     velocities = 6 + 3 * segments
@@ -173,7 +174,7 @@ def work_arrays(segments: int, points: int) -> Workspace:
 
 @compiled
 def rotate(turn, out):  # type: ignore[no-untyped-def]
-    """Compute the rotation matrix exp([turn]) of a rotation vector, rad."""
+    """Write the rotation matrix of the rotation vector `turn` (rad) to `out`."""
     x, y, z = turn
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
@@ -196,8 +197,8 @@ def rotate(turn, out):  # type: ignore[no-untyped-def]
 
 @compiled
 def _spin(turn, axis):  # type: ignore[no-untyped-def]
-    # The result is a column of the left Jacobian of exp([turn]), which is the angular
-    # velocity per unit rate of one component of `turn`.
+    # Returns a column of the left Jacobian of the rotation vector `turn`. The column is
+    # the angular velocity per unit rate of the component `axis`.
     x, y, z = turn
     square = x * x + y * y + z * z
     angle = math.sqrt(square)
@@ -212,8 +213,7 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
     e_y = 1.0 * (axis == 1)
     e_z = 1.0 * (axis == 2)
     # The column is e + b t × e + c t × (t × e), where e is the unit vector of the
-    # component and t the rotation vector. The product t × (t × e) equals t (t · e) − e
-    # t².
+    # component and t is the rotation vector.
     return (
         e_x + b * (y * e_z - z * e_y) + c * (x * part - e_x * square),
         e_y + b * (z * e_x - x * e_z) + c * (y * part - e_y * square),
@@ -223,15 +223,16 @@ def _spin(turn, axis):  # type: ignore[no-untyped-def]
 
 @compiled
 def _arc(w, u, lengths, offset, turn, derivatives):  # type: ignore[no-untyped-def]
-    # `w` is the rotation vector of the front connector relative to the rear one. `u` is
-    # the fraction of the arc ahead of the position. `lengths` are the straight length
-    # ahead of the arc, the length of the arc, and the straight length behind the arc.
-    # Position and rotation in the frame of the front connector are written to `offset`
-    # and `turn`, and their derivatives with respect to w to `derivatives`.
+    # Computes the pose of a point on a segment in the frame of the front connector.
+    # `w` is the rotation vector of the front connector relative to the rear connector.
+    # `u` is the fraction of the arc that is ahead of the point. `lengths` contains the
+    # straight length in front of the arc, the length of the arc, and the straight
+    # length behind the arc. `offset` and `turn` receive position and rotation, and
+    # `derivatives` receives their derivatives with respect to w.
     front, length, rear = lengths
     x, y, z = w
-    # m is the tangent in the middle of the arc's part ahead of the position, and t is
-    # the tangent at the rear end of this part.
+    # The front part of the arc ends at the point. m is the tangent in the middle of
+    # this part, and t is the tangent at its rear end.
     half = (-u / 2 * x, -u / 2 * y, -u / 2 * z)
     rotate(half, turn)
     m_x = turn[0, 0]
@@ -256,7 +257,8 @@ def _arc(w, u, lengths, offset, turn, derivatives):  # type: ignore[no-untyped-d
     offset[1] = -chord * ratio * m_y - rear * t_y
     offset[2] = -chord * ratio * m_z - rear * t_z
     for i in range(3):
-        # h and e are the angular velocities of the tangents m and t per unit rate of w.
+        # h and e are the angular velocities of the tangents m and t per unit rate of
+        # component i of w.
         s_x, s_y, s_z = _spin(half, i)
         h_x = -u / 2 * s_x
         h_y = -u / 2 * s_y
@@ -290,8 +292,8 @@ def _turned(frame, x, y, z):  # type: ignore[no-untyped-def]
 
 @compiled
 def _fill_motion(motion, place, j, workspace, derivatives):  # type: ignore[no-untyped-def]
-    # `motion` is the Jacobian from the body's velocities to a position on segment j,
-    # shape (6, velocities). `derivatives` is the output of `_arc`.
+    # `motion` is the Jacobian from the velocities of the body to the velocity and
+    # angular velocity at `place` on segment j, shape (6, velocities).
     x = place[0]
     y = place[1]
     z = place[2]
@@ -360,7 +362,7 @@ class _Place(NamedTuple):
 
 @allocating
 def pose(state, body, workspace):  # type: ignore[no-untyped-def]
-    """Compute positions, frames, points and their Jacobians for a state."""
+    """Compute the connector poses, the points and their Jacobians for a state."""
     place = _Place(np.empty(3), np.empty((3, 3)), np.empty((6, 3)))
     count = body.fraction.shape[0]
     for i in range(3):
@@ -406,8 +408,9 @@ def _fill_point(j, p, radius, place, workspace):  # type: ignore[no-untyped-def]
     rows = workspace.rows[p]
     _fill_motion(motion, workspace.point[p], j, workspace, place.derivatives)
     for i in range(9 + 3 * j):
-        # The first rows are the velocity of the material point vertically below the
-        # axis. The last row is the rolling velocity of the surface.
+        # The rows `ALONG` and `ACROSS` are the velocity of the material point
+        # vertically below the axis. The row `ROLL` is the rolling velocity of the
+        # surface.
         v_x = motion[0, i] - radius * motion[4, i]
         v_y = motion[1, i] + radius * motion[3, i]
         rows[ALONG, i] = c * v_x + s * v_y

@@ -1,28 +1,28 @@
 r"""Time steps of the analytical models and adaptive division of the steps.
 
-Every valve event ends a step (`TimeSteps`). Where the slip velocity of a connector
-changes sign, the friction force reverses within a few multiples of the slip speed ε.
-The reversal usually takes far less time than a step. If a step misses the reversal, its
-error is as large as the whole friction impulse. The models `complete` and `simplified`
-therefore divide steps in which friction reverses.
+Every valve event ends a time step (`TimeSteps`). When the slip velocity of a connector
+changes sign, the friction force reverses over a velocity range of a few times the slip
+speed ε. The reversal usually takes much less time than a step. A step that misses the
+reversal has an error as large as the whole friction impulse. The models `complete` and
+`simplified` therefore divide steps in which friction reverses.
 
-**Error estimate.** A step of length h has two stages, at γ h and h after its start. The
-rate of the momentum is k₀ at the start of the step, k₁ at the first stage and k₂ at the
-second stage. If the rate changes linearly, k₁ is the linear interpolation of k₀ and k₂.
-The deviation of k₁ from this interpolation changes the velocity of the mass M over the
-step by
+**Error estimate.** A step of length h has two stages, at the times γ h and h after the
+start of the step. The rate of change of momentum is k₀ at the start, k₁ at the first
+stage and k₂ at the second stage. If the rate changes linearly, k₁ is the linear
+interpolation between k₀ and k₂. The deviation of k₁ from this interpolation changes the
+velocity of the mass M over the step by
 
 $$ \eta = \frac{h}{M}\,\bigl|\,k_1 - (1-\gamma)\,k_0 - \gamma\,k_2\,\bigr| . $$
 
-The estimate η is at least 0.7 times the error due to a reversal anywhere in the step.
-Where friction is smooth, η is of third order in h. The rate of the angular momentum is
-divided by the radius of gyration of the straight body, so that it has the unit of a
-force.
+The estimate η is at least 0.7 times the error that a reversal of friction at any time
+in the step causes. If friction is smooth, η is of third order in h. The rate of change
+of angular momentum is divided by the radius of gyration of the straight body and thus
+has the unit of a force.
 
 A step with η above the tolerance is repeated in two or four substeps, which may be
-divided again. If η is well below the tolerance, the next substep is twice as long.
-Within a step, cubic Hermite polynomials interpolate the bends and bend rates given by
-the chambers at the start and at the stages.
+divided again. If η is well below the tolerance, the next substep is twice as long. The
+bends and bend rates of the substeps are interpolated by cubic Hermite polynomials
+between the start and the stages of the step.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ from srs_twin.pneumatics import Trace
 
 @dataclass(frozen=True)
 class TimeSteps:
-    """Time steps of a schedule, immutable because equal schedules may share them.
+    """Immutable time steps of a schedule, which equal schedules may share.
 
     Attributes:
-        ends: end of each step after the start of the schedule, ascending, shape
-            (steps,), s.
+        ends: time from the start of the schedule to the end of each step, ascending,
+            shape (steps,), s.
         sample_steps: number of steps before each sample, ascending, shape (samples,).
     """
 
@@ -77,16 +77,15 @@ class TimeSteps:
         longest: float,
         same: float,
     ) -> TimeSteps:
-        """Return steps that end at samples, at even intervals and at valve events.
+        """Divide a schedule into steps that end at all samples and valve events.
 
         Args:
             span: length of the schedule, s.
-            events: times of valve events, ascending, s.
-            samples: number of equally spaced samples. The last sample is at the end of
-                the schedule.
+            events: times of the valve events, ascending, s.
+            samples: number of equally spaced samples, of which the last is at the end.
             longest: maximum length of a step, s.
-            same: maximum time difference at which two events, or an event and the end
-                of a step, count as simultaneous, s.
+            same: maximum difference between the times of two events, or of an event and
+                the end of a step, that count as simultaneous, s.
         """
         per_sample = math.ceil(span / samples / longest * (1 - 1e-12))
         even = _even(span, samples, per_sample)
@@ -94,7 +93,7 @@ class TimeSteps:
             return even
         grid = span / (samples * per_sample)
         steps = events / grid
-        # Due to rounding, an event may be just before or just after a grid point.
+        # Due to rounding, an event may differ slightly from the end of a step.
         events = events[np.abs(steps - np.round(steps)) * grid > same]
         events = events[np.diff(events, prepend=-1.0) > same]
         sample_steps = even.sample_steps + np.searchsorted(
@@ -110,14 +109,14 @@ class TimeSteps:
 
     @cached_property
     def stage_times(self) -> np.ndarray:
-        """Times of the start and of all stages, shape (1 + 2 · steps,), s."""
+        """Start time and times of all stages, shape (1 + 2 · steps,), s."""
         times = np.zeros(1 + 2 * len(self.ends))
         times[1::2] = self._starts + GAMMA * self.lengths
         times[2::2] = self._starts + self.lengths
         return times
 
     def chunks(self, length: float) -> Iterator[tuple[float, float, TimeSteps]]:
-        """Yield start (s), end (s) and steps of each chunk of about `length` (s)."""
+        """Yield start (s), end (s) and steps of chunks that last about `length` (s)."""
         firsts = np.unique(
             np.floor(self.ends / length * (1 - 1e-9)), return_index=True
         )[1]
@@ -142,7 +141,7 @@ class TimeSteps:
 
 @lru_cache(maxsize=64)
 def _even(span: float, samples: int, per_sample: int) -> TimeSteps:
-    # The result is cached, because all ticks of a run have the same grid.
+    # The result is cached, because all ticks of a run have the same even steps.
     count = samples * per_sample
     ends = span / count * np.arange(1, count + 1)
     return TimeSteps(ends, np.arange(per_sample, count + 1, per_sample))
@@ -152,7 +151,7 @@ MAX_SUBSTEPS = 64
 """Maximum number of substeps of a step, a power of 2."""
 
 # Ratios of the error estimate to the tolerance. Above the first ratio, the step is
-# quartered, because halves of it would fail as well. Below the second ratio, the length
+# quartered, because half steps would fail as well. Below the second ratio, the length
 # of the next substep is doubled.
 _QUARTER_ABOVE = 4.0
 _DOUBLE_BELOW = 0.5
@@ -160,7 +159,8 @@ _DOUBLE_BELOW = 0.5
 
 @kernel_only
 def _cubic(at, span, bends, first, out, row):  # type: ignore[no-untyped-def]
-    # Cubic Hermite polynomial at the fraction `at` of an interval of length `span`.
+    # Evaluates the cubic Hermite polynomials and their derivatives at the fraction `at`
+    # of an interval of length `span` (s).
     q0 = bends.bend[first]
     q1 = bends.bend[first + 1]
     r0 = bends.rate[first]
@@ -182,7 +182,7 @@ def _cubic(at, span, bends, first, out, row):  # type: ignore[no-untyped-def]
 
 @compiled
 def bend_within(at, h, bends, out, row):  # type: ignore[no-untyped-def]
-    """Interpolate bends and rates within a step, and write them to a row of `out`.
+    """Interpolate bends and bend rates within a step.
 
     Args:
         at: fraction of the step, 0 to 1.
@@ -215,8 +215,8 @@ class PrescribedState(NamedTuple):
     Attributes:
         state, rate: state in the layout of `kernels`, and time derivative of the state
             at the end of the previous step, shape (STATES,).
-        velocity: velocity in the body frame (m/s) and yaw rate (rad/s), shape (3,). The
-            next solution starts from these velocities.
+        velocity: velocity in the body frame (m/s) and yaw rate (rad/s), from which the
+            next solve starts, shape (3,).
     """
 
     state: np.ndarray
@@ -239,7 +239,7 @@ def advance(
     tolerance: float,
     samples: Samples,
 ) -> tuple[int, int]:
-    """Advance a body in place over given steps.
+    """Advance a body with prescribed bends by several time steps.
 
     Args:
         now: state of the body, changed in place.
@@ -253,8 +253,8 @@ def advance(
             STATES) and (samples, 3).
 
     Returns:
-        The number of completed steps and the number of computed substeps. If a step
-        fails, the later steps are not computed.
+        Number of steps completed before the first failure, and number of computed
+        substeps.
     """
     n = len(model.solid.mass)
     stages = Bends(np.zeros((2, n - 1)), np.zeros((2, n - 1)))
@@ -276,7 +276,7 @@ def _fastest_point(u, rates, reach):  # type: ignore[no-untyped-def]
 
 @inlined
 def _fill_stages(done, size, length, bends, stages):  # type: ignore[no-untyped-def]
-    # `done` and `size` are in units of the minimum length of a substep.
+    # `done` and `size` are multiples of the minimum length of a substep.
     for stage in range(2):
         at = (done + (GAMMA if stage == 0 else 1.0) * size) / MAX_SUBSTEPS
         bend_within(at, length, bends, stages, stage)

@@ -1,7 +1,7 @@
-"""MuJoCo twin of the snake: model, physics, contacts and batches of twins."""
+"""Twin of the snake in MuJoCo."""
 
 import os
 
-# Without this variable MuJoCo searches for a display, which simulations do not need.
-# Modules that render images set the variable before this import.
+# Without this environment variable, MuJoCo searches for a display, which simulations do
+# not need. Modules that render images set the variable before they import this package.
 os.environ.setdefault("MUJOCO_GL", "disabled")

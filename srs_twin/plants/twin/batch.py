@@ -1,13 +1,11 @@
-"""`TwinBatch` steps many twins with individual parameters in parallel threads.
+"""Parallel simulation of many twins with individual parameters (`TwinBatch`).
 
-Each run has its own `TwinSnake`. The results are bit-identical to those of twins that
-run alone. Each distinct robot is compiled once, and the compiled model is copied for
-equal robots.
+Each run has its own `TwinSnake`, and the results are bit-identical to those of separate
+simulations. Each distinct robot is compiled once, and equal robots receive copies of
+the compiled model.
 
-A thread simulates whole twins, including chambers and observation. Every call to the
-engine releases the global interpreter lock. The class `mujoco.batch.Batch` is not used,
-because its threads wait while Python runs. The class `mujoco.rollout.Rollout` does not
-return the solver's warm start, so a run divided into chunks would not be bit-identical.
+A thread simulates complete twins, including chambers and sensors. Every call to the
+engine releases the global interpreter lock.
 
 >>> from dataclasses import replace
 >>> from srs_twin import Gait, Job, TwinBatch, load_robot, run_many
@@ -40,15 +38,15 @@ ENGINES = ("cpu", "warp")
 
 
 class TwinBatch(Claimable):
-    """Twins with equal numbers of connectors and equal ticks, stepped in parallel.
+    """Twins with equal numbers of connectors and equal ticks, which run in parallel.
 
     Attributes:
-        twins: twin of each run, a `TwinSnake` that can also be used alone.
+        twins: `TwinSnake` of each run, which can also be used alone.
         tick: control tick, s.
-        state: latest state of every run, with a leading axis of runs on every field.
+        state: latest states of all runs, with a leading axis of runs in every field.
             For a diverged run, the state is the last plausible state.
-        errors: error that ended each run, or None for runs that have not diverged.
-            Ended runs are not advanced until `reset`.
+        errors: error that ended each run, or None if the run has not diverged. Diverged
+            runs are not advanced until `reset`.
     """
 
     twins: tuple[TwinSnake, ...]
@@ -67,7 +65,7 @@ class TwinBatch(Claimable):
         Args:
             *arguments: positional arguments of `__init__`.
             engine: "cpu" for MuJoCo, or "warp" for MuJoCo Warp.
-            device: device of Warp, such as "cuda:0" or "cpu". The default is Warp's
+            device: Warp device, such as "cuda:0" or "cpu". The default is Warp's
                 default device.
             **settings: keyword arguments of `__init__`. With `deterministic=True`, Warp
                 computes sums in a fixed order.
@@ -91,20 +89,20 @@ class TwinBatch(Claimable):
         engine: str = "cpu",
         **settings: Any,
     ) -> None:
-        """Build the twins.
+        """Build the twins of all runs.
 
         Args:
             specs: robot of each run. The robots must have equal numbers of connectors.
-            supply_pa: supply pressure of all runs or of each run, Pa. The default is
-                the nominal pressure of each robot.
+            supply_pa: supply pressure, either one value for all runs or one value per
+                run, Pa. The default is the nominal pressure of each robot.
             threads: number of threads. The default is one thread per processor.
-            engine: engine, "cpu" or "warp". See `__new__`.
+            engine: simulation engine, "cpu" or "warp" (see `__new__`).
             **settings: further arguments of `TwinSnake`, which apply to all runs.
 
         Raises:
-            InputError: there is no run, the robots differ in the number of connectors,
-                the number of pressures is wrong, `pneumatics` is an object, or
-                `TwinSnake` rejects an argument.
+            InputError: `specs` is empty, the numbers of connectors differ, the number
+                of pressures is wrong, `pneumatics` is not a name, or `TwinSnake`
+                rejects an argument.
         """
         self._workers = Workers(threads)
         self.twins = _twins(self._workers, specs, supply_pa, settings)
@@ -121,12 +119,12 @@ class TwinBatch(Claimable):
         """Reset all snakes to a straight shape at rest with empty chambers.
 
         Args:
-            poses: centre of mass x, y (m) and mean heading (rad) of each run. The
-                default is the origin.
-            seed: random seed of the twins.
+            poses: x and y coordinates of the centre of mass (m) and mean heading (rad)
+                for each run. By default, all coordinates and headings are 0.
+            seed: random seed of the sensor noise in all twins.
 
         Returns:
-            The states of all runs, which are also stored in the attribute `state`.
+            Initial states of all runs, which are also stored in the attribute `state`.
 
         Raises:
             InputError: the number of poses differs from the number of runs.
@@ -144,7 +142,7 @@ class TwinBatch(Claimable):
         return self.state
 
     def step(self, valves: np.ndarray) -> SnakeState:
-        """Advance all runs by one tick and return their states.
+        """Advance all runs by one control tick and return their states.
 
         Args:
             valves: valve commands as in `Plant.step`, with a leading axis of runs,
@@ -152,13 +150,15 @@ class TwinBatch(Claimable):
 
         Raises:
             InputError: the shape is wrong, or the valve layout does not allow a
-                commanded state. No run is advanced in this case.
+                commanded state. No run is advanced after this error.
         """
         self.advance(valves, 1)
         return self.state
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState | None]:
-        """Advance all runs by one tick. A run ends if its commands have diverged.
+        """Advance all runs by one control tick.
+
+        A run ends if its valve commands have diverged.
 
         Args:
             valves: valve commands as in `step`.
@@ -166,7 +166,7 @@ class TwinBatch(Claimable):
                 the tick.
 
         Returns:
-            The history of each run, as returned by `play`.
+            History of each run, as returned by `play`.
 
         Raises:
             InputError: `step` would reject the valve commands.
@@ -186,17 +186,17 @@ class TwinBatch(Claimable):
     def play(
         self, schedules: Sequence[Schedule | None], samples: int
     ) -> list[SnakeState | None]:
-        """Execute schedules of valve commands without feedback.
+        """Run a schedule of valve commands in each twin without feedback.
 
         Args:
-            schedules: valve schedule for each run, which lasts a whole number of ticks.
-                Runs whose schedule is None are not advanced.
+            schedules: schedule of valve states for each run, with a duration of a whole
+                number of control ticks. A run whose schedule is None is not advanced.
             samples: number of equally spaced samples of each run. The last sample is at
                 the end of the schedule.
 
         Returns:
-            The history of each run. If a run diverges, its history ends at the
-            divergence. The history of a run without samples is None.
+            History of each run, which ends before a divergence. The history of a run
+            without samples is None.
 
         Raises:
             InputError: the number of schedules differs from the number of runs, or
@@ -214,11 +214,14 @@ class TwinBatch(Claimable):
         return histories
 
     def openings(self) -> np.ndarray:
-        """Return the number of openings of each inlet, shape (runs, segments, 2)."""
+        """Return how often each inlet valve has opened since `reset`.
+
+        The array has the shape (runs, segments, chambers per segment).
+        """
         return np.array([twin.openings() for twin in self.twins])
 
     def describe(self) -> dict[str, object]:
-        """Return the batch settings that a recording stores, as JSON values."""
+        """Return an empty mapping, because recordings store no batch settings."""
         return {}
 
     def _command_error(self, k: int, valves: np.ndarray) -> DivergedError | None:
@@ -264,7 +267,7 @@ def on_warp(
     deterministic: bool = False,
     **settings: Any,
 ) -> Any:
-    """Build a `WarpBatch` with the arguments of `TwinBatch`."""
+    """Build a `WarpBatch` from the arguments of `TwinBatch`."""
     return warp_batch()(
         _twins(Workers(threads), specs, supply_pa, settings, once=True),
         device=device,

@@ -1,23 +1,22 @@
-r"""Loaded contact: friction from MuJoCo's normal forces, implicit in the velocities.
+r"""Loaded contact, with implicit friction that depends on MuJoCo's normal forces.
 
-In MuJoCo, the contacts between wheels and floor are frictionless (condim 1). A law of
-`robot.friction` computes the friction from the normal forces of the current step. This
-module computes the time steps in a compiled loop that calls the engine's C functions.
-The module `friction_solve` computes the friction of one step and lists the symbols.
+The contacts between wheels and floor are frictionless in MuJoCo (condim 1). A law of
+`robot.friction` determines the friction from the normal forces of the current time
+step. This module advances the simulation in a compiled loop that calls the engine's C
+functions. The module `friction_solve` computes the friction of one step.
 
-**Equation of a step.** A step of length h starts with velocity v₋ and ends with
-velocity v. MuJoCo first solves the step with the friction forces f̂ of the previous
+**Equation of a step.** A time step of length h starts with velocity v₋ and ends with
+velocity v. MuJoCo first computes the step with the friction forces f̂ of the previous
 step, which gives the velocity v̂:
 
 $$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum_w J_w^T \hat f_w . $$
 
-Here M is the joint-space inertia, D the damping matrix, Q are the applied forces, and c
-are the Coriolis and centrifugal forces. N̂ are the normal forces with the Jacobian J_n,
-and f̂_w is the friction force on contact w with the Jacobian J_w. MuJoCo integrates the
-dampers implicitly (h D), together with the springs (`_damping_matrices`).
+The vector Q contains the applied forces, and N̂ contains the normal forces on the
+wheels. The module `friction_solve` lists the other symbols. The term h D arises because
+MuJoCo integrates dampers and springs implicitly (`_damping_matrices`).
 
-The desired step has the second-order damping C instead of h D, Coriolis forces at
-mid-step, and the friction f of the current step:
+The desired step has a second-order damping matrix C instead of h D, Coriolis forces at
+mid-step, and the friction forces of the current step:
 
 $$ (M + C)(v - v_-) = h\,\bigl(Q - c(\bar v)\bigr) + h J_n^T N + h \sum_w J_w^T f_w , \qquad
    \bar v = (v_- + v)/2 . $$
@@ -28,21 +27,20 @@ and δ = v − v̂, the difference of the two equations is
 $$ \bigl(A + J_n^T R^{-1} J_n\bigr)\,\delta = h \sum_w J_w^T (f_w - \hat f_w)
    + h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
 
-J_n has rows only for wheels that press on the floor, and R is MuJoCo's regularisation.
-The term with J_n on the left-hand side is due to the change of the normal forces, N −
-N̂ = −J_n δ/(h R). Without this term, friction could push wheels into the floor. The
-force c(v̄) is evaluated with v̂ instead of v.
+The matrix J_n has one row for each wheel that presses on the floor, and R is MuJoCo's
+regularisation of the normal forces. The term with J_n on the left-hand side is due to
+the change of the normal forces, N − N̂ = −J_n δ/(h R). In c(v̄), the velocity v is
+approximated by v̂.
 
-**Obstacles** exert normal forces on the collision geoms of the body. Obstacle
-friction (`stick_slip`) acts at the points of application of these normal forces. J_n
-has no rows for collision geoms, so the normal forces exerted by obstacles are constant
-during the friction solve.
+**Obstacles** exert normal forces on the collision geoms of the body. The friction of an
+obstacle (`stick_slip`) acts at the same point as its normal force. The normal forces of
+obstacles are constant during the friction solve, because J_n has no rows for collision
+geoms.
 
 **Time levels.** Positions are evaluated at mid-step. Springs, friction and Coriolis
-forces are therefore second-order accurate. MuJoCo evaluates the normal contacts at the
-end of the step, because their time constant is only two steps. The friction of a wheel
-acts at the contact point. The part of the friction that spins the wheel acts at the hub
-instead.
+forces are therefore second-order accurate. MuJoCo evaluates the normal forces at the
+end of the step, because the time constant of the normal contacts is only two time
+steps.
 """
 
 from __future__ import annotations
@@ -103,16 +101,13 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import MovableObject
 
 _SKIP_TO_FORCES = int(mujoco.mjtStage.mjSTAGE_VEL)
-"""Stage after which the engine continues if the velocities are already computed."""
+"""Stage of the MuJoCo pipeline up to which all results are already computed."""
 
 _SINKING_TIME = 0.05
-"""Time in which a resting snake sinks into the floor, at a time unit of 1, s."""
+"""Time in which a snake settles on the floor, for a robot with a time unit of 1, s."""
 
 _MIN_DECAY = 1e-9
-"""Minimum decay exponent of a damped mode over one step, dimensionless.
-
-Smaller exponents are rounding errors of undamped modes.
-"""
+"""Minimum decay exponent of a damped mode in one time step, dimensionless."""
 
 
 class StepRecords(NamedTuple):
@@ -126,13 +121,13 @@ class StepRecords(NamedTuple):
 
 
 class StepOutputs(NamedTuple):
-    """Outputs of `LoadedStepper.run`, with one row per step.
+    """Arrays that `LoadedStepper.run` fills, with one row per time step.
 
     Attributes:
         force: force on each contact in the world frame, shape (steps, C, 3), N. For a
-            collision geom the force contains friction only.
-        pair_force: friction of each pair of an object and a collision geom, shape
-            (steps, pairs, 3), N.
+            collision geom, the force excludes the normal force.
+        pair_force: friction between the object and the collision geom of each pair,
+            shape (steps, pairs, 3), N.
     """
 
     states: np.ndarray
@@ -143,13 +138,13 @@ class StepOutputs(NamedTuple):
 
 
 class LoadedStepper(Stateful):
-    """Integrator of one twin with loaded contact.
+    """Time integrator of one twin with loaded contact.
 
     Attributes:
-        contact_state: friction, rim speeds and normal forces of the previous step.
-        object_state: friction and slip speeds of the object contacts.
-        collision_jacobian: Jacobians for the previous step's friction on collision
-            geoms, shape (collision geoms, 4, 6).
+        contact_state: friction, rim speeds and normal forces in the previous time step.
+        object_state: friction and slip speeds of the contacts with objects.
+        collision_jacobian: contact Jacobians of the collision geoms in the previous
+            time step, shape (collision geoms, 4, 6).
     """
 
     state_attributes = ("contact_state", "object_state", "collision_jacobian")
@@ -163,19 +158,13 @@ class LoadedStepper(Stateful):
         air: np.ndarray | None = None,
         objects: tuple[MovableObject, ...] = (),
     ) -> None:
-        """Compute the constants of the contacts and allocate the arrays of a step.
+        """Compute the constants of the contacts and allocate the work arrays.
 
-        Args:
-            model: MuJoCo model compiled from `settings`.
-            data: engine data that the steps advance.
-            spec: robot of the model.
-            settings: settings with the time step and a `LoadedContact`.
-            air: maximum stiffness due to the compression of the air in the chambers,
-                shape (nv, nv), N·m/rad. Without this argument the air has no stiffness.
-            objects: movable objects of the scene.
+        The matrix `air` is the maximum joint stiffness due to compressed air, shape
+        (nv, nv), N·m/rad.
         """
         # The kernels call C functions of the engine by name, so LLVM must load the
-        # symbols of the engine's library.
+        # engine's library.
         llvm.load_library_permanently(
             str(next(Path(mujoco.__file__).parent.glob("libmujoco*")))
         )
@@ -196,7 +185,8 @@ class LoadedStepper(Stateful):
         data_address = data._address  # noqa: SLF001
         self._engine = EngineData(model_address, data_address, pairs, *views)
         self._inputs = StepInputs(data.ctrl, data.qacc_warmstart)
-        # The kernels store addresses only, so these references keep the objects alive.
+        # The kernels store only addresses, so these references keep the model and the
+        # data alive.
         self._model = model
         self._data = data
         self._h = settings.timestep
@@ -217,7 +207,7 @@ class LoadedStepper(Stateful):
 
     @property
     def constants(self) -> tuple[Contacts, Sparsity]:
-        """Constants computed from the model."""
+        """Constants of the contacts, and sparsity pattern with damping matrices."""
         return self._contacts, self._sparsity
 
     @constants.setter
@@ -226,7 +216,7 @@ class LoadedStepper(Stateful):
 
     @property
     def object_state(self) -> ObjectState:
-        """State of the object contacts, as views of the kernels' arrays."""
+        """State of the contacts with objects, as views of the work arrays."""
         return ObjectState(
             *(getattr(self._objects, name) for name in ObjectState._fields)
         )
@@ -238,7 +228,7 @@ class LoadedStepper(Stateful):
 
     @property
     def collision_jacobian(self) -> np.ndarray:
-        """Jacobians of the previous step's friction on collision geoms, as a view."""
+        """Contact Jacobians of the collision geoms, as a view of the work array."""
         return self._workspace.jacobian[self._contacts.wheels :]
 
     @collision_jacobian.setter
@@ -247,7 +237,7 @@ class LoadedStepper(Stateful):
 
     @property
     def records(self) -> dict[str, Any]:
-        """Arguments of the functions in `friction_solve` by name, for other engines."""
+        """Named arguments of the functions in `friction_solve`, for other engines."""
         return {
             "engine": self._engine,
             "contacts": self._contacts,
@@ -257,12 +247,12 @@ class LoadedStepper(Stateful):
         }
 
     def reset(self) -> None:
-        """Sink the snake into the floor until it rests, and set the static loads.
+        """Let the snake settle on the floor, and set the wheel loads to static values.
 
-        The snake sinks by a few micrometres. During this time the floor is level and
-        frictionless, because friction would preserve small horizontal displacements.
-        Obstacles are disabled, so that an overlap can still be detected at the start of
-        a run.
+        The snake sinks into the floor by a few micrometres. In the meantime, the floor
+        is level and frictionless, because friction would preserve small horizontal
+        displacements. Contacts with obstacles are disabled, so that they do not remove
+        an overlap before it is detected.
         """
         model = self._model
         data = self._data
@@ -293,7 +283,7 @@ class LoadedStepper(Stateful):
             array[:] = 0.0
 
     def roll(self) -> None:
-        """Set the rim speeds of the wheels so that they roll without slip."""
+        """Set the rim speeds so that the wheels roll without slip."""
         contacts = self._contacts
         velocity = np.empty(6)
         for w in range(contacts.wheels):
@@ -306,22 +296,22 @@ class LoadedStepper(Stateful):
             )[0]
 
     def run(self, controls: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Compute one time step for each row of controls.
+        """Advance the simulation by one time step for each row of `controls`.
 
         Args:
             controls: controls of the actuators, shape (steps, nu).
 
         Returns:
             states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq +
-                nv). Rows after a diverged step are NaN.
-            sensors: sensor values of each step, shape (steps, nsensordata).
-            floor_force: force exerted by the floor on each wheel in the world frame,
-                shape (steps, axles, 2, 3), N.
+                nv). After a divergence, qpos and qvel are NaN.
+            sensors: sensor values in each step, shape (steps, nsensordata).
+            floor_force: floor force on each wheel in the world frame, shape (steps,
+                axles, 2, 3), N.
             power: power dissipated by friction and by the normal forces on collision
                 geoms, shape (steps,), W.
-            obstacle_friction: friction exerted by the obstacles, then by each object,
-                on the collision geoms in the world frame, shape (steps, 1 + objects,
-                collision geoms, 3), N.
+            obstacle_friction: friction on each collision geom in the world frame, shape
+                (steps, 1 + objects, collision geoms, 3), N. The first entry of the
+                second axis is due to obstacles, and the others are due to the objects.
         """
         model = self._model
         data = self._data
@@ -419,8 +409,8 @@ def _contacts(
 
 def _floor_law(spec: RobotSpec, contact: LoadedContact, wheel_spin: float) -> FloorLaw:
     slides = contact.law in ("ellipse", "cosine")
-    # The spin of a rolling solid disc adds half of the disc's mass to the inertia along
-    # the heading.
+    # The spin of a solid disc increases its inertia along the heading by half of its
+    # mass.
     spin_mass = 0.0 if slides else wheel_spin * spec.mass.wheel / 2
     return FloorLaw(
         friction_law_index=LAWS_ON_LOADS.index(contact.law),
@@ -435,9 +425,9 @@ def _floor_law(spec: RobotSpec, contact: LoadedContact, wheel_spin: float) -> Fl
 def _reference_dynamics(
     model: mujoco.MjModel, wheels: list[str], collision_geoms: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    # The result is the inertia matrix M and the contact Jacobian of the straight snake.
-    # A row of the Jacobian maps generalised velocities to the velocity of a wheel
-    # across the heading, or of a collision geom along the heading.
+    # The function returns the inertia matrix M and the contact Jacobian of the straight
+    # snake. The rows of the Jacobian give the velocities of the wheels across the
+    # heading and of the collision geoms along the heading.
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
@@ -457,22 +447,23 @@ def _reference_dynamics(
 def _damping_matrices(
     model: mujoco.MjModel, mass: np.ndarray, h: float, air: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    r"""Return the second-order damping matrix C, and (h D + h² K) − C, shape (nv, nv).
+    r"""Return the damping matrices C and h D + h² K − C, each of shape (nv, nv).
 
     MuJoCo evaluates dampers (matrix D) and springs (matrix K) at the end of a step,
-    which is accurate to first order. The matrix C replaces this damping:
+    which is only first-order accurate. The damping due to this scheme is replaced by
+    the second-order damping matrix C:
 
     $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots $$
 
-    Under a force f, the step (M + C)(v − v₋) = h (f − D v₋) then has the exact
-    exponential decay. The step is accurate to second order, and fast modes do not
-    oscillate. M is the inertia matrix of the straight snake, but the order of accuracy
-    does not depend on the shape.
+    With this matrix, the step (M + C)(v − v₋) = h (f − D v₋) under a force f has the
+    exact exponential decay. The step is second-order accurate, and fast modes do not
+    oscillate. The inertia matrix M is that of the straight snake, but the order of
+    accuracy is equal for all shapes.
 
-    The compressed air in the chambers acts as a further spring K_a, whose force is
-    evaluated at mid-step. In the fastest oscillation of this spring, a connector
-    vibrates between two closed chambers. The term h² K_a/4 in A keeps the step stable
-    for this oscillation and changes the results only to second order in h.
+    The compressed air in the chambers acts as an additional spring with stiffness
+    matrix K_a, whose force is evaluated at mid-step. The additional term h² K_a/4 in C
+    keeps the fastest oscillation of this spring stable and affects the results only to
+    second order in h.
     """
     hinges = model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE
     rates = h * model.dof_damping
@@ -481,7 +472,7 @@ def _damping_matrices(
     )
     decays, modes = scipy.linalg.eigh(np.diag(rates), mass)
     shapes = mass @ modes
-    # Rigid motions are undamped. Rounding errors in their decay rates would add an
+    # Rounding errors in the decay rates of undamped rigid-body motions would act as an
     # inertia that does not rotate with the snake.
     damped = decays > _MIN_DECAY
     decays[~damped] = 1.0
@@ -523,7 +514,6 @@ def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-de
     _copy(engine.qacc, inputs.qacc_warmstart)
     for i in range(engine.qvel.shape[0]):
         workspace.v_predicted[i] = workspace.v_start[i] + h * engine.qacc[i]
-    # `solve_friction` expects the Coriolis forces at mid-step in `residual`.
     set_mid_velocity(engine, workspace)
     mj_comVel(model, engine.data)
     mj_rne(model, engine.data, 0, workspace.residual.ctypes.data)
@@ -544,6 +534,7 @@ def _end_step(inputs, engine, records, step, out):  # type: ignore[no-untyped-de
 
 @kernel_only
 def _copy(source, target):  # type: ignore[no-untyped-def]
-    # This is a loop, because numba takes seconds to compile an assignment to a slice.
+    # The copy is a loop, because numba takes seconds to compile an assignment to a
+    # slice.
     for k in range(source.shape[0]):
         target[k] = source[k]

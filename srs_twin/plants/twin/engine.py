@@ -1,4 +1,4 @@
-"""Access to MuJoCo's C functions and data for compiled kernels."""
+"""Access to the C functions and data of MuJoCo from compiled kernels."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from numba import types
 
 
 def c_function(name: str, *more: Any) -> Any:
-    """Return a C function of MuJoCo that kernels can call.
+    """Return a C function of MuJoCo that compiled kernels can call.
 
-    The arguments of the C function are the addresses of a model and of its data,
-    followed by arguments of the types `more`.
+    The C function takes the addresses of a model and its data, followed by arguments of
+    the types in `more`.
     """
     return types.ExternalFunction(name, types.void(types.intp, types.intp, *more))
 
@@ -27,13 +27,15 @@ mj_integratePos = c_function("mj_integratePos", types.intp, types.float64)
 
 
 class EngineData(NamedTuple):
-    """Engine data that the friction solve reads and writes, with the names of MjData.
+    """Engine data that the friction solve reads and writes.
+
+    Fields that are not listed here are the arrays of `MjData` with the same names.
 
     Attributes:
-        model: address of the MjModel, which only numba uses.
-        data: address of the MjData, which only numba uses.
-        objects: contacts of movable objects (`ObjectContacts`), which only numba uses,
-            or None in worlds without objects.
+        model: address of the `MjModel`, for kernels compiled by numba.
+        data: address of the `MjData`, for kernels compiled by numba.
+        objects: `ObjectContacts` of movable objects, for kernels compiled by numba. The
+            value is None in worlds without objects.
     """
 
     model: int
@@ -53,7 +55,7 @@ class EngineData(NamedTuple):
 
 
 class StepInputs(NamedTuple):
-    """Views of the engine data that the loop over steps writes."""
+    """Views of the engine arrays that are set in every time step."""
 
     ctrl: np.ndarray
     qacc_warmstart: np.ndarray

@@ -1,9 +1,9 @@
-r"""Newton method for the implicit friction of one time step.
+r"""Newton's method for the implicit friction forces of one time step.
 
-The module `contact_loaded` derives the equation of a step. The engine predicts the
-velocity v̂ from the friction forces f̂_w of the previous step. The unknown is the
-velocity change δ = v − v̂, which is due to the difference between f̂_w and the friction
-forces f_w of the current step:
+The module `contact_loaded` derives the equation of a time step. The engine first
+predicts the velocity v̂ at the end of the step from the friction forces f̂_w of the
+previous step. The unknown is the velocity correction δ = v − v̂, which depends on the
+friction forces f_w of the current step:
 
 $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - \hat f_w\bigr) - b = 0, \qquad
    b = h\,\bigl(c(v_-) - c(\bar v)\bigr) + (h D - C)(\hat v - v_-) . $$
@@ -13,14 +13,14 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
 - v₋: generalised velocity at the beginning of the step.
 - v̂: generalised velocity at the end of the step, as predicted by the engine.
 - v: generalised velocity at the end of the step, v = v̂ + δ.
-- v̄: velocity at mid-step without δ, v̄ = (v₋ + v̂)/2.
+- v̄: mean velocity of the predicted step, v̄ = (v₋ + v̂)/2.
 - h: time step, s.
 - A = M + C: joint-space inertia M plus the damping matrix C (`contact_loaded`).
 - D: damping matrix of the joints.
 - c(v): Coriolis and centrifugal forces.
 - w: index of a contact. The wheels precede the collision geoms that may touch an
   obstacle.
-- f_w: friction force of contact w along and across the heading, N.
+- f_w: friction force at contact w, with components along and across the heading, N.
 - J_w: Jacobian that maps generalised velocities to the velocity of contact w along and
   across the heading.
 - J_n: Jacobian that maps generalised velocities to the normal velocities of the wheels
@@ -29,30 +29,31 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
 - r: residual of the equation, kg·m/s or kg·m²/s.
 - u_w: velocity J_w (v₋ + θ (v − v₋)) of contact w, at which the friction law is
   evaluated.
-- θ: fraction of the step at which friction is evaluated (`_evaluation_fraction`). A
-  sliding contact has θ = 1/2, which gives second-order accuracy. For a sticking contact
-  θ tends to 1.
+- θ: time at which friction is evaluated, as a fraction of the time step
+  (`_evaluation_fraction`). A sliding contact has θ near 1/2, which gives second-order
+  accuracy. A sticking contact has θ near 1.
 
-The part of a wheel's friction that accelerates the spin of the wheel (`_SPIN_FORCE`)
-acts at the hub. The remaining friction acts at the contact point.
+A part of the friction on a wheel accelerates the spin of the wheel (`_SPIN_FORCE`).
+This part acts on the connector at the hub, and the rest of the friction acts at the
+contact point.
 
 **The Newton matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact is
-moved only by its connector and the ancestors of the connector. The matrix therefore has
-the sparsity pattern of M, and its factorisation has no fill-in. The derivatives of the
-contact forces are summed as spatial 6 × 6 matrices from the ends of the chain to its
-root, and then projected on the joint axes. The composite-rigid-body algorithm sums
-inertias in the same way (Featherstone 2008, Section 6.2). The module `spatial_algebra`
-defines the spatial vectors.
+moved only by the joints between the root and its connector. The matrix therefore has
+the sparsity pattern of M, and its factorisation produces no fill-in. The derivatives of
+the contact forces are 6 × 6 spatial matrices. They are summed from the ends of the
+chain to its root and then projected onto the joint axes. The composite-rigid-body
+algorithm treats inertias in the same way (Featherstone 2008, Section 6.2).
 
-**Loads.** Friction depends on the normal forces, which depend on δ. The first Newton
-step uses the normal forces at v̂. The equation is then solved to the required tolerance
-with the normal forces that follow from this step.
+**Loads.** Friction depends on the normal forces, which in turn depend on δ. The first
+Newton step uses the normal forces at v̂. All further Newton steps use the normal forces
+that result from the first step.
 
-The module `object_contacts` adds the contacts of movable objects to the solve.
+The module `object_contacts` adds the contacts of movable objects to the equation.
 
-Both numba and Warp compile these functions, so the functions use only records of
-arrays, numbers and loops. For Warp, floating-point literals need a decimal point, and a
-variable that a loop changes must be initialised with `float(...)`.
+Because both numba and Warp compile this module, its functions contain only loops and
+operations on numbers and named tuples of arrays. For Warp, a floating-point literal
+needs a decimal point, and a variable that changes in a loop must be initialised with
+`float(...)`.
 """
 
 from __future__ import annotations
@@ -98,19 +99,20 @@ _WHEEL = LAWS_ON_LOADS.index("wheel")
 _ELLIPSE = LAWS_ON_LOADS.index("ellipse")
 _COSINE = LAWS_ON_LOADS.index("cosine")
 
-_MAX_ITERATIONS = 30  # Maximum number of Newton steps with the final loads.
+_MAX_ITERATIONS = 30  # Maximum number of Newton steps after the first.
 _MAX_TRIALS = 12  # Maximum number of evaluations in a line search.
 
-# Tolerances of the squared residual. The first tolerance is relative to the squared
-# friction impulse and makes friction accurate to 1e-7. The second tolerance is relative
-# to the maximum initial residual and allows for rounding errors. The third tolerance is
-# absolute, in (kg·m/s)². Warp computes in single precision and replaces the third
-# tolerance (`warp.translation`).
+# The tolerance of the squared residual is the sum of three terms. The first term is
+# relative to the squared friction impulse, so that friction is accurate to 1e-7. The
+# second term is relative to the largest initial squared residual and allows for
+# rounding errors. The third term is absolute, in (kg·m/s)², and has another value in
+# Warp (`warp.translation`).
 _RELATIVE_TOLERANCE = 1e-14
 _ROUNDING_TOLERANCE = 1e-24
 _ABSOLUTE_TOLERANCE = 0.0
 
-# Fraction of the initial derivative below which a line search ends.
+# A line search ends when the directional derivative has decreased to this fraction of
+# its initial value.
 _MAX_DERIVATIVE_RATIO = 0.5
 
 # Rows of `Workspace.jacobian`.
@@ -135,27 +137,27 @@ _STORED_SPIN = 2
 
 
 class Contacts(NamedTuple):
-    """Constants of the C contacts that wheels and collision geoms can make.
+    """Constants of the C possible contacts of wheels and collision geoms.
 
     The wheels precede the collision geoms that may touch an obstacle.
 
     Attributes:
-        body: id of the body of each contact, shape (C,).
-        last_dof: last degree of freedom that moves each contact, shape (C,).
+        body: MuJoCo body id of each contact, shape (C,).
+        last_dof: index of the last degree of freedom that moves each contact, shape
+            (C,).
         centre: centre of each wheel in the frame of its body, shape (wheels, 3), m.
         regularisation: MuJoCo's regularisation R of the normal force, shape (C,), 1/kg.
             R is infinite for collision geoms.
         inverse_effective_mass: inverse effective mass of each contact, shape (C,),
-            1/kg. The direction is across the heading for wheels, and along the body for
-            collision geoms.
+            1/kg. The value for a wheel refers to motion across the heading, and the
+            value for a collision geom to motion along the body.
         static_load: normal force at rest, shape (C,), N.
-        load_kind: kind of load used by the friction law, an index into
+        load_kind: kind of wheel load that the friction law uses, as an index into
             `numerics.LOADS`.
-        sensor: index into `sensordata` of the normal force on a wheel, shape (C,). For
-            a collision geom, the index refers to the contact force, which is followed
-            by the point of application.
+        sensor: index in `sensordata` of the normal force on each wheel or of the
+            contact force on each collision geom, shape (C,). The contact force is
+            followed by its point of application.
         wheel_radius: radius of the wheels, m.
-        floor: friction law of the wheels on the floor.
         obstacle_friction: friction coefficient between collision geoms and obstacles,
             dimensionless.
     """
@@ -178,11 +180,11 @@ class ContactState(NamedTuple):
     """Contact state that one time step passes to the next.
 
     Attributes:
-        force: friction along and across the heading, and part of the friction that
-            spins the wheel, shape (C, 3), N.
-        rim_speed, slip_speed: circumferential speed of each wheel, and slip speed of
+        force: friction along the heading, friction across the heading, and the part of
+            the friction that spins the wheel, shape (C, 3), N.
+        rim_speed, slip_speed: circumferential speed of each wheel and slip speed of
             each contact, shape (C,), m/s.
-        load: normal force used by the friction law, shape (C,), N.
+        load: normal force that the friction law uses, shape (C,), N.
     """
 
     force: np.ndarray
@@ -192,34 +194,35 @@ class ContactState(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Arrays of one step with C contacts, nv degrees of freedom and nM entries of M.
+    """Work arrays of one time step.
 
-    The module docstring lists the symbols. A row of an array of shape (nv, 6) is the
-    spatial velocity of the bodies beyond a degree of freedom, or the spatial force on
-    these bodies.
+    C is the number of contacts, nv the number of degrees of freedom, and nM the number
+    of stored entries of M. The module docstring explains the other symbols. In an array
+    of shape (nv, 6), each row belongs to the body that a degree of freedom moves.
 
     Attributes:
-        jacobian: spatial vectors of the contact's velocities along, across and upwards,
-            and of the hub's velocity along the heading, shape (C, 4, 6). At an
-            obstacle, "along" is horizontal along the obstacle's face, and "across" is
-            up.
+        jacobian: spatial vectors of the contact velocity along the heading, across it
+            and upwards, and of the hub velocity along the heading, shape (C, 4, 6). At
+            a collision geom, the first three directions are horizontal along the
+            obstacle's surface, upwards, and away from the obstacle.
         heading: cosine and sine of the heading of each contact, shape (C, 2).
         response: forces and derivatives of the friction law, with the columns
             `_FORCE_ALONG` to `_SPIN_FORCE`, shape (C, 8).
-        normal_force: normal force in the engine's solution v̂, shape (C,), N.
-        theta: fraction θ of the step, shape (C,).
-        step_motion, mid_motion: spatial velocities of v̂ − v₋ and of (v₋ + v̂)/2, shape
-            (nv, 6).
+        normal_force: normal force that the engine computed together with v̂, shape
+            (C,), N.
+        theta: fraction θ of the step at which friction is evaluated, shape (C,).
+        step_motion, mid_motion: spatial velocities that correspond to v̂ − v₋ and to
+            (v₋ + v̂)/2, shape (nv, 6).
         motion: work array for the spatial velocities due to δ, and for the spatial
             forces exerted by friction, shape (nv, 6).
-        impulse: spatial impulses due to the change of the contact forces, shape (nv,
+        impulse: spatial impulses due to the changes of the contact forces, shape (nv,
             6).
         derivative: spatial derivatives of the contact forces, shape (nv, 6, 6).
-        inertia, newton_matrix: A and the Newton matrix, shape (nM,). In numba, the
-            Newton matrix overwrites the engine's M.
+        inertia, newton_matrix: matrix A and the Newton matrix, shape (nM,). With numba,
+            the Newton matrix is stored in the engine's array M and overwrites it.
         v_start, v_predicted, v_change: velocities v₋, v̂ and δ, shape (nv,).
         bias: vector b, shape (nv,), kg·m/s or kg·m²/s.
-        residual, trial_residual: residual r, and residual at a trial of the line
+        residual, trial_residual: residual r, and its value at a trial point of the line
             search, shape (nv,). Before the solve, `residual` holds c(v̄).
         direction: Newton step, shape (nv,).
     """
@@ -246,12 +249,9 @@ class Workspace(NamedTuple):
 
 
 def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
-    """Allocate a workspace.
+    """Allocate the work arrays of a time step.
 
-    Args:
-        contacts: number of contacts.
-        nv: number of degrees of freedom.
-        newton_matrix: array in which the Newton matrix is stored, shape (nM,).
+    The argument `newton_matrix` is the array for the Newton matrix, shape (nM,).
     """
     spatial = {
         name: np.zeros((nv, 6))
@@ -274,7 +274,10 @@ def workspace(contacts: int, nv: int, newton_matrix: np.ndarray) -> Workspace:
 
 @kernel_only
 def apply_stored_friction(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
-    """Compute the wheels' Jacobians and write the stored friction to `qfrc_applied`."""
+    """Compute the wheel Jacobians and apply the friction of the previous step.
+
+    The function writes the generalised friction forces to `qfrc_applied`.
+    """
     _locate_wheels(engine, contacts, workspace)
     _generalised_forces(
         engine.cdof, contacts, sparsity, state.force, workspace, engine.qfrc_applied
@@ -284,17 +287,17 @@ def apply_stored_friction(engine, contacts, sparsity, state, workspace, h):  # t
 
 @kernel_only
 def set_mid_velocity(engine, workspace):  # type: ignore[no-untyped-def]
-    """Set `qvel` to (v₋ + v̂)/2, which is the velocity at mid-step without δ."""
+    """Set `qvel` to the mean velocity (v₋ + v̂)/2 of the predicted step."""
     for i in range(workspace.v_start.shape[0]):
         engine.qvel[i] = 0.5 * (workspace.v_start[i] + workspace.v_predicted[i])
 
 
 @kernel_only
 def solve_friction(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
-    """Solve for the friction of a step, and set `qvel` to the velocity after the step.
+    """Solve for the friction of a step, and set `qvel` to the velocity at its end.
 
-    Before the call, the workspace must contain v₋, v̂ and, in `residual`, c(v̄). The
-    engine's `qfrc_bias` must contain c(v₋).
+    The workspace must already contain v₋ and v̂, and its array `residual` must contain
+    c(v̄). The engine's array `qfrc_bias` must contain c(v₋).
     """
     for i in range(workspace.v_start.shape[0]):
         workspace.bias[i] = h * (engine.qfrc_bias[i] - workspace.residual[i])
@@ -315,9 +318,9 @@ def solve_friction(engine, contacts, sparsity, state, workspace, h):  # type: ig
             mu = contacts.floor.across
         else:
             mu = contacts.obstacle_friction
-        # The grip is the secant stiffness of friction, which is the ratio of the force
-        # to the slip speed of the previous step, N·s/m. With a small grip the contact
-        # slides (θ near 1/2). With a large grip the contact sticks (θ near 1).
+        # The grip is the friction limit divided by the slip speed of the previous step,
+        # N·s/m. A contact with a small grip slides (θ near 1/2), and a contact with a
+        # large grip sticks (θ near 1).
         grip = (
             mu
             * workspace.normal_force[w]
@@ -336,15 +339,11 @@ def store_friction(contacts, state, workspace, force):  # type: ignore[no-untype
     """Store the friction for the next step, and return the dissipated power.
 
     The power of a normal force is computed from the mean velocity of the step. An
-    impact stops the body within two steps, so the velocity before the impact would give
-    up to twice the dissipated energy.
+    impact stops the body within two steps. The velocity before the impact would
+    therefore give up to twice the energy that is dissipated.
 
-    Args:
-        contacts: constants of the contacts.
-        state: state of the contacts, changed in place.
-        workspace: workspace after `solve_friction`.
-        force: output for the force on each contact in the world frame, shape (C, 3), N.
-            For a collision geom the force contains friction only.
+    The function writes the force on each contact in the world frame to `force`, shape
+    (C, 3), N. For a collision geom, this force excludes the normal force.
 
     Returns:
         Power dissipated by friction and by the normal forces of obstacles, W.
@@ -363,8 +362,8 @@ def store_friction(contacts, state, workspace, force):  # type: ignore[no-untype
         state.force[w, _FORCE_ALONG] = f_t
         state.force[w, _FORCE_ACROSS] = f_lat
         state.force[w, _STORED_SPIN] = workspace.response[w, _SPIN_FORCE]
-        # The solve gives the rim speed at the fraction θ of the step. The rim speed at
-        # the end of the step is extrapolated.
+        # The rim speed at the end of the step is extrapolated from the rim speed at the
+        # fraction θ of the step.
         state.rim_speed[w] += (rim - state.rim_speed[w]) / workspace.theta[w]
         c = workspace.heading[w, 0]
         s = workspace.heading[w, 1]
@@ -425,8 +424,8 @@ def _locate_wheels(engine, contacts, workspace):  # type: ignore[no-untyped-def]
         point_jacobian(workspace.jacobian[w, _ALONG], x, y, z, c, s, 0.0)
         point_jacobian(workspace.jacobian[w, _ACROSS], x, y, z, -s, c, 0.0)
         point_jacobian(workspace.jacobian[w, _UP], x, y, z, 0.0, 0.0, 1.0)
-        # The hub is one wheel radius above the contact. The rows of the Jacobian for
-        # the hub and for the contact therefore differ only in the moments.
+        # The hub is one wheel radius above the contact, so their Jacobian rows differ
+        # only in the rotational components.
         hub = workspace.jacobian[w, _HUB]
         along = workspace.jacobian[w, _ALONG]
         for k in range(6):
@@ -484,7 +483,7 @@ def _contact_velocity(contacts, workspace, w, theta):  # type: ignore[no-untyped
     step = workspace.step_motion[last]
     change = workspace.motion[last]
     # The velocity u is J_w (v₋ + θ (v − v₋)) = J_w ((v₋ + v̂)/2 + (θ − 1/2)(v̂ − v₋) +
-    # θ δ). `motion` holds δ.
+    # θ δ). The array `motion` contains the spatial velocities due to δ.
     along = workspace.jacobian[w, _ALONG]
     across = workspace.jacobian[w, _ACROSS]
     shift = theta - 0.5
@@ -500,7 +499,8 @@ def _friction_load(contacts, workspace, w):  # type: ignore[no-untyped-def]
     static = contacts.static_load[w]
     if contacts.load_kind == _MOMENTARY or w >= contacts.wheels:
         return normal
-    # The wheels 2k and 2k + 1 are on the same axle, so w ^ 1 is the opposite wheel.
+    # Wheels 2k and 2k + 1 are on the same axle, so w ^ 1 is the index of the opposite
+    # wheel.
     opposite = max(
         workspace.normal_force[w ^ 1] - workspace.response[w ^ 1, _UNLOADING], 0.0
     )
@@ -513,8 +513,9 @@ def _friction_load(contacts, workspace, w):  # type: ignore[no-untyped-def]
 def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
     """Return the fraction θ of a step at which friction is evaluated.
 
-    If the slip decays by a factor of e^(−x) per step, an implicit step with this θ has
-    the same decay. θ tends to 1/2 for slow decay and to 1 for fast decay.
+    If the slip speed decays by a factor of e^(−x) per step, an implicit step with this
+    θ reproduces the decay. The fraction tends to 1/2 for slow decay and to 1 for fast
+    decay.
     """
     if x > 0.1:
         return 1.0 / (1.0 - np.exp(-x)) - 1.0 / x
@@ -525,7 +526,7 @@ def _evaluation_fraction(x):  # type: ignore[no-untyped-def]
 def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ignore[no-untyped-def]  # noqa: D417
     # `force` is the friction of the previous step, and `rim` is the rim speed at the
     # beginning of the step. `h` is the time from the beginning of the step to the
-    # evaluation.
+    # evaluation of friction.
     floor = contacts.floor
     mu_t = floor.forward
     mu_lat = floor.across
@@ -562,7 +563,7 @@ def _friction_law(contacts, w, along, across, load, force, rim, h):  # type: ign
             along, across, load, floor, drag, force[_FORCE_ACROSS], is_cosine
         )
         # The Newton matrix must be symmetric. With the geometric mean of the two
-        # off-diagonal derivatives, the matrix is positive definite.
+        # off-diagonal derivatives, it is also positive definite.
         return Traction(f_t, f_lat, tt, np.sign(tn) * np.sqrt(tn * nt), nn), along
     if floor.friction_law_index == _ELLIPSE:
         grip = stick_slip_friction(
@@ -585,8 +586,7 @@ def _newton(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no
         change[i] = 0.0
     clear(workspace.response)
     first = float(0.0)
-    # The first pass is a single Newton step with the normal forces at v̂. The second
-    # pass uses the normal forces after the first pass.
+    # The first pass is a single Newton step with the normal forces at v̂.
     for iteration in range(2):
         max_iterations = 1 if iteration == 0 else _MAX_ITERATIONS
         friction_impulse = float(0.0)
@@ -615,12 +615,12 @@ def _newton(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no
 
 @kernel_only
 def _line_search(engine, contacts, sparsity, state, workspace, h):  # type: ignore[no-untyped-def]
-    # The search ends when the residual is nearly orthogonal to the Newton step. With
-    # given normal forces, friction maximises dissipation, and the residual is the
-    # gradient of a convex function. This function decreases along the Newton step. The
-    # squared residual may increase where a contact changes between sticking and
-    # sliding. A search that requires a decrease of the squared residual would therefore
-    # stall when the robot stops.
+    # The search ends when the residual is nearly orthogonal to the Newton step. For
+    # given normal forces, friction maximises dissipation, so the residual is the
+    # gradient of a convex function. This function decreases along the Newton step,
+    # whereas the squared residual may increase where a contact changes between sticking
+    # and sliding. A search that requires a decrease of the squared residual would
+    # therefore stall when the robot stops.
     change = workspace.v_change
     direction = workspace.direction
     derivative_start = inner(workspace.residual, direction)
@@ -640,8 +640,8 @@ def _line_search(engine, contacts, sparsity, state, workspace, h):  # type: igno
         )
         derivative = inner(workspace.trial_residual, direction)
         limit = _MAX_DERIVATIVE_RATIO * derivative_start
-        # A full step is accepted even if the function still decreases there, because
-        # the next Newton step continues from the end of the full step.
+        # A full step is accepted even if the convex function still decreases at its
+        # end, because the next Newton step continues from there.
         if derivative >= -limit and (scale == 1.0 or derivative <= limit):
             break
         if derivative < 0.0:
@@ -650,8 +650,6 @@ def _line_search(engine, contacts, sparsity, state, workspace, h):  # type: igno
         else:
             low = scale
             derivative_low = derivative
-        # The secant step must stay away from both ends of the bracket by at least a
-        # tenth of its width.
         scale = low + min(
             max(derivative_low / (derivative_low - derivative_high), 0.1), 0.9
         ) * (high - low)
@@ -737,9 +735,9 @@ def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[
     for i in range(derivative.shape[0]):
         clear(derivative[i])
     for w in range(contacts.body.shape[0]):
-        # tt, tn and nn are derivatives of r with respect to δ, where t stands for along
-        # and n for across the heading. These derivatives have a factor of −θ h, because
-        # ∂u/∂δ is θ J and friction enters r with a factor of −h.
+        # tt, tn and nn are derivatives of r with respect to δ, for the directions along
+        # (t) and across (n) the heading. They have a factor of −θ h, because ∂u/∂δ is θ
+        # J and friction enters r with a factor of −h.
         weight = -workspace.theta[w] * h
         tt = weight * response[w, _DERIVATIVE_ALONG]
         tn = weight * response[w, _OFF_DIAGONAL]
@@ -748,8 +746,7 @@ def _assemble(engine, contacts, sparsity, state, workspace, h):  # type: ignore[
             up = 1.0 / contacts.regularisation[w]
         else:
             up = 0.0
-        # On a rolling wheel, the force along the heading spins the wheel. The
-        # derivative of this force then acts on the connector at the hub.
+        # The force that spins a rolling wheel acts on the connector at the hub.
         forward = jacobian[w, _HUB if response[w, _RIM_SPEED] != 0.0 else _ALONG]
         lateral = jacobian[w, _ACROSS]
         vertical = jacobian[w, _UP]
@@ -781,7 +778,7 @@ def _solve_direction(engine, sparsity, workspace):  # type: ignore[no-untyped-de
 
 @kernel_only
 def solve_direction_portably(engine, sparsity, workspace):  # type: ignore[no-untyped-def]
-    """Solve for the Newton step without the engine's factorisation, for Warp."""
+    """Solve for the Newton step in Warp, without the engine's factorisation."""
     for i in range(workspace.direction.shape[0]):
         workspace.direction[i] = workspace.residual[i]
     factor(workspace.newton_matrix, sparsity)

@@ -1,18 +1,18 @@
-r"""Energy stored and dissipated by the joints in the segments of the twin.
+r"""Energy that the segment joints of the twin store and dissipate.
 
 A segment with stiffness k and damping c has n hinges, each with stiffness n k and
-damping n c. The angle q_k of a hinge deviates by e_k = q_k − q_f/n from an equal share
-of the free bend q_f. The segment has bend q = Σ q_k and torque T = k (q_f − q) + c
-(q̇_f − q̇). The power of the compressed air is
+damping n c. The angle q_k of hinge k deviates by e_k = q_k − q_f/n from an equal share
+of the free bend q_f. The segment has the bend q = Σ q_k and the torque T = k (q_f − q)
++ c (q̇_f − q̇). The compressed air delivers the power
 
 $$ T\,\dot q_f = P + \frac{d}{dt} \sum_k \tfrac12 n k\,e_k^2 + \sum_k n c\,\dot e_k^2 . $$
 
-Here P is the power delivered to body and floor. For the pitch and roll joints, e_k is
-the whole angle.
+Here P is the power that is transferred to the body and the floor. For a pitch or roll
+joint, e_k is the joint angle.
 
-Under a preloaded contact the pitch and roll joints are excluded, because the preloaded
-wheels bounce on the floor and excite these joints. The energy of this vibration comes
-from the finite time step of the normal forces and not from the torques.
+With preloaded contact, the pitch and roll joints are excluded, because bouncing wheels
+make them vibrate. The energy of this vibration is a discretisation error of the normal
+forces and not work of the air.
 """
 
 from __future__ import annotations
@@ -25,22 +25,22 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class InternalJoints:
-    """Springs and dampers of a twin's segments.
+    """Springs and dampers in the segments of a twin.
 
     Attributes:
-        hinges: velocity indices of the bending hinges, shape (segments, hinges per
-            segment). For a spatial robot, the tilt hinges follow in further rows, shape
-            (2 · segments, hinges per segment).
-        out_of_plane: velocity indices of the included pitch and roll joints, shape
-            (joints,).
-        damping: damping coefficient of each velocity, shape (nv,), N·m·s/rad. The
-            coefficient is 0 for joints outside `hinges` and `out_of_plane`.
+        hinges: indices in `qvel` of the bending hinges, shape (segments, hinges per
+            segment). For a spatial robot, the tilt hinges follow in additional rows,
+            shape (2 · segments, hinges per segment).
+        out_of_plane: indices in `qvel` of the pitch and roll joints, shape (joints,).
+            The array is empty without loaded contact.
+        damping: damping coefficient of each degree of freedom, shape (nv,), N·m·s/rad.
+            It is 0 for joints that are neither in `hinges` nor in `out_of_plane`.
     """
 
     def __init__(
         self, model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
     ) -> None:
-        """Find the joints of a compiled twin."""
+        """Find the segment joints of a compiled model."""
         hinges = np.array(
             [
                 [
@@ -59,8 +59,8 @@ class InternalJoints:
         self.hinges = model.jnt_dofadr[hinges].astype(int)
         self.out_of_plane = model.jnt_dofadr[out_of_plane].astype(int)
         stiffness = model.jnt_stiffness.reshape(model.njnt, -1)[:, 0]
-        # The integrator evaluates springs at the end of a step, which adds the damping
-        # h k. The dampers in the model are therefore reduced by h k (`mjcf.classes`).
+        # The damping coefficients in the model exclude the damping that the integrator
+        # adds to springs (`mjcf.classes`).
         added = model.opt.timestep * stiffness[joints]
         dofs = model.jnt_dofadr[joints]
         self._joint_damping = model.dof_damping[dofs] + added

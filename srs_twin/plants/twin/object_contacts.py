@@ -1,28 +1,27 @@
-r"""Friction of movable objects on the floor and on the body.
+r"""Friction between movable objects and the floor, and between objects and the body.
 
-The friction solve of a time step includes these contacts. The module `friction_solve`
-lists the symbols. An object stands on the floor on four support points
-(`MovableObject.supports`) and can touch collision geoms of the body. All these contacts
-have the friction law of `stick_slip`, which is implicit in the velocities.
+The module `friction_solve` lists the symbols and includes this friction in its
+equation. An object rests on the floor at four support points (`MovableObject.supports`)
+and can touch the collision geoms of the body. All these contacts use the friction law
+of `stick_slip`, which is implicit in the velocities.
 
-For a collision geom, the law uses the velocity relative to the object, and the opposite
-friction force acts on the object. The support points carry constant loads, which the
-vertical friction on collision geoms does not change. The normal forces between objects
-and collision geoms are computed from the engine's prediction v̂.
+At a collision geom, the friction law uses the velocity relative to the object, and an
+equal and opposite friction force acts on the object. The loads on the support points
+are constant and do not depend on the vertical friction at collision geoms. The normal
+forces between objects and collision geoms are those of the engine's prediction v̂.
 
-Each object is a separate kinematic tree. The derivatives of contact forces between
-objects and collision geoms couple the motions of objects and snake. The derivatives
-form a block B of the Newton matrix, outside the sparsity pattern of the inertia matrix
-M. Without B, the matrix consists of the block P of the snake and the block Q of the
-objects. Block elimination solves for the motion y of the objects first and then for the
-motion x of the snake,
+Each object is a separate kinematic tree. The contact forces between objects and
+collision geoms couple the motions of the objects and the snake. Their derivatives form
+a block B of the Newton matrix, which lies outside the sparsity pattern of the inertia
+matrix M. The diagonal blocks of the Newton matrix are P for the snake and Q for the
+objects. Block elimination first yields the motion y of the objects and then the motion
+x of the snake:
 
 $$ (Q - B P^{-1} B^T)\,y = r_o - B P^{-1} r_s, \qquad x = P^{-1} (r_s - B^T y). $$
 
-Here r_s and r_o are the right-hand sides of snake and objects. The factors of P are
-already known.
+Here r_s and r_o are the right-hand sides for the snake and the objects.
 
-These functions are compiled only for worlds with objects, which Warp does not support.
+The functions of this module are compiled only for worlds with objects.
 """
 
 from __future__ import annotations
@@ -59,13 +58,14 @@ _DERIVATIVE_ACROSS = 4
 
 
 class ObjectState(NamedTuple):
-    """Contact state that one time step passes to the next.
+    """State of the object contacts that one time step passes to the next.
 
     Attributes:
-        force: friction along and across the contact surface, shape (C, 2), N.
+        force: friction in the two tangential directions of each contact, shape (C, 2),
+            N.
         slip_speed: slip speed of each contact, shape (C,), m/s.
-        jacobian: Jacobian of the previous step's friction, in the layout of
-            `ObjectContacts`.
+        jacobian: contact Jacobians of the previous step, with the layout of
+            `ObjectContacts.jacobian`.
     """
 
     force: np.ndarray
@@ -74,32 +74,34 @@ class ObjectState(NamedTuple):
 
 
 class ObjectContacts(NamedTuple):
-    """The C contacts of all objects.
+    """Constants, state and work arrays of the C contacts of all objects.
 
-    Pairs of an object and a collision geom precede the support points.
+    Contacts between objects and collision geoms (pairs) precede the support points.
 
     Attributes:
-        first: index of the objects' first degree of freedom.
+        first: index of the first degree of freedom that belongs to an object.
         slip: slip speed ε, m/s.
-        dof: last degree of freedom of the collision geom and of the object, shape (C,
-            2). A support point has −1 instead of a collision geom.
-        object_body: body id of the object, shape (C,).
-        place: position of a support point in the frame of the object, shape (C, 2), m.
-        sensor: index into `sensordata` of the force on the collision geom, which is
-            followed by the point of application, shape (C,).
-        load: normal force, constant for a support point, shape (C,), N.
+        dof: indices of the last degrees of freedom that move the collision geom and the
+            object, shape (C, 2). For a support point, the first index is −1.
+        object_body: MuJoCo id of the object's body, shape (C,).
+        place: position of each support point in the frame of the object, shape (C, 2),
+            m.
+        sensor: index in `sensordata` of the force on the collision geom, shape (C,).
+            The force is followed by its point of application.
+        load: normal force, which is constant at support points, shape (C,), N.
         friction: friction coefficient, shape (C,), dimensionless.
         inverse_effective_mass: inverse effective mass, shape (C,), 1/kg.
         force, slip_speed: friction (N) and slip speed (m/s) as in `ObjectState`.
-        jacobian: spatial vectors of the velocity along, across and away from the
-            object, for collision geom and object, shape (C, 2, 3, 6). In a pair, the
-            vectors of the object have a negative sign.
+        jacobian: Jacobians of the contact velocity in the two tangential directions and
+            away from the object, as spatial vectors, shape (C, 2, 3, 6). The second
+            axis refers to the collision geom and the object. In a pair, the vectors of
+            the object have a negative sign.
         theta: fraction θ of the step at which friction is evaluated, shape (C,).
-        response: friction along and across (N), and the derivatives of friction along,
-            mixed and across (N·s/m), shape (C, 5).
+        response: friction forces (N) and their derivatives (N·s/m) in the order of
+            `stick_slip.Traction`, shape (C, 5).
         coupling, solved: matrices B and B P⁻¹, shape (m, nv), where m is the number of
             degrees of freedom of all objects.
-        matrix: matrix of the linear system for y, with the right-hand side as last
+        matrix: matrix of the linear system for y, with the right-hand side as its last
             column, shape (m, m + 1).
     """
 
@@ -131,8 +133,8 @@ def object_contacts(
 ) -> ObjectContacts:
     """Return the object contacts of a compiled scene at rest.
 
-    `slip` is the slip speed (m/s). `collision_inverse_effective_mass` has one value per
-    collision geom (1/kg).
+    The argument `slip` is the slip speed (m/s). The array
+    `collision_inverse_effective_mass` has one value per collision geom (1/kg).
     """
     collision_geoms = surroundings.collision_geoms(model)
     names = object_names(model)
@@ -198,7 +200,7 @@ def _last_dof(model: mujoco.MjModel, body: np.ndarray) -> np.ndarray:
 
 @compiled_if(has_objects)
 def apply_object_friction(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Add the stored friction of objects to `qfrc_applied`."""
+    """Add the friction of objects in the previous step to `qfrc_applied`."""
     o = engine.objects
     for w in range(o.force.shape[0]):
         for side in range(2):
@@ -224,7 +226,7 @@ def _locate(jacobian, x, y, z, c, s, sign):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def locate_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Compute the Jacobians of the contacts and read the normal forces."""
+    """Compute the contact Jacobians and read the normal forces from the sensors."""
     o = engine.objects
     com = engine.subtree_com[1]
     sensors = engine.sensordata
@@ -291,7 +293,7 @@ def _velocity(o, workspace, w, theta):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def add_object_impulses(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Compute friction from `motion`, and subtract the impulses from `impulse`."""
+    """Compute the friction for `motion` and subtract its impulses from `impulse`."""
     o = engine.objects
     for w in range(o.force.shape[0]):
         u_t, u_n = _velocity(o, workspace, w, o.theta[w])
@@ -328,7 +330,7 @@ def add_object_impulses(engine, sparsity, workspace, h):  # type: ignore[no-unty
 
 @compiled_if(has_objects)
 def add_object_jacobian(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Add the derivatives of friction to `derivative`, and compute the block B."""
+    """Add the derivatives of friction to `derivative` and compute the block B."""
     o = engine.objects
     clear(o.coupling)
     for w in range(o.force.shape[0]):
@@ -383,7 +385,7 @@ def _eliminate(matrix, x):  # type: ignore[no-untyped-def]
 
 @compiled_if(has_objects)
 def couple_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
-    """Add the effect of B to the Newton step, which was solved without B."""
+    """Correct the Newton step, which was solved without the block B."""
     o = engine.objects
     first = engine.objects.first
     direction = workspace.direction
@@ -416,14 +418,9 @@ def couple_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-d
 def store_object_friction(engine, sparsity, workspace, force):  # type: ignore[no-untyped-def]
     """Store the friction for the next step, and return the dissipated power, W.
 
-    The power includes the normal forces between collision geoms and objects.
-
-    Args:
-        engine: engine data, which include the contacts of objects.
-        sparsity: unused sparsity pattern.
-        workspace: workspace after the friction solve.
-        force: output for the friction on the collision geom of each pair in the world
-            frame, shape (pairs, 3), N.
+    The power includes that of the normal forces between collision geoms and objects.
+    The function writes the friction on the collision geom of each pair in the world
+    frame to `force`, shape (pairs, 3), N.
     """
     o = engine.objects
     power = 0.0

@@ -1,4 +1,4 @@
-"""MuJoCo simulation of the snake's bodies, driven by the chambers."""
+"""MuJoCo simulation of the snake's bodies, driven by the air chambers."""
 
 from __future__ import annotations
 
@@ -40,17 +40,17 @@ from srs_twin.robot.world import World
 
 @dataclass(frozen=True)
 class StepBatch:
-    """Results of several engine steps.
+    """Results of consecutive time steps.
 
     Attributes:
         states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq + nv).
-        floor_force: mean force exerted by the floor on each wheel in each step, world
-            frame, shape (steps, axles, 2, 3), N.
+        floor_force: mean floor force on each wheel during each step in the world frame,
+            shape (steps, axles, 2, 3), N.
         energy: kinetic energy at the beginning of each step, shape (steps,), J.
-        obstacle_force: mean force exerted by all obstacles on each connector and the
-            adjoining halves of its segments in each step, world frame, shape (steps, N,
-            3), N.
-        power: power dissipated by floor and obstacles, shape (steps,), W.
+        obstacle_force: mean force of obstacles and objects on each connector and the
+            adjoining half segments during each step in the world frame, shape (steps,
+            N, 3), N.
+        power: power dissipated by floor, obstacles and objects, shape (steps,), W.
         internal: power dissipated by the joints of the segments, shape (steps,), W.
     """
 
@@ -66,20 +66,19 @@ class SensorAddresses(NamedTuple):
     """Addresses in MuJoCo's arrays, for engines other than the CPU engine.
 
     Attributes:
-        floor_force: address of the floor's force on each wheel, shape (wheels,).
-        foot_velocity: address of the velocity of each foot, shape (wheels,). Under
-            loaded contact there are no velocity sensors.
-        obstacle_force: address of the obstacles' force on each collision geom, shape
+        floor_force: address of the floor force on each wheel, shape (wheels,).
+        foot_velocity: address of the velocity of each foot, shape (wheels,). With
+            loaded contact, the array is empty.
+        obstacle_force: address of the obstacle force on each collision geom, shape
             (collision geoms,).
-        external_force, external_velocity: addresses of other external force components
-            that dissipate energy, and of the corresponding velocities, shape
-            (components,).
+        external_force, external_velocity: addresses of other dissipative force
+            components and of the corresponding velocities, shape (components,).
         kinetic_energy: address of the kinetic energy.
         connectors: body ids of the connectors, shape (N,).
-        hinges: velocity indices of the bending hinges, shape (segments, hinges per
+        hinges: indices in `qvel` of the bending hinges, shape (segments, hinges per
             segment).
-        out_of_plane: velocity indices of the pitch and roll joints of `InternalJoints`,
-            shape (joints,).
+        out_of_plane: indices in `qvel` of the pitch and roll joints of
+            `InternalJoints`, shape (joints,).
     """
 
     floor_force: np.ndarray
@@ -94,19 +93,19 @@ class SensorAddresses(NamedTuple):
 
 
 class Sensors(NamedTuple):
-    """Addresses of all sensor components, with x, y and z in the last axis of vectors.
+    """Addresses of all sensor values, with x, y and z on the last axis of vectors.
 
     Attributes:
-        floor_force: force exerted by the floor on each wheel, shape (axles, 2, 3).
-        foot_velocity: velocity of each foot, shape (axles, 2, 3). Under loaded contact
+        floor_force: floor force on each wheel, shape (axles, 2, 3).
+        foot_velocity: velocity of each foot, shape (axles, 2, 3). With loaded contact,
             the array is empty.
-        collision_force: force exerted by the obstacles on each collision geom, shape
+        collision_force: obstacle force on each collision geom, shape (collision geoms,
+            3).
+        collision_velocity: velocity of the centre of each collision geom, shape
             (collision geoms, 3).
-        collision_velocity: velocity of each collision geom's centre, shape (collision
-            geoms, 3).
-        object_force: force exerted by each object on each collision geom, shape
-            (objects, collision geoms, 3).
-        drag_force: axial drag on each connector, shape (N,). Without drag the array is
+        object_force: force of each object on each collision geom, shape (objects,
+            collision geoms, 3).
+        drag_force: axial drag on each connector, shape (N,). Without drag, the array is
             empty.
         drag_velocity: velocity of each connector along its heading, shape (N,).
         kinetic_energy: address of the kinetic energy.
@@ -125,7 +124,7 @@ class Sensors(NamedTuple):
 def find_sensors(
     model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
 ) -> Sensors:
-    """Return the addresses of the sensors of a compiled scene."""
+    """Return the sensor addresses of a compiled scene."""
 
     def addresses(names: list[str]) -> np.ndarray:
         first = np.array([model.sensor(name).adr[0] for name in names], dtype=int)
@@ -166,7 +165,7 @@ def find_sensors(
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Positions and velocities in several states, in the world frame.
+    """Positions and velocities of a snake in several states, in the world frame.
 
     Attributes:
         qpos: generalised positions, shape (samples, nq).
@@ -176,7 +175,7 @@ class Kinematics:
         headings: headings of the connectors, wrapped to (−π, π], shape (samples, N),
             rad.
         bends, bend_rates: bends (rad) and bend rates (rad/s) of the segments, shape
-            (samples, segments). For a spatial robot the shape is (samples, segments,
+            (samples, segments). For a spatial robot, the shape is (samples, segments,
             2).
         orientations: unit quaternions of the connectors, real part first, shape
             (samples, N, 4).
@@ -202,7 +201,8 @@ class EngineWarnings(threading.local):
 ENGINE_WARNINGS = EngineWarnings()
 """MuJoCo warnings that a `DivergedError` quotes.
 
-A handler collects the warnings, because MuJoCo otherwise writes a log file.
+A handler collects the warnings, because MuJoCo would otherwise write them to a log
+file.
 """
 
 
@@ -213,20 +213,20 @@ def _keep_warning(text: str) -> None:
 mujoco.set_mju_user_warning(_keep_warning)
 _ROLLOUT = mujoco_rollout.Rollout(nthread=0)  # simulates on the calling thread
 _ROLLOUT_STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
-_SNAKE = 1  # Id of the body that contains the whole snake, without the objects.
-# The saved state includes the solver's warm start, so that resumed steps are
+_SNAKE = 1  # Id of the root body of the snake. Objects are not in its subtree.
+# The saved state includes the solver's warm start, so that a resumed simulation is
 # bit-identical.
 _SAVED_STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
 class SnakePhysics(Stateful):
-    """Bodies of a snake in MuJoCo, driven by its chambers.
+    """MuJoCo simulation of a snake's bodies, driven by its air chambers.
 
     Attributes:
-        model: compiled model, which no other object uses.
+        model: compiled model, which is not shared with other objects.
         free: whether the snake moves on a floor instead of having a clamped head.
-        stepper: integrator for loaded contact, or None under a preloaded contact or
-            without a floor.
+        stepper: integrator for loaded contact, or None if the snake has preloaded
+            contact or a clamped head.
     """
 
     state_attributes = ("_floor_force", "_last_force", "stepper")
@@ -242,20 +242,15 @@ class SnakePhysics(Stateful):
     ) -> SnakePhysics:
         """Compile the scene of a robot.
 
-        Args:
-            spec: robot to simulate.
-            settings: time step, discretisation and contact.
-            chambers: pneumatic model.
-            supply_pa: maximum chamber pressure, Pa.
-            world: obstacles and floor. Without `world`, the floor is level and has no
-                obstacles.
+        The maximum chamber pressure is `supply_pa` (Pa). Without a world, the floor is
+        level and has no obstacles.
         """
-        # Goals and bounds do not affect the scene, so worlds that differ only in goals
-        # and bounds share one compiled model.
+        # All worlds without obstacles, objects, steps or slope share one compiled
+        # model.
         matters = world is not None and (world.is_solid or world.uneven)
         relevant = world if matters else None
-        # The model is copied, because changes of one twin's model must not affect other
-        # twins.
+        # The model is copied, so that changes to the model of one twin do not affect
+        # other twins.
         model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
         return cls(model, spec, settings, chambers, world or World())
 
@@ -267,7 +262,7 @@ class SnakePhysics(Stateful):
         chambers: Pneumatics,
         world: World,
     ) -> None:
-        """Use a compiled scene. See `build` for the arguments."""
+        """Create the simulation of a compiled scene."""
         self.model = model
         self.data = mujoco.MjData(model)
         mujoco.mj_forward(model, self.data)
@@ -300,7 +295,7 @@ class SnakePhysics(Stateful):
             )
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Copy model and state. Engine data contain addresses and are rebuilt."""
+        """Return the model and state, from which a copy builds its own engine data."""
         arguments = (
             self.model,
             self._spec,
@@ -308,7 +303,7 @@ class SnakePhysics(Stateful):
             self._pneumatics,
             self._world,
         )
-        # These constants are copied as well, because the model may have been changed
+        # The constants are copied as well, because the model may have been changed
         # after they were computed.
         constants = {
             name: value
@@ -344,15 +339,15 @@ class SnakePhysics(Stateful):
     def bends_and_rates(
         self, qpos: np.ndarray, qvel: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return bends (rad) and bend rates (rad/s) for each leading axis of `qpos`."""
+        """Return the bends (rad) and bend rates (rad/s) of one or more states."""
         bends = self._by_segment(qpos @ self._angles.T)
         return bends, self._by_segment(qvel @ self._rates.T)
 
     def connector_forces(self, collision_force: np.ndarray) -> np.ndarray:
-        """Return the obstacles' forces on the connectors, shape (…, N, 3), N.
+        """Distribute forces on collision geoms to the connectors, shape (…, N, 3), N.
 
-        `collision_force` contains the forces on the collision geoms, shape (…,
-        collision geoms, 3), N.
+        The argument contains the force on each collision geom, shape (…, collision
+        geoms, 3), N.
         """
         force: np.ndarray = np.einsum(
             "ih,...hk->...ik", self._collision_fractions, collision_force
@@ -360,9 +355,10 @@ class SnakePhysics(Stateful):
         return force
 
     def reset_pose(self, pose: Pose) -> None:
-        """Reset to a snake at rest with rest bends and empty chambers.
+        """Reset the snake to rest, with rest bends and empty chambers.
 
-        `pose` contains the centre of mass x, y (m) and the mean heading (rad).
+        The pose consists of the x and y coordinates of the centre of mass (m) and the
+        mean heading (rad).
         """
         mujoco.mj_resetData(self.model, self.data)
         hinges = self._angles.sum(axis=1, keepdims=True)
@@ -379,22 +375,23 @@ class SnakePhysics(Stateful):
         self._last_force = self._no_force
         if self.stepper is not None:
             self.stepper.reset()
-            # Sinking into the floor has displaced the snake by a few nanometres.
+            # The snake has moved horizontally by a few nanometres while it settled.
             self._move_to_pose(pose)
             self.refresh()
         if self.free:
-            # At rest each wheel carries its static load and its preload.
             self._floor_force[..., 2] = self._preload + self._static_load
 
     def set_state(
         self, pose: Pose, velocity: np.ndarray, bend: np.ndarray, rate: np.ndarray
     ) -> None:
-        """Set pose, velocities and bends after `reset_pose`, with rolling wheels.
+        """Set the pose, velocities and bends after `reset_pose`.
+
+        The wheels roll without slip.
 
         Args:
-            pose: centre of mass x, y (m) and mean heading (rad).
-            velocity: velocity of the centre of mass in the world frame (m/s) and yaw
-                rate of the mean heading (rad/s), shape (3,).
+            pose: x and y coordinates of the centre of mass (m), and mean heading (rad).
+            velocity: velocity of the centre of mass in the world frame (m/s) and rate
+                of the mean heading (rad/s), shape (3,).
             bend: bends of the segments, shape (segments,), rad.
             rate: bend rates, shape (segments,), rad/s.
 
@@ -412,7 +409,7 @@ class SnakePhysics(Stateful):
         self._move_to_pose(pose)
         data.qvel[:] = (rate / hinges) @ self._rates
         self.refresh()
-        # Adding a rigid rotation and a translation gives the snake the required mean
+        # A rigid-body rotation and translation are added to obtain the required mean
         # velocities.
         data.qvel[5] += velocity[2] - data.cvel[self._connectors, 2].mean()
         self.refresh()
@@ -445,7 +442,7 @@ class SnakePhysics(Stateful):
             )
 
     def state_dict(self) -> dict[str, object]:
-        """Return the saved state, which includes MuJoCo's integration state."""
+        """Return the state to save, including MuJoCo's integration state."""
         engine = np.empty(mujoco.mj_stateSize(self.model, _SAVED_STATE))
         mujoco.mj_getState(self.model, self.data, engine, _SAVED_STATE)
         return super().state_dict() | {"engine": engine}
@@ -473,25 +470,25 @@ class SnakePhysics(Stateful):
         data.qpos[:2] += pose[:2] - data.subtree_com[_SNAKE][:2]
 
     def advance_chambers(self, schedule: Schedule, steps: int) -> Trace:
-        """Advance the chambers, and return a trace with steps + 1 rows."""
+        """Advance the chambers and return a trace with steps + 1 rows."""
         times = schedule.span * np.arange(steps + 1) / steps
         return self._pneumatics.advance(
             schedule, times, bend=self.bend_angles(), bend_rate=self.bend_rates()
         )
 
     def run(self, trace: Trace) -> StepBatch:
-        """Advance the bodies under given chamber states, and evaluate the steps."""
+        """Advance the bodies with given chamber states and evaluate the steps."""
         return self.evaluate(trace.bend_rate[1:], *self.advance_bodies(trace))
 
     def advance_bodies(self, trace: Trace) -> tuple[np.ndarray, ...]:
         """Advance the bodies with given chamber states.
 
-        The result contains the arguments of `evaluate` that follow `free_rate`. The
-        results of several calls may be concatenated before they are evaluated.
+        The function returns the arguments of `evaluate` that follow `free_rate`.
+        Results of several calls may be concatenated before they are evaluated.
 
         Args:
             trace: state of the chambers at the beginning of each step and at the end of
-                the last step, steps + 1 rows.
+                the last step, with steps + 1 rows.
         """
         controls = self.controls(trace)
         if self.stepper is None:
@@ -503,9 +500,9 @@ class SnakePhysics(Stateful):
     def controls(self, trace: Trace) -> np.ndarray:
         """Return the controls of the actuators for each row of a trace.
 
-        A segment with bend q and free bend q_f exerts the moment k (q_f − q) + c (q̇_f
-        − q̇), with stiffness k and damping c. The springs and dampers of the joints act
-        relative to the rest bends. The actuators exert the remainder of the moment.
+        A segment exerts the moment k (q_f − q) + c (q̇_f − q̇), with bend q, free bend
+        q_f, stiffness k and damping c. The joints contain dampers, and springs that act
+        relative to the rest bends. The actuators exert the rest of the moment.
         """
         spec = self._spec
         driven = (
@@ -531,30 +528,31 @@ class SnakePhysics(Stateful):
         contact_power: np.ndarray | None = None,
         obstacle_friction: np.ndarray | float = 0.0,
     ) -> StepBatch:
-        """Evaluate the latest engine steps.
+        """Evaluate forces, energy and dissipated power in the latest time steps.
 
         Args:
             free_rate: rates of the free bends at the end of each step, rad/s, shape
-                (steps, segments). For a spatial robot the shape is (steps, segments,
+                (steps, segments). For a spatial robot, the shape is (steps, segments,
                 2).
-            states: states as in `StepBatch`. The last row is the current state.
+            states: states as in `StepBatch`. The last row of the states is the current
+                state.
             sensors: values of all sensors, shape (steps, nsensordata).
-            floor_force: force on the wheels as in `StepBatch`. Without this argument
-                the force is read from the sensors.
+            floor_force: floor force on each wheel as in `StepBatch`. By default, the
+                force is read from the sensors.
             contact_power: power dissipated by floor, obstacles and objects, shape
-                (steps,), W. Without this argument the power is computed from the
-                sensors.
-            obstacle_friction: friction exerted by obstacles, then by each object, on
-                collision geoms, shape (steps, 1 + objects, collision geoms, 3), N. The
-                sensors do not measure friction under loaded contact.
+                (steps,), W. By default, the power is computed from the sensors.
+            obstacle_friction: friction on each collision geom, shape (steps, 1 +
+                objects, collision geoms, 3), N. The first entry of the second axis is
+                due to obstacles, and the others are due to the objects. With loaded
+                contact, the sensors do not measure obstacle friction.
         """
         self.refresh()
         at = self._sensors
         collision_force = sensors[:, at.collision_force]
         if floor_force is None or contact_power is None:
             floor_force = self._at_feet(sensors, at.floor_force)
-            # In an implicit step, the work of a force is computed with the velocity at
-            # the end of the step. The sensors report this velocity one step later.
+            # In an implicit step, a force does work with the velocity at the end of the
+            # step. The sensors report this velocity one step later.
             earlier = np.concatenate([self._last_force[None], floor_force[:-1]])
             velocity = self._at_feet(sensors, at.foot_velocity)
             on_feet = earlier[..., :2] * velocity[..., :2]
@@ -568,7 +566,7 @@ class SnakePhysics(Stateful):
         obstacle_force = self.connector_forces((normal + obstacle_friction).sum(axis=1))
         self._floor_force = floor_force.mean(axis=0)
         self._last_force = floor_force[-1]
-        # The engine's dampers use the velocities at the end of a step.
+        # The dampers of the engine use the velocities at the end of a step.
         internal = self.internal_joints.dissipated(
             states[:, 1 + self.model.nq :], free_rate
         )
@@ -602,11 +600,11 @@ class SnakePhysics(Stateful):
         return np.zeros((len(sensors), *self._no_force.shape))
 
     def refresh(self) -> None:
-        """Recompute positions and velocities from the state, without the contacts."""
+        """Recompute positions and velocities, but not contacts, from the state."""
         self._update_kinematics(self.data)
 
     def kinematics(self, states: np.ndarray) -> Kinematics:
-        """Compute positions and velocities from states in the layout of `StepBatch`."""
+        """Compute positions and velocities from states as in `StepBatch`."""
         count = len(states)
         n = len(self._connectors)
         nq = self.model.nq
@@ -648,11 +646,11 @@ class SnakePhysics(Stateful):
         return float(momentum @ data.qvel) / 2
 
     def bend_angles(self) -> np.ndarray:
-        """Return the bends (rad), with two columns for a spatial robot."""
+        """Return the segment bends, with two columns for a spatial robot, rad."""
         return self._by_segment(self._angles @ self.data.qpos)
 
     def bend_rates(self) -> np.ndarray:
-        """Return the bend rates in the shape of `bend_angles`, rad/s."""
+        """Return the bend rates, with the shape of `bend_angles`, rad/s."""
         return self._by_segment(self._rates @ self.data.qvel)
 
     def _by_segment(self, rows: np.ndarray) -> np.ndarray:
@@ -666,7 +664,7 @@ class SnakePhysics(Stateful):
         return np.array(self.data.xpos[self._connectors])
 
     def connector_headings(self) -> np.ndarray:
-        """Return the connectors' headings, shape (N,), wrapped to (−π, π], rad."""
+        """Return the connector headings, shape (N,), wrapped to (−π, π], rad."""
         frame = self.data.xmat[self._connectors]
         headings: np.ndarray = np.arctan2(frame[:, 3], frame[:, 0])
         return headings
@@ -676,17 +674,17 @@ class SnakePhysics(Stateful):
         return np.array(self.data.subtree_com[_SNAKE])
 
     def floor_forces(self) -> np.ndarray:
-        """Return the floor's mean force on each wheel in the last `run`, N.
+        """Return the mean floor forces on the wheels during the last `run`, N.
 
-        The forces are in the world frame, without the preload. The shape is (axles, 2,
-        3), with the left wheel before the right wheel.
+        The forces are in the world frame and exclude the preload. The shape is (axles,
+        2, 3), with the left wheel before the right wheel.
         """
         force = self._floor_force.copy()
         force[..., 2] -= self._preload
         return force
 
     def wheel_loads(self) -> np.ndarray:
-        """Return the mean load of each wheel in the last `run`, shape (axles, 2), N.
+        """Return the mean wheel loads during the last `run`, shape (axles, 2), N.
 
         A negative load means that the wheel would lift off without the preload.
         """
@@ -710,7 +708,7 @@ def _bend_matrices(
     model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     # The matrices map qpos to bends and qvel to bend rates. For a spatial robot, the
-    # bends to the left of all segments precede the bends upwards.
+    # lateral bends of all segments precede the upward bends.
     bends = [
         [
             model.joint(f"{kind}_{j + 1}_{k + 1}")
@@ -733,12 +731,12 @@ def _compile_scene(
     spec: RobotSpec, settings: ModelSettings, supply_pa: float, world: World | None
 ) -> mujoco.MjModel:
     model = scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
-    # The controls contain the rates of the free bends, so they may exceed the limits of
-    # the chamber pressures.
+    # The controls contain the rates of the free bends and may therefore exceed the
+    # limits of the chamber pressures.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL
-    # MuJoCo ends the solver when the improvement of the cost is less than the tolerance
-    # times the mean diagonal element of M. The moments of inertia on the diagonal
-    # depend on the length unit. The factor compensates for it.
+    # The solver stops when the cost improves by less than the tolerance times the mean
+    # diagonal element of M. The following factor compensates for the effect of the
+    # length unit on the moments of inertia in M.
     if settings.base == "free":
         masses = 3 * model.body_subtreemass[_SNAKE]
     else:

@@ -1,4 +1,4 @@
-"""Plant `TwinSnake`, the three-dimensional MuJoCo twin with compliant bends."""
+"""Three-dimensional MuJoCo twin of the snake (`TwinSnake`)."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ from srs_twin.robot.world import World
 from srs_twin.sensing import Sensor
 
 _MAX_SPEED = 1e4
-"""Speed of a joint above which the simulation counts as diverged, rad/s or m/s."""
+"""Joint speed at which a simulation counts as diverged, rad/s or m/s."""
 
-# Contact options whose keys in a recording differ from the option names.
+# Contact options that recordings store under a different name.
 _CONTACT_KEYS = {
     "law": "friction",
     "slip_speed": "slip_speed_m_s",
@@ -60,12 +60,12 @@ class Loads(NamedTuple):
     """Forces and energies at the samples of a history.
 
     Attributes:
-        floor_force: mean force exerted by the floor on each wheel since the previous
-            sample, world frame, shape (samples, axles, 2, 3), N.
-        obstacle_force: mean horizontal force exerted by obstacles on each connector
-            since the previous sample, shape (samples, N, 2), N.
-        body_work: kinetic energy plus the energy dissipated by floor and obstacles,
-            shape (samples,), J.
+        floor_force: floor force on each wheel in the world frame, averaged since the
+            previous sample, shape (samples, axles, 2, 3), N.
+        obstacle_force: horizontal force of obstacles and objects on each connector,
+            averaged since the previous sample, shape (samples, N, 2), N.
+        body_work: sum of the kinetic energy and the energy dissipated by floor and
+            obstacles, shape (samples,), J.
         internal_loss: energy dissipated by the joints of the segments, shape
             (samples,), J.
     """
@@ -77,19 +77,20 @@ class Loads(NamedTuple):
 
 
 class TwinSnake(PneumaticPlant):
-    """Three-dimensional MuJoCo twin of a snake on wheels, skids or a skin.
+    """Three-dimensional MuJoCo simulation of a snake on wheels, skids or skin.
 
-    A segment with bend q exerts the moment k (q_f − q) + c (q̇_f − q̇), with free bend
-    q_f, stiffness k and damping c. A massless segment without load therefore obeys Eq.
-    14.
+    A segment exerts the moment k (q_f − q) + c (q̇_f − q̇), with bend q, free bend q_f,
+    stiffness k and damping c. The bend of a massless segment without load therefore
+    obeys Eq. 14 of the dissertation.
 
     Attributes:
-        max_chunk_s: maximum interval that the engine simulates in one call, s. It
-            limits the memory for the results of the steps.
-        physics: engine model and data, a `SnakePhysics`, for quantities that `Plant`
-            does not provide.
+        max_chunk_s: maximum duration that is simulated at once, s. This duration limits
+            the memory for the results of the time steps.
+        physics: `SnakePhysics` with the MuJoCo model and data, for quantities that
+            `Plant` does not provide.
         timestep: time step, s.
-        contact: contact with the floor, as passed to the constructor.
+        contact: floor contact. For a robot with skin and loaded contact, it has the
+            friction law of the skin.
     """
 
     name = "twin"
@@ -120,32 +121,34 @@ class TwinSnake(PneumaticPlant):
         base: str = ModelSettings.base,
         numerics: Numerics = ModelSettings.numerics,
     ) -> None:
-        """Build and compile the twin.
+        """Build and compile the model of the twin.
 
         Args:
             spec: robot to simulate.
-            contact: contact with the floor. The names "loaded" and "preloaded" select
-                `LoadedContact()` and `PreloadedContact()`.
-            timestep: time step, s. The tick must be a multiple of the time step. The
-                default is `numerics.TIMESTEP_S` times the time unit of the robot
-                (`robot.scale`), adjusted so that it divides the tick.
+            contact: floor contact. The name "loaded" stands for `LoadedContact()`, and
+                "preloaded" stands for `PreloadedContact()`.
+            timestep: time step, s, which must divide the tick. The default is
+                `TIMESTEP_S` times the time unit of the robot (`robot.scale`), adjusted
+                so that it divides the tick.
             hinges_per_segment: number of bending hinges per segment.
             supply_pa: supply pressure, Pa. The default is the robot's nominal pressure.
             tick: control tick, s. The default is `TICK_S` times the time unit of the
                 robot.
             layout: valve layout, "3/2" or "in_out".
-            pneumatics: "lag", "orifice", or a `Pneumatics` object.
-            sensor: curvature sensor, which is "ideal", "hall" with its defaults, or a
-                `Sensor` object.
-            world: floor, obstacles and objects. Without `world`, the floor is level and
-                has no obstacles.
-            base: support of the snake, "free" on the floor, or with its head "clamped"
-                in the air.
-            numerics: settings that only studies of the twin itself change.
+            pneumatics: pneumatic model, which is "lag", "orifice" or a `Pneumatics`
+                object.
+            sensor: curvature sensor, which is "ideal", "hall" (with default settings)
+                or a `Sensor` object.
+            world: floor, obstacles and objects. The default is a level floor without
+                obstacles.
+            base: support of the snake, either "free" on the floor or "clamped" in the
+                air at its head.
+            numerics: settings that are changed in studies of the twin itself.
 
         Raises:
             InputError: a name is unknown, the tick is not a multiple of the time step,
-                or the twin does not support the combination (`mjcf.rules`).
+                or the twin does not support the combination of arguments
+                (`mjcf.rules`).
         """
         contact = as_contact(contact)
         if spec.skin is not None and isinstance(contact, LoadedContact):
@@ -249,7 +252,7 @@ class TwinSnake(PneumaticPlant):
         return super().identity() | {"world": self._world}
 
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
-        """See `PneumaticPlant._simulate`. Chunks limit the memory."""
+        """Simulate a schedule in chunks, which limits the required memory."""
         interval = schedule.span / samples
         steps = count_steps("sample interval", interval, "time step", self.timestep)
         chunk_samples = max(1, math.floor(self.max_chunk_s / interval))
@@ -271,7 +274,7 @@ class TwinSnake(PneumaticPlant):
         return check_plausible(self.name, SnakeState.history(histories))
 
     def describe(self) -> dict[str, object]:
-        """Return the settings that a recording stores."""
+        """See `Plant.describe`."""
         settings = self._settings
         contact = settings.contact
         options = {
@@ -296,8 +299,8 @@ class TwinSnake(PneumaticPlant):
     ) -> SnakeState:
         ENGINE_WARNINGS.last.clear()
         before = np.concatenate([[0.0], self.physics.data.qpos, self.physics.data.qvel])
-        # The check precedes the step, because the engine would normalise a quaternion
-        # with an implausible norm.
+        # The state is checked before the step, because MuJoCo would normalise a
+        # quaternion with an implausible norm.
         check_before_step(
             self.name,
             begun + self.timestep,
@@ -324,8 +327,8 @@ class TwinSnake(PneumaticPlant):
         if not self.pneumatics.depends_on_bend:
             interval = steps
         elif self.physics.stepper is not None:
-            # Closed chambers are stiff springs, which are stable only if bends and
-            # pressures are exchanged in each step.
+            # Closed chambers act as stiff springs. The simulation is unstable unless
+            # bends and pressures are exchanged in every time step.
             interval = 1
         else:
             coupled = self.pneumatics.coupling_step_s / self.timestep
@@ -364,8 +367,8 @@ class TwinSnake(PneumaticPlant):
         loads = Loads(
             floor_force=mean_per_sample(batch.floor_force),
             obstacle_force=mean_per_sample(batch.obstacle_force[:, :, :2]),
-            # By the energy balance, the work of the torques is the kinetic energy plus
-            # the dissipated energy.
+            # By conservation of energy, the work of the torques equals the kinetic
+            # energy plus the dissipated energy.
             body_work=batch.energy[ends] + loss[ends],
             internal_loss=internal[ends],
         )
@@ -401,7 +404,7 @@ class TwinSnake(PneumaticPlant):
             contact_force=self._force_on_connectors(floor_force[..., :2]),
             obstacle_force=loads.obstacle_force,
             torque=self._stiffness * deviation,
-            # The work is ∫ Σ T q̇_f dt (`internal_joints`).
+            # The module `internal_joints` derives this sum from the work ∫ Σ T q̇_f dt.
             work=body_work + loads.internal_loss + stored,
             internal_loss=loads.internal_loss,
             pneumatic_energy=trace.pneumatic_energy,
@@ -419,7 +422,7 @@ class TwinSnake(PneumaticPlant):
     def _unwrap(self, headings: np.ndarray) -> np.ndarray:
         """Return headings without jumps of 2π relative to the previous sample.
 
-        A connector rotates by far less than π between two samples.
+        The method assumes that a connector rotates by less than π between two samples.
         """
         connector_heading = np.concatenate([self._connector_heading[None], headings])
         if (np.abs(connector_heading[1:] - connector_heading[:-1]) >= math.pi).any():
@@ -438,7 +441,8 @@ class TwinSnake(PneumaticPlant):
                 "ik,skc->sic", self.spec.connector_weights(places), force
             )
             return shared
-        # The second axle of a tail is the last axle and belongs to the last connector.
+        # If the robot has a tail, the last connector has two axles, whose forces are
+        # added.
         connectors = np.arange(self.spec.geometry.connectors)
         total: np.ndarray = np.add.reduceat(force, connectors, axis=1)
         return total
@@ -451,7 +455,7 @@ class TwinSnake(PneumaticPlant):
 
     def _count_plausible_steps(self, states: np.ndarray) -> int:
         clock = states[:, 0]
-        # The engine's clock stops after a divergence.
+        # The clock of the engine stops when the simulation diverges.
         moved = np.append(True, clock[1:] > clock[:-1])
         speeds = states[:, 1 + self.physics.model.nq :]
         finite = np.isfinite(states).all(axis=1)

@@ -1,8 +1,8 @@
-"""Algebra of spatial vectors and tree-structured matrices, for numba and Warp.
+"""Algebra of spatial vectors and tree-structured matrices in numba and Warp.
 
-In spatial vectors, the rotational components come first. The reference point of spatial
-vectors is the centre of mass of the snake, as for `cdof` in MuJoCo. Symmetric matrices
-have the sparsity pattern of the joint-space inertia M (`Sparsity`).
+In spatial vectors, the rotational components come first. The reference point of a
+spatial vector is the centre of mass of the snake, as for MuJoCo's `cdof`. Symmetric
+matrices have the sparsity pattern of the joint-space inertia matrix M (`Sparsity`).
 """
 
 from __future__ import annotations
@@ -17,15 +17,14 @@ from srs_twin.compute.compiled import kernel_only
 class Sparsity(NamedTuple):
     """Sparsity pattern of the lower triangle of M, and damping matrices.
 
-    A row has one entry for each ancestor of the row's degree of freedom. The last entry
-    of the row is the diagonal entry.
+    Each row has one entry for every ancestor of its degree of freedom. The last entry
+    of a row is the diagonal entry.
 
     Attributes:
-        row_length, row_start: number of entries and index of the first entry of each
-            row, shape (nv,).
-        column: column of each entry, shape (nM,).
-        parent: parent of each degree of freedom, shape (nv,). The root has the parent
-            −1.
+        row_length, row_start: number of entries in each row and index of its first
+            entry, shape (nv,).
+        column: column index of each entry, shape (nM,).
+        parent: parent of each degree of freedom, or −1 at the root, shape (nv,).
         damping, damping_excess: damping matrices C and h D − C (`contact_loaded`),
             shape (nM,), kg or kg·m².
     """
@@ -82,7 +81,7 @@ def add_product(sparsity, matrix, x, out):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
-    """Compute the Jacobian row for the velocity of a point along the unit vector e."""
+    """Compute the Jacobian row for the velocity of a point along a unit vector."""
     row[0] = y * ez - z * ey
     row[1] = z * ex - x * ez
     row[2] = x * ey - y * ex
@@ -93,7 +92,7 @@ def point_jacobian(row, x, y, z, ex, ey, ez):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def spatial_velocities(cdof, sparsity, velocity, motion):  # type: ignore[no-untyped-def]
-    """Compute the spatial velocity of the bodies beyond each degree of freedom."""
+    """Compute the spatial velocity of the body that each degree of freedom moves."""
     for i in range(velocity.shape[0]):
         p = sparsity.parent[i]
         for k in range(6):
@@ -120,15 +119,10 @@ def project(cdof, sparsity, force, out):  # type: ignore[no-untyped-def]
 def project_jacobian(cdof, sparsity, derivative, force, matrix):  # type: ignore[no-untyped-def]
     """Sum spatial derivatives towards the root, and add their projection to a matrix.
 
-    As in the composite-rigid-body algorithm, the sum of the derivatives beyond a degree
-    of freedom is projected on this degree of freedom and its ancestors.
-
-    Args:
-        cdof: spatial axes of the degrees of freedom, shape (nv, 6).
-        sparsity: sparsity pattern of the matrix.
-        derivative: spatial derivatives, changed in place, shape (nv, 6, 6).
-        force: work array, shape (nv, 6).
-        matrix: matrix that is changed in place, shape (nM,).
+    As in the composite-rigid-body algorithm, the sum of all derivatives beyond a degree
+    of freedom is projected onto this degree of freedom and its ancestors. The function
+    overwrites the derivatives, shape (nv, 6, 6), and the work array `force`, shape (nv,
+    6). The matrix has the shape (nM,).
     """
     for i in range(sparsity.row_length.shape[0] - 1, -1, -1):
         d = cdof[i]
@@ -149,8 +143,8 @@ def project_jacobian(cdof, sparsity, derivative, force, matrix):  # type: ignore
 @kernel_only
 def factor(matrix, sparsity):  # type: ignore[no-untyped-def]
     """Factor a matrix with the pattern of M into LᵀDL, in place and without fill-in."""
-    # The elimination proceeds from the ends of the chain to the root, because the
-    # elimination of a row changes only the rows of the ancestors.
+    # The elimination of a row changes only the rows of its ancestors. The rows are
+    # therefore eliminated from the ends of the chain to the root.
     for k in range(sparsity.row_length.shape[0] - 1, -1, -1):
         row = sparsity.row_start[k]
         last = sparsity.row_length[k] - 1
@@ -165,7 +159,7 @@ def factor(matrix, sparsity):  # type: ignore[no-untyped-def]
 
 @kernel_only
 def substitute(matrix, sparsity, x):  # type: ignore[no-untyped-def]
-    """Solve LᵀDL x = b, where b is initially stored in `x`."""
+    """Solve LᵀDL x = b in place, where `x` initially contains b."""
     for i in range(x.shape[0] - 1, -1, -1):
         for k in range(
             sparsity.row_start[i], sparsity.row_start[i] + sparsity.row_length[i] - 1

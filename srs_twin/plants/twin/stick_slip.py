@@ -1,22 +1,22 @@
-r"""Friction of a contact that can stick, and of a wheel whose spin has inertia.
+r"""Stick-slip friction of contacts, and friction of wheels with rotational inertia.
 
 The friction laws map the velocity of a contact to the friction force and its
-derivatives. The functions use plain numbers, because both numba and Warp compile them.
+derivatives.
 
-The contact force is elastic-plastic. Let N be the normal force, ε the slip speed, and
-v_t and v_lat the velocities along and across the heading. The friction limits are μ_t N
-along and μ_lat N across the heading. The vector q̂ is the friction force of the
-previous step, divided by the friction limits. The friction force f is computed from an
-elastic trial value y:
+The friction force behaves like that of an elastic-plastic material. Let N be the normal
+force, ε the slip speed, and v_t and v_lat the contact velocities along and across the
+heading. The friction limits along and across the heading are μ_t N and μ_lat N. The
+vector q̂ contains the friction forces of the previous step, divided by their limits. An
+elastic trial value y determines the friction force f:
 
 $$ y = \hat q - \frac{1}{\varepsilon \mu}\,(\mu_t v_t, \mu_\mathrm{lat} v_\mathrm{lat}), \qquad
    f = N\,(\mu_t y_t, \mu_\mathrm{lat} y_\mathrm{lat})\,/\,\max(1, |y|), \qquad
    \mu = \min(\mu_t, \mu_\mathrm{lat}) . $$
 
-For |y| ≤ 1 the contact sticks. The change of the force is then proportional to the
-velocity, and the force is constant at rest. For |y| > 1 the contact slides with the
-force of `robot.friction.ellipse`. With y = q̂ − v/ε instead, the contact slides with
-the force of `robot.friction.cosine`, which lies on the same friction ellipse.
+For |y| ≤ 1, the contact sticks. The friction force then changes in proportion to the
+velocity and is constant at rest. For |y| > 1, the contact slides with the friction
+force of `robot.friction.ellipse`. If the trial value is y = q̂ − v/ε, the sliding force
+is that of `robot.friction.cosine`, which lies on the same friction ellipse.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ import numpy as np
 from srs_twin.compute.compiled import compiled
 
 _MIN_LIMIT = 1e-12
-"""Lower bound on the friction limit by which a force is divided, N."""
+"""Lower bound on a friction limit that is used as a divisor, N."""
 
 _MIN_RATIO = 0.01
 """Lower bound on μ/max(μ_t, μ_lat) in the stiffness 1/(ε μ), dimensionless.
 
-The bound keeps the stiffness finite if one of the coefficients is zero.
+The bound keeps the stiffness finite if one of the friction coefficients is zero.
 """
 
 _RIM_TOLERANCE = 1e-12
-"""Relative tolerance of the rim speed, dimensionless.
+"""Relative tolerance of the computed rim speed, dimensionless.
 
 Warp computes in single precision and uses a larger tolerance (`warp.translation`).
 """
@@ -46,16 +46,16 @@ _MAX_RIM_ITERATIONS = 60
 
 
 class FloorLaw(NamedTuple):
-    """Friction of wheels or skin on the floor.
+    """Parameters of the friction of wheels or skin on the floor.
 
     Attributes:
-        friction_law_index: friction law, an index into `numerics.LAWS_ON_LOADS`.
+        friction_law_index: index of the friction law in `numerics.LAWS_ON_LOADS`.
         forward, backward: friction coefficients μ_t for slip towards the head and the
             tail, dimensionless.
         across: friction coefficient μ_lat across the heading, dimensionless.
         slip_speed: slip speed ε, m/s.
-        spin_mass: moment of inertia of a wheel about its axle, divided by its squared
-            radius, kg.
+        spin_mass: moment of inertia of a wheel about its axle, divided by the square of
+            its radius, kg.
     """
 
     friction_law_index: int
@@ -67,7 +67,7 @@ class FloorLaw(NamedTuple):
 
 
 class Traction(NamedTuple):
-    """Friction force of a contact and derivatives of the force.
+    """Friction force of a contact and its derivatives with respect to velocity.
 
     Attributes:
         along, across: forces f_t and f_lat along and across the heading, N.
@@ -88,27 +88,29 @@ def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # ty
     """Return the `Traction` of a contact that can stick.
 
     Args:
-        v_t, v_lat: velocity along and across the heading, m/s.
-        load: normal force N, N.
+        v_t, v_lat: contact velocity along and across the heading, m/s.
+        load: normal force, N.
         mu_t, mu_lat: friction coefficients along and across the heading, dimensionless.
         slip: slip speed ε, m/s.
-        p_t, p_lat: friction force of the previous step, N.
+        p_t, p_lat: friction force along and across the heading in the previous step, N.
     """
     limit_t = mu_t * load
     limit_lat = mu_lat * load
     greatest = max(mu_t, mu_lat)
     if not greatest * load > 0.0:
         return Traction(0.0, 0.0, 0.0, 0.0, 0.0)
-    # In the direction of the smaller coefficient, the contact yields at the slip speed
-    # ε. In the perpendicular direction, the contact yields at a lower speed.
+    # In the direction with the smaller coefficient, the contact starts to slide at the
+    # slip speed ε. In the perpendicular direction, the contact starts to slide at a
+    # lower speed.
     stiffness = 1.0 / (slip * max(min(mu_t, mu_lat), _MIN_RATIO * greatest))
-    # The vector q is the previous force divided by the friction limits. If the load has
-    # decreased, q is scaled back onto the friction ellipse.
+    # The vector q is the previous force divided by the friction limits. If q is outside
+    # the friction ellipse because the load has decreased, q is scaled back onto the
+    # ellipse.
     q_t = p_t / max(limit_t, _MIN_LIMIT)
     q_lat = p_lat / max(limit_lat, _MIN_LIMIT)
     shrink = 1.0 / max(1.0, np.sqrt(q_t * q_t + q_lat * q_lat))
     # The vector y is the elastic trial force, and the vector a is the trial force
-    # limited to the ellipse. Each vector is divided by the friction limits.
+    # limited to the friction ellipse. Both vectors are divided by the friction limits.
     y_t = shrink * q_t - mu_t * stiffness * v_t
     y_lat = shrink * q_lat - mu_lat * stiffness * v_lat
     size = np.sqrt(y_t * y_t + y_lat * y_lat)
@@ -129,12 +131,12 @@ def stick_slip_friction(v_t, v_lat, load, mu_t, mu_lat, slip, p_t, p_lat):  # ty
 
 @compiled
 def skin_friction(v_t, v_lat, load, friction_law, p_t, p_lat, is_cosine):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the friction of a skin that can stick.
+    """Return the stick-slip friction force of a skin and its derivatives.
 
     Args:
         v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.
-        friction_law: friction on the floor, a `FloorLaw`.
-        is_cosine: whether the law is `cosine` instead of `ellipse`.
+        friction_law: floor friction, a `FloorLaw`.
+        is_cosine: whether the friction law is `cosine` instead of `ellipse`.
 
     Returns:
         The forces f_t and f_lat (N), and the derivatives ∂f_t/∂v_t, ∂f_t/∂v_lat,
@@ -182,25 +184,26 @@ def skin_friction(v_t, v_lat, load, friction_law, p_t, p_lat, is_cosine):  # typ
 
 @compiled
 def rolling_friction(v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
-    r"""Return the `Traction` and rim speed (m/s) of a wheel whose spin has inertia.
+    r"""Return the `Traction` and rim speed (m/s) of a wheel with rotational inertia.
 
-    The contact has the friction coefficient μ_lat in every direction. The axle brakes
-    the wheel with the coefficient μ_t under the load N. The rim speed w at the end of
-    the step satisfies the balance of the contact force f_t and the axle's friction,
+    The contact has a friction coefficient of μ_lat in all directions. At the rim of the
+    wheel, the axle friction has a coefficient of μ_t. The contact force f_t and the
+    axle friction determine the rim speed w at the time at which friction is evaluated:
 
     $$ k\,(w - w_0) = -f_t(v_t - w) - \mu_t N \operatorname{sgn} w . $$
 
     Here w₀ is the rim speed at the beginning of the step. The function sgn is
     set-valued at 0, so a wheel stays locked if the contact force is too small to turn
-    it. A sliding wheel without inertia has the force of `robot.friction.wheel`.
+    it. A sliding wheel without inertia has the friction force of
+    `robot.friction.wheel`.
 
     Args:
         v_t, v_lat, load, p_t, p_lat: arguments of `stick_slip_friction`.
-        friction_law: friction on the floor, a `FloorLaw` with equal coefficients for
-            forward and backward slip.
+        friction_law: floor friction, a `FloorLaw` with equal coefficients for forward
+            and backward slip.
         rim: rim speed w₀ at the beginning of the step, m/s.
-        inertia: coefficient k, kg/s, which is the moment of inertia of the wheel
-            divided by its squared radius and by the time step.
+        inertia: coefficient k, the moment of inertia of the wheel divided by its
+            squared radius and by the time since the beginning of the step, kg/s.
     """
     mu_lat = friction_law.across
     slip = friction_law.slip_speed
@@ -209,8 +212,8 @@ def rolling_friction(v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia): 
     demand = inertia * rim - grip.along
     if abs(demand) <= drag:
         return grip, 0.0
-    # The excess of the driving force is positive at the rim speed 0 and decreases with
-    # the rim speed, so a bracketed Newton iteration converges.
+    # At a rim speed of 0, the driving force exceeds the resistance. The excess
+    # decreases with the rim speed, so a bracketed Newton iteration converges.
     side = 1.0 if demand > 0.0 else -1.0
     low = float(0.0)
     high = (abs(demand) - drag) / inertia
@@ -249,9 +252,9 @@ def rolling_friction(v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia): 
 
 @compiled
 def axis_friction(v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia):  # type: ignore[no-untyped-def]  # noqa: D417
-    """Return the `Traction` of a rolling wheel with independent friction directions.
+    """Return the `Traction` of a wheel with independent friction along and across.
 
-    The inertia of the wheel's spin adds mass along the heading.
+    The rotational inertia of the wheel acts as additional mass along the heading.
 
     Args:
         v_t, v_lat, load, friction_law, p_t, p_lat, rim, inertia: arguments of

@@ -1,1 +1,1 @@
-"""Reconstruction of the body shape from markers."""
+"""Reconstruction of the body shape from motion capture markers."""

@@ -1,22 +1,22 @@
 """Detection of the floor plane, and transformation of markers to floor coordinates.
 
-**Vertical axis.** Each marker of a crawling snake has a nearly constant height, so the
-displacements d of a marker over time are parallel to the floor. Candidates for the
-normal n of the floor are the cross products d₁ × d₂ of two displacements. The candidate
-with the smallest median |n·d| is refined by a principal component analysis of the
-displacements close to its plane. If the snake does not move, the plane is fitted to the
-marker positions, although unequal heights of the markers then tilt the plane. The
-vertical axis is the file axis closest to the normal.
+**Vertical axis.** Each marker of a crawling snake has a nearly constant height, so its
+displacements d over time are nearly parallel to the floor. The cross product d₁ × d₂ of
+any two displacements is a candidate for the floor normal n. The candidate with the
+smallest median |n·d| is refined by a principal component analysis of the displacements,
+without outliers. If the snake does not move, the plane is fitted to the marker
+positions, and unequal marker heights tilt the plane. The vertical axis is the file axis
+closest to the normal.
 
-**Levelling.** A tilt of the floor in the recording is removed only if the tilt is
-certain. The gradients of the floor are computed by a robust fit of marker heights to
-marker positions. If the snake lifts its body in phase with its motion, the apparent
-gradient is L/S, where L is the RMS lift and S the RMS displacement. A gradient is
-therefore interpreted as a tilt only if it exceeds twice the gradient due to a lift of 1
-% of the body length. Each principal direction of the motion is tested separately.
+**Levelling.** A tilt of the floor is removed only if it is certain. The gradients of
+the floor are computed by a robust fit of the marker heights over the horizontal marker
+positions. A lift of the body in phase with the motion causes an apparent gradient L/S,
+where L is the RMS lift and S the RMS displacement. A gradient is therefore interpreted
+as a tilt only if it exceeds twice the gradient for a lift of 1 % of the body length.
+Each principal direction of the motion is tested separately.
 
-The following transformations of the file axes X, Y and Z are rotations, so left and
-right are preserved:
+The floor coordinates x and y follow from the file axes X, Y and Z by a rotation, which
+preserves left and right:
 
 | up | x    | y    |
 |----|------|------|
@@ -49,29 +49,26 @@ MAPS = {
     "-y": ((0, 1), (2, 1), (1, -1)),
     "-x": ((1, 1), (2, -1), (0, -1)),
 }
-"""File axis and sign of each floor coordinate (x, y, height), by vertical axis."""
+"""File axis and sign of the floor coordinates x, y and height, by vertical axis."""
 
 UPS = ("auto", *MAPS)
 
 _SAMPLES = 20_000
-"""Maximum number of positions or displacements that are evaluated."""
 _LAG_FRACTIONS = (60, 30, 10)
-"""Ratios of the recording duration to the time lag of a displacement."""
+"""Ratios of the recording duration to the time spans of displacements."""
 _NORMALS = 400
 _LIFT_FRACTION = 0.01
-"""Assumed RMS lift of a snake in phase with the motion, relative to the body length."""
+"""Assumed RMS lift in phase with the motion, relative to the body length."""
 _CERTAIN_RATIO = 2.0
-"""Minimum ratio of a gradient treated as a tilt to the gradient due to a lift."""
+"""Minimum ratio of a certain tilt to the apparent gradient due to the assumed lift."""
 _EXTENT_FRAMES = 200
-"""Number of sampled frames from which the body length is computed."""
 _FIT_ITERATIONS = 8
-"""Number of iterations of the robust gradient fit."""
 _MAX_SHIFT = 1e-3
-"""Maximum shift of high relative to low markers due to an ignored tilt, m."""
+"""Maximum horizontal shift between high and low markers due to an ignored tilt, m."""
 _PLANE_RATIO = 3.0
-"""Minimum ratio of the spread in a plane to the spread normal to the plane."""
+"""Minimum ratio of the spread in a plane to the spread normal to it."""
 _MAX_TILT = np.radians(3.0)
-"""Maximum ignored tilt, rad."""
+"""Maximum tilt that is ignored, rad."""
 _MAX_AXIS_TILT = np.radians(30.0)
 """Maximum angle between the floor normal and the vertical axis of the file, rad."""
 
@@ -81,9 +78,8 @@ class FloorPlane:
     """Marker positions in floor coordinates, and the detected vertical axis.
 
     Attributes:
-        points: coordinates x and y on the floor and height above the origin of the
-            file, shape (frames, columns, 3), m. The height is 0 if the file has no
-            heights.
+        points: coordinates x, y and height above the file origin, shape (frames,
+            columns, 3), m. All heights are 0 if the file contains none.
     """
 
     up: str
@@ -99,10 +95,10 @@ def map_to_floor(
     Args:
         points: marker positions, shape (frames, columns, 3) or (…, 2), m.
         up: vertical axis, one of `UPS`.
-        usual: vertical axis that is common in this file format, used if the markers do
-            not determine the axis.
-        level: whether the tilt of the floor is removed. If `level` is None, the tilt is
-            removed only if the tilt is certain.
+        usual: common vertical axis of the file format, used if the markers do not
+            determine the axis.
+        level: whether to remove the tilt of the floor, or None to remove only a certain
+            tilt.
     """
     notes: list[str] = []
     planar = points.shape[-1] == 2
@@ -168,7 +164,8 @@ def _find_floor(
             " axes; rotate the recording, or give the vertical axis with --up x, y or"
             " z, or with `up` in a map"
         )
-    # A calibration square on the floor defines the origin, so the markers are above it.
+    # A calibration square on the floor defines the origin, so the markers are above the
+    # origin.
     height = float(np.median(visible[:, axis]))
     up = ("-" if height < -1e-3 else "") + "xyz"[axis]
     notes = [f"up is {up}: markers stay within {1e3 * spread[0]:.1f} mm of a plane"]
@@ -224,7 +221,6 @@ def _rotated(points: np.ndarray, normal: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the gradients of the floor and the residual of the heights, m."""
     x, y = (place - np.nanmean(place, axis=0)).reshape(-1, 2).T
     z = (height - np.nanmean(height, axis=0)).ravel()
     known = np.flatnonzero(np.isfinite(x + y + z))
@@ -252,7 +248,6 @@ class _Spreads(NamedTuple):
 
 
 def _spreads(place: np.ndarray) -> _Spreads:
-    """Return principal standard deviations of the median covariance of all markers."""
     moved = place - np.nanmean(place, axis=0)
     products = moved[..., :, None] * moved[..., None, :]
     covariance = np.nanmedian(np.nanmean(products, axis=0), axis=0)
@@ -276,8 +271,8 @@ def _displacements(points: np.ndarray) -> np.ndarray:
     moved = moved[np.isfinite(moved).all(axis=1)]
     moved = moved[:: len(moved) // _SAMPLES + 1]
     distance = np.linalg.norm(moved, axis=1)
-    # A displacement contains the noise of two positions, so its standard deviation is
-    # √2 times the standard deviation of a position.
+    # A displacement contains the noise of two positions, so the standard deviation is
+    # √2 times as large as for one position.
     return np.asarray(moved[distance >= np.median(distance)] / np.sqrt(2))
 
 
@@ -286,10 +281,7 @@ def _is_plane(spread: np.ndarray) -> bool:
 
 
 def _principal_axes(moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return RMS values along the principal axes in ascending order, and the axes.
-
-    Outliers are excluded.
-    """
+    """Return ascending RMS values along the principal axes, and the axes."""
     pairs = np.random.default_rng(0).integers(len(moved), size=(2, _NORMALS))
     normals = np.cross(*moved[pairs])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-18)

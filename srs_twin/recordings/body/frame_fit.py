@@ -1,14 +1,14 @@
-r"""Least-squares fit of pose, bends and segment lengths to single frames.
+r"""Least-squares fit of the pose, bends and segment lengths in each frame.
 
-**Model.** A *station* is a point along the body. The even stations 0, 2, 4, … are the
-connectors, head first, and the odd stations are the middles of the segments. A marker m
-at station k has the position
+**Model.** A *station* is a numbered point along the body. Even stations are the
+connectors, starting with 0 at the head, and odd stations are the middles of the
+segments. A marker m at station k has the position
 
 $$ p_m = P_k + a_m\,e^{i\theta_k}, $$
 
-where a_m is the offset of the marker in the frame of the station. Points in the plane
-are written as complex numbers. Adjacent connectors are joined by an arc of length ℓ_j
-and bend q_j, with half of the rigid gap g at each end of the arc:
+where a_m is the offset of the marker in the frame of the station. Complex numbers
+represent points in the plane. An arc of length ℓ_j and bend q_j joins adjacent
+connectors, with half of the rigid gap g at each end:
 
 $$ P_{j+1} = P_j - e^{i\theta_j}\Bigl(\tfrac g2 + \ell_j E(q_j) + \tfrac g2 e^{-iq_j}\Bigr),
    \qquad E(\varphi) = \int_0^1 e^{-i\varphi u}\,du, \qquad \theta_{j+1} = \theta_j - q_j. $$
@@ -19,11 +19,11 @@ $$ \sum_m \frac{|p_m - \hat p_m|^2}{\sigma^2} + \sum_j \frac{(\ell_j - \bar\ell_
    + \frac{\varepsilon^2}{\sigma_\varepsilon^2} + \sum_j \frac{(q_j - \hat
    q_j)^2}{\sigma_q^2}. $$
 
-The minimum is found by the Gauss-Newton method. The standard errors are computed from
-the inverse of the Gauss-Newton matrix. The last term is included only in frames with
-hidden markers, where it keeps the bends close to a spline through the other frames. The
-term with the alternating bend ε is included only if the segment lengths are assumed to
-be constant (see `shape`).
+The Gauss-Newton method finds the minimum, and the inverse of the Gauss-Newton matrix
+gives the standard errors. The last term is included only in frames with hidden markers,
+where it keeps the bends close to a spline through the other frames. The term with the
+alternating bend ε is included only if the segment lengths are assumed to be constant
+(see `shape`).
 """
 
 from __future__ import annotations
@@ -42,35 +42,24 @@ SIDE_DIRECTIONS = {"": 0, "ahead": 1, "behind": -1, "left": 1j, "right": -1j}
 """Direction from a station to a marker on each side, in the frame of the station."""
 
 _MAX_PAIR_ANGLE = np.radians(25.0)
-"""Maximum angle between a marker pair and the body axis or its normal, rad."""
+"""Maximum angle of a marker pair to the body axis or its normal, rad."""
 _BEND_STD = 0.15
-"""Standard deviation σ_q of bends about the spline in frames with hidden markers, rad.
-"""
+"""Standard deviation σ_q of bends from the spline if markers are hidden, rad."""
 _HIDDEN_STD = 1e-2
 """Assumed standard deviation of the interpolated position of a hidden marker, m."""
 _FLAT_PRIOR_STD = 1e3
-"""Prior standard deviation of headings and bends, rad.
-
-This weak prior prevents singular matrices.
-"""
+"""Prior standard deviation of headings and bends to avoid singular matrices, rad."""
 _MAX_ANGLE_STEP = 0.3
 """Maximum change of heading and bends in a Gauss-Newton step, rad."""
 _MAX_STEPS = 15
 _CONVERGED_STEP = 1e-5
-"""Convergence tolerance of the Gauss-Newton step, rad and m.
-
-Convergence is quadratic, so the next step would be negligible.
-"""
+"""Convergence tolerance of the Gauss-Newton step, rad and m."""
 _MAX_LENGTH = 1e3
-"""Maximum segment length, m.
-
-The bound is needed because the fit of a wrong marker assignment may diverge.
-"""
+"""Maximum segment length, which limits a fit that diverges, m."""
 _ALTERNATING_STARTS = np.linspace(-0.6, 0.6, 13)
-"""Initial values of the alternating bend ε, rad."""
+"""Trial values of the alternating bend ε, rad."""
 _SWAP_NOISE = 4.0
-"""Marker residual, divided by the noise, above which a swap within the pair is tested.
-"""
+"""Ratio of marker residual to noise above which a swap within a pair is tested."""
 
 
 class _Kinematics(NamedTuple):
@@ -85,8 +74,8 @@ class MarkerPlacement:
     """Placement of the markers on the body.
 
     Attributes:
-        station: station of each marker, shape (markers,).
-        offset: complex offset of each marker in the frame of the station, m, shape
+        station: station number of each marker, shape (markers,).
+        offset: complex offset of each marker in the frame of its station, m, shape
             (markers,).
     """
 
@@ -95,14 +84,14 @@ class MarkerPlacement:
     geometry: Geometry
 
     def kinematics(self, state: np.ndarray) -> _Kinematics:
-        """Return markers with their Jacobian, and connector positions and headings.
+        """Return marker positions with Jacobians, and connector positions and headings.
 
-        `state` contains the position x, y, the heading θ_1, the bends and the segment
+        `state` contains x, y and θ_1 of the first connector, the bends and the segment
         lengths, shape (frames, 3 + 2 segments).
         """
         count = self.geometry.connectors - 1
         # The middle station divides every segment into two halves. Half of the rigid
-        # gap precedes the first half, and half of the gap follows the second half.
+        # gap lies in front of the first half, and half lies behind the second half.
         turn, length = np.split(np.repeat(state[:, 3:] / 2, 2, axis=1), 2, axis=1)
         before, after = (
             np.tile(ends, count) * self.geometry.rigid_gap / 2
@@ -124,8 +113,9 @@ class MarkerPlacement:
         jacobian[..., 0] = 1
         jacobian[..., 1] = 1j
         jacobian[..., 2] = 1j * (marker - station[:, :1])
-        # Bending a half segment changes its chord and rotates all stations behind it
-        # about its rear end. Lengthening a half segment displaces these stations.
+        # Bending a half segment changes the chord of this half and rotates all stations
+        # behind the half about its rear end. Lengthening the half displaces these
+        # stations.
         moved = self.station[:, None] > np.arange(2 * count)
         chord_derivative = front_direction * (
             length * arc_derivative - 1j * after * rotation
@@ -136,7 +126,6 @@ class MarkerPlacement:
         by_length = -(front_direction * arc)[:, None]
         for k, by_half in ((3, by_turn), (3 + count, by_length)):
             derivative = np.where(moved, by_half, 0)
-            # Each half has half of the segment's bend and length.
             jacobian[..., k : k + count] = (
                 derivative[..., ::2] + derivative[..., 1::2]
             ) / 2
@@ -158,10 +147,11 @@ def marker_offsets(
 ) -> np.ndarray:
     """Return the complex offsets of markers from their stations, m, shape (markers,).
 
-    A single marker at a station has offset 0. Two markers without a stated side are
-    assumed to lie symmetrically about the station, along or across the body. Two
-    markers with equal names represent a rigid body and may lie in any direction. In
-    `points`, the positions of hidden markers must have been interpolated.
+    A single marker at a station has an offset of 0. Two markers without a stated side
+    are assumed to lie symmetrically about the station, along or across the body. Two
+    markers with the same name represent a rigid body, and the line between them may
+    have any direction. The positions of hidden markers in `points` must be
+    interpolated.
     """
     offsets = np.zeros(len(places), dtype=complex)
     position = points @ [1, 1j]
@@ -216,10 +206,10 @@ class StatePrior:
     """Marker noise and prior distribution of the state.
 
     Attributes:
-        noise: standard deviation σ of a marker coordinate, m.
+        noise: standard deviation σ of the noise in a marker coordinate, m.
         length_mean: mean segment lengths, m, shape (segments,).
-        alternating_std: standard deviation σ_ε, rad, or None if the markers determine
-            ε.
+        alternating_std: standard deviation σ_ε of the alternating bend ε, rad, or None
+            if the markers determine ε.
     """
 
     noise: float
@@ -292,7 +282,7 @@ def fit_frames(
     prior: StatePrior,
     missing: np.ndarray | None = None,
 ) -> FrameFit:
-    """Fit the states of frames by the Gauss-Newton method.
+    """Fit the state of each frame by the Gauss-Newton method.
 
     Args:
         state: initial states, shape (frames, 3 + 2 segments). In frames with hidden
@@ -314,7 +304,6 @@ def fit_frames(
         weight[missing] = _HIDDEN_STD**-2
         information[prior.bends, prior.bends] += _BEND_STD**-2 * np.eye(count)
         prior_mean[:, prior.bends] = state[:, prior.bends]
-    # Only the frames that have not converged (`active`) are iterated.
     state, active = state.copy(), np.arange(len(state))
     max_step = np.repeat([np.inf, _MAX_ANGLE_STEP, np.inf], [2, 1 + count, count])
     bound = np.repeat([np.inf, 2 * np.pi, _MAX_LENGTH], [3, count, count])
@@ -323,7 +312,6 @@ def fit_frames(
     for _ in range(_MAX_STEPS):
         body = placement.kinematics(state[active])
         residual[active] = difference = measured[active] - body.marker
-        # `inner` is the Gauss-Newton matrix without the prior information.
         weighted = (body.jacobian.conj() * weight[active][..., None]).transpose(0, 2, 1)
         data[active] = inner = (weighted @ body.jacobian).real
         gradient = (weighted @ difference[..., None])[..., 0].real
@@ -335,7 +323,7 @@ def fit_frames(
         if not active.size:
             break
     covariance = np.linalg.inv(data + information)
-    # The trace is the effective number of parameters that the markers determine.
+    # This trace is the effective number of parameters that the markers determine.
     parameters = np.einsum("fuv,fvu->", covariance, data)
     squares = weight * np.abs(residual) ** 2
     deviation = prior_mean - state
@@ -357,8 +345,8 @@ def fit_incomplete_frames(
     """Fit the states of frames with hidden markers.
 
     If only one marker of a pair is visible, the tracking may have confused the two
-    markers. Both assignments of the visible marker are fitted, and the fit with the
-    smaller cost is returned.
+    markers. In frames with a large residual, both assignments are fitted, and the fit
+    with the smaller cost is returned.
     """
     best = fit_frames(state, measured, placement, prior, missing)
     for station in np.unique(placement.station):
@@ -387,10 +375,10 @@ def fit_incomplete_frames(
 def initial_states(
     measured: np.ndarray, placement: MarkerPlacement, prior: StatePrior
 ) -> np.ndarray:
-    """Return approximate states of frames.
+    """Return approximate states from which the fit starts.
 
-    Headings are interpolated along the body between known directions, which are the
-    directions of marker pairs and of the lines between adjacent stations.
+    The headings are interpolated along the body between the directions of marker pairs
+    and of lines through adjacent stations.
     """
     from scipy.interpolate import make_interp_spline
 
@@ -413,7 +401,6 @@ def initial_states(
     between = (stations[1:] + stations[:-1]) / 2
     directions += zip(between.tolist(), np.angle(-np.diff(centre).T), strict=True)
     positions, angles = zip(*sorted(directions, key=lambda item: item[0]), strict=True)
-    # The linear spline is extrapolated beyond the first and the last known direction.
     heading = make_interp_spline(positions, np.unwrap(angles, axis=0), k=1)
     theta = heading(2 * np.arange(len(prior.length_mean) + 1)).T
     origin = np.zeros((len(measured), 2))
@@ -430,10 +417,10 @@ def initial_states(
 def _fixed_length_states(
     measured: np.ndarray, placement: MarkerPlacement, prior: StatePrior
 ) -> np.ndarray:
-    """Return approximate states for constant lengths, with the best ε of a coarse grid.
+    """Return approximate states for constant lengths, with ε from a coarse grid search.
 
-    Each connector has one marker. By symmetry, the direction α_j from one connector to
-    the next is the mean of the headings of the two connectors, so θ_{j+1} = 2α_j − θ_j.
+    Each connector has one marker. By symmetry, the direction α_j of the line between
+    two adjacent connectors is the mean of their headings, so θ_{j+1} = 2α_j − θ_j.
     """
     count = len(prior.length_mean)
     order = np.argsort(placement.station)

@@ -1,4 +1,4 @@
-"""Layout of the markers on the robot, and their order along the body.
+"""Layouts of the markers on the robot, and order of the markers along the body.
 
 The layouts are:
 
@@ -7,12 +7,12 @@ The layouts are:
 - ``pair``: two markers per connector, along or across the body, as on the first and the
   third robot of the dissertation (Sections 2.3.1 and 2.3.2).
 - ``middles``: one marker per connector, and one at the middle of each segment.
-- ``head_middles``: like ``middles``, with one more marker in front of the head.
+- ``head_middles``: the markers of ``middles``, and one in front of the head.
 
 The distance between markers on adjacent connectors never exceeds the length of a
 straight segment, whereas markers on more distant connectors are sometimes farther
-apart. The minimum spanning tree of the maximum distances therefore yields the order of
-the markers along the body.
+apart. The minimum spanning tree of the maximum distances therefore connects the markers
+in their order along the body.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from srs_twin.robot.spec import RobotSpec
 
 
 class LayoutSize(NamedTuple):
-    """Number of markers on N connectors: per_connector · N + extra."""
+    """Number of markers in a layout with N connectors: per_connector · N + extra."""
 
     per_connector: int
     extra: int
@@ -46,35 +46,34 @@ LAYOUT_SIZES: dict[str, LayoutSize] = {
 }
 
 LAYOUTS = ("auto", *LAYOUT_SIZES)
-"""Layout names. With "auto", the layout is detected from the markers."""
+"""Layout names, including "auto" for a layout that is detected from the markers."""
 
 MIN_COVERAGE = 0.2
 """Minimum fraction of frames in which a robot marker is visible."""
 _MAX_NEIGHBOUR_PITCH = 2.0
 """Maximum distance from a robot marker to the nearest marker, in segment lengths."""
 _MIN_EXTENT = 0.1
-"""Minimum extent of all markers, divided by the length of the straight body."""
+"""Minimum extent of all markers, relative to the length of the straight body."""
 _MAX_NEAREST_PITCH = 2.5
 """Maximum distance between the two closest markers, in segment lengths."""
 _DISTANCE_FRAMES = 2000
 _NEIGHBOUR_FRAMES = 300
-"""Number of sampled frames in which the nearest marker is determined."""
 _SAME_HEIGHT = 0.05
-"""Maximum difference between the height of a robot marker and the usual height, m."""
+"""Maximum difference between the height of a robot marker and the median height, m."""
 _CONSTANT_HEIGHT = 0.02
-"""Maximum range of the height of a robot marker that has an unusual height, m."""
+"""Maximum variation in the height of a robot marker with an unusual height, m."""
 _MAX_DISTANCE_RANGE = 0.5
-"""Maximum relative range of the distance between two markers that move together."""
+"""Maximum relative variation of the distance between two markers that move together."""
 _MIN_MOTION_RATIO = 0.2
 """Minimum ratio of the mean displacements of two markers that move together."""
 
 
 def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
-    """Return the tracks that do not belong to the robot, with reasons.
+    """Return the tracks that do not belong to the robot, with the reason for each.
 
-    A marker may have an unusual but constant height, for example on a mast. Such a
-    marker belongs to the robot if its distance from a moving robot marker is nearly
-    constant. Positions are floor coordinates in m.
+    A marker with an unusual but constant height, for example on a mast, belongs to the
+    robot if it moves together with another robot marker. `tracks` contains floor
+    coordinates in m.
     """
     visible = np.isfinite(tracks[..., 0])
     if visible.any():
@@ -141,15 +140,16 @@ def robot_markers(
         points: positions of all tracks, m, shape (frames, tracks, 2).
         connectors: number N of connectors.
         pitch: length of a straight segment, m.
-        layout: layout, one of `LAYOUTS`. With "auto", every layout with the visible
-            number of markers is possible.
-        named: number of columns whose names state a place on the robot.
+        layout: marker layout, one of `LAYOUTS`. With "auto", every layout that has the
+            visible number of markers is possible.
+        named: number of columns with a known place on the robot.
     """
     visible = ~np.isnan(points[..., 0])
     coverage = visible.mean(axis=0)
     candidates = np.flatnonzero(coverage >= MIN_COVERAGE)
     if len(candidates) > connectors and not named:
-        # In most frames in which it is visible, a robot marker is close to another one.
+        # A robot marker is close to another marker in most frames in which it is
+        # visible.
         limit = _MAX_NEIGHBOUR_PITCH * pitch
         has_neighbour = (
             pairwise_distances(points[:, candidates], _NEIGHBOUR_FRAMES) < limit
@@ -217,7 +217,7 @@ def body_order(points: np.ndarray) -> np.ndarray:
 
 
 def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
-    """Return the pairs of markers with a constant distance, shape (connectors, 2)."""
+    """Return marker pairs with a constant mutual distance, shape (connectors, 2)."""
     median, spread = distance_statistics(points)
     score = spread + 0.02 * median
     pairs: list[tuple[int, int]] = []
@@ -229,8 +229,8 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
         if {a, b} <= free:
             pairs.append((a, b))
             free -= {a, b}
-    # Distances between two pairs may be as small and as constant as the distance within
-    # a pair. The pairs that follow from the order along the body are therefore an
+    # The distance between markers of different pairs may be as small and as constant as
+    # within a pair. Pairs of successive markers along the body are therefore an
     # alternative.
     try:
         in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
@@ -248,13 +248,11 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
 
 
 def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return medians and standard deviations of distances, m, shape (markers, markers).
+    """Return the medians and standard deviations of the marker distances, m.
 
-    The standard deviations are computed from quartiles, which are robust to a few wrong
-    frames.
+    Both results have shape (markers, markers), and are robust to a few wrong frames.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
-    # Markers that are never visible in the same frame have no distance (NaN).
     distance[:, np.isnan(distance).all(axis=0)] = np.inf
     with np.errstate(invalid="ignore"):
         low, median, high = np.nanquantile(distance, [0.25, 0.5, 0.75], axis=0)
@@ -286,7 +284,7 @@ def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
 
 
 def unit_hint(ratio: float) -> str:
-    """Return a hint on the unit from the ratio of measured to expected lengths."""
+    """Return a hint on the unit, based on the ratio of measured to expected lengths."""
     for unit, factor in LENGTHS.items():
         for correction, preposition in ((factor, "in"), (1 / factor, "not in")):
             if factor != 1 and 0.7 < ratio * correction < 1.1:
@@ -298,7 +296,7 @@ def unit_hint(ratio: float) -> str:
 
 
 def forward_distance(period: float, points: np.ndarray) -> float:
-    """Return the distance travelled towards the first marker, m.
+    """Return the distance that the body travelled towards the first marker, m.
 
     The result is negative if the body moves towards the last marker. `period` is the
     frame period (s), and `points` contains the marker positions along the body (m).

@@ -29,28 +29,27 @@ from srs_twin.recordings.formats.base import MarkerTable
 from srs_twin.robot.spec import RobotSpec
 
 Places = dict[int, tuple[int, str]]
-"""Station and side of each marker.
+"""Station and side of each marker, keyed by marker index.
 
-The even stations 0, 2, 4, … are the connectors, ordered from the head. The odd stations
-are the middles of the segments.
+Even stations are the connectors, starting with 0 at the head, and odd stations are the
+middles of the segments.
 """
 
 _MIN_CRAWLED = 0.1
-"""Minimum travelled distance from which the head is inferred, in body lengths."""
+"""Minimum travelled distance for detecting the head, in body lengths."""
 _NOTED_LENGTH = 0.02
 """Relative deviation of a median segment length above which a note is added."""
 _NOTED_STRETCH = 0.05
 """Relative range of a segment length above which a note is added."""
 _MAX_FIXED_STD = 0.03
-"""Maximum standard deviation of constant segment lengths, relative to their mean."""
+"""Maximum standard deviation of constant lengths, relative to the nominal length."""
 _COMPARED_FRAMES = 600
-"""Number of frames used to compare alternative assignments."""
 _CLEAR_NOISE_RATIO = 1.3
-"""Minimum ratio of the second smallest to the smallest noise for a clear decision."""
+"""Minimum ratio of the noise with the second-best assignment to the smallest noise."""
 _MAX_LENGTH_RATIO = 1.15
-"""Upper bound on the minimum length of a segment, relative to the nominal length."""
+"""Upper bound on the shortest length of a segment, relative to the nominal length."""
 _MIN_LENGTH_RATIO = 0.85
-"""Lower bound on the maximum length of a segment, relative to the nominal length."""
+"""Lower bound on the longest length of a segment, relative to the nominal length."""
 
 
 @dataclass(frozen=True)
@@ -58,11 +57,10 @@ class CapturedMarkers:
     """Robot markers in the frames of the trajectory.
 
     Attributes:
-        table: all markers in the file.
         points: marker positions, m, shape (frames, markers, 2). The positions of hidden
             markers are interpolated.
-        columns: column of the file that contains each sample, shape (frames, markers).
-            The column of a hidden marker is −1.
+        columns: file column of each sample, or −1 for a hidden marker, shape (frames,
+            markers).
         other: number of samples in the file that do not belong to the robot.
     """
 
@@ -81,7 +79,7 @@ class CapturedMarkers:
 
     @cached_property
     def main_columns(self) -> list[int]:
-        """Column that contains most samples of each marker."""
+        """File column that contains most samples of each marker."""
         return [
             int(np.bincount(column[column >= 0]).argmax()) for column in self.columns.T
         ]
@@ -97,7 +95,7 @@ class CapturedMarkers:
         )
 
     def name(self, marker: int) -> str:
-        """Return the name of the column that contains most samples of a marker."""
+        """Return the name of the file column that contains most samples of a marker."""
         return self.table.labels[self.main_columns[marker]]
 
 

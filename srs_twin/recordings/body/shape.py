@@ -1,17 +1,16 @@
-"""Body shape in a recording: bends, segment lengths, and standard errors.
+"""Estimation of bends, segment lengths and standard errors from marker positions.
 
-**Lengths.** If the markers determine the bends without assumptions on the segment
-lengths, the segment lengths are free parameters. The means and the standard deviation
-σ_ℓ of the segment lengths are estimated by expectation-maximisation. With one marker
-per connector, the alternating bend ε in q_j = q_j⁰ + 2(−1)^{j−1} ε is not observable
-without an assumption, because adjacent headings may turn in opposite directions. The
-assumption of constant segment lengths determines ε. The accuracy of ε is low if the
-body is nearly straight. Recordings with one marker per connector are rejected if the
-body stretches.
+**Lengths.** If the markers determine the bends without an assumption on the segment
+lengths, the lengths are free parameters. Their means and their standard deviation σ_ℓ
+are estimated by expectation-maximisation. One marker per connector does not determine
+the alternating bend ε in q_j = q_j⁰ + 2(−1)^{j−1} ε, as adjacent headings may turn
+oppositely. In this case, the segment lengths are assumed to be constant, which
+determines ε with low accuracy if the body is nearly straight. Recordings with one
+marker per connector are rejected if the body stretches.
 
-**Noise.** The noise σ is estimated from high-order differences of the marker positions,
-which suppress the motion. With redundant markers, σ is computed from the fit residual,
-which also includes deviations of the segments from arcs.
+**Noise.** The noise σ in a marker coordinate is estimated from high-order differences
+over time, which suppress the motion. If the markers are redundant, σ is computed from
+the fit residual, which also includes deviations of the segments from arcs.
 """
 
 from __future__ import annotations
@@ -41,12 +40,11 @@ _MIN_NOISE = 1e-7
 _DEFAULT_NOISE = 5e-4
 """Noise σ assumed for a recording that is too short for an estimate, m."""
 _MAX_DIFFERENCE_ORDER = 8
-"""Maximum order of the differences from which the noise is estimated."""
 _NOISE_FRAMES = 20_000
 _MIN_REDUNDANCY = 0.3
 """Minimum number of redundant coordinates per frame for a noise estimate."""
 _MIN_MOTION_RATIO = 0.5
-"""Ratio of residual to noise below which motion has inflated the noise estimate."""
+"""Ratio of residual to noise below which the noise estimate includes motion."""
 
 _INITIAL_LENGTH_STD = 0.1
 """Initial value of the standard deviation σ_ℓ, relative to the segment length."""
@@ -56,7 +54,7 @@ _EM_FRAMES = 400
 _EM_ITERATIONS = 12
 
 _MAX_BEND_STD = 0.15
-"""Maximum standard error of a bend that the markers determine, rad."""
+"""Maximum standard error of a bend that counts as determined, rad."""
 _TEST_NOISE = 2e-4
 """Noise assumed in `length_model`, m."""
 _FREE_LENGTH_STD = 0.3
@@ -65,26 +63,22 @@ _FIXED_LENGTH_STD = 0.01
 """Standard deviation of constant lengths in `length_model`, relative to the length."""
 
 _CHUNK_FRAMES = 2048
-"""Number of frames per fitted block."""
 
 _OUTLIER_NOISE = 8.0
-"""Minimum distance of an outlier from the body, divided by the noise."""
+"""Minimum distance of an outlier from its fitted position, divided by the noise."""
 _MAX_OUTLIERS = 0.01
-"""Maximum fraction of outliers. A larger fraction indicates a wrong model."""
+"""Maximum fraction of outliers, above which the model is probably wrong."""
 _MIN_OUTLIER_DISTANCE = 1e-4
-"""Minimum distance of an outlier from the body, m."""
+"""Minimum distance of an outlier from its fitted position, m."""
 
 
 class LengthModel(Enum):
     """Assumption on the segment lengths."""
 
     FREE = "free"
-    """Segment lengths may vary, because the markers alone determine the bends."""
+    """Segment lengths may vary, because markers alone determine bends."""
     FIXED = "fixed"
-    """Segment lengths are constant.
-
-    Without this assumption, the markers would not determine the bends.
-    """
+    """Segment lengths are constant, because markers alone do not determine bends."""
 
 
 @dataclass(frozen=True)
@@ -96,9 +90,9 @@ class BodyShape:
         theta: unwrapped connector headings, rad, shape (frames, N).
         bend_error: standard errors of the bends, rad, shape (frames, segments).
         length: arc lengths of the segments, m, shape (frames, segments).
-        noise: standard deviation σ of a marker coordinate, m.
+        noise: standard deviation σ of the noise in a marker coordinate, m.
         residual: RMS distance of the visible markers from the body, m, shape (frames,).
-        missing: mask of markers that were hidden or outliers, shape (frames, markers).
+        missing: mask of hidden markers and outliers, shape (frames, markers).
     """
 
     connector: np.ndarray
@@ -124,10 +118,10 @@ class BodyShape:
 def length_model(
     station: np.ndarray, offset: np.ndarray, geometry: Geometry
 ) -> LengthModel | None:
-    """Return the weakest length assumption under which markers determine the bends.
+    """Return the weakest length assumption with which the markers determine the bends.
 
-    The standard errors of the bends are computed for one typical shape. If the markers
-    do not determine the bends under any assumption, the result is None.
+    The test uses the standard errors of the bends in one typical shape. The result is
+    None if no assumption is sufficient.
     """
     placement = MarkerPlacement(station, offset, geometry)
     count = geometry.connectors - 1
@@ -145,7 +139,7 @@ def length_model(
         if np.linalg.matrix_rank(matrix, tol=1e-3, hermitian=True) < len(data):
             continue
         error = np.sqrt(np.diag(np.linalg.inv(matrix))[prior.bends])
-        # The constant length of a single segment does not determine the sign of ε.
+        # Constant lengths of fewer than three segments may not determine the sign of ε.
         one_per_connector = count > 2 and sorted(station) == list(
             range(0, 2 * count + 1, 2)
         )
@@ -159,10 +153,11 @@ def length_model(
 def marker_noise(points: np.ndarray) -> float:
     """Estimate the standard deviation of the noise in a marker coordinate, m.
 
-    The n-th differences of white noise with variance σ² have variance C(2n, n) σ²,
-    where C is the binomial coefficient. Motion increases the estimate of σ, mainly at
-    low orders n, so the minimum over all orders is returned. Each estimate is based on
-    a median, which is robust to outliers. In `points` (m), hidden markers are NaN.
+    The n-th differences of white noise with a variance of σ² have a variance of
+    C(2n, n) σ², where C is the binomial coefficient. Motion increases the estimate of
+    σ, mainly at low orders n, so the smallest estimate over all orders is returned.
+    Each estimate is based on a median, which is robust to outliers. Positions of hidden
+    markers in `points` (m) are NaN.
     """
     estimates = []
     for order in range(1, min(_MAX_DIFFERENCE_ORDER, len(points) - 2) + 1):
@@ -186,7 +181,7 @@ def fit_shape(
 ) -> BodyShape:
     """Fit the body shape to marker positions (m).
 
-    The positions of hidden markers must have been interpolated.
+    The positions of hidden markers must be interpolated.
     """
     measured = points @ [1, 1j]
     missing = missing.copy()
@@ -216,7 +211,7 @@ def fit_shape(
     else:
         scale = 1.0
     if prior.alternating_std is not None:
-        # With constant lengths the fit has little redundancy, so a small residual must
+        # With constant lengths, the fit has little redundancy, so a small residual must
         # not reduce the standard errors.
         scale = max(scale, 1.0)
     outlier = fits.distance[complete] > max(
@@ -288,8 +283,6 @@ class _RecordingFits:
     def update(
         self, frames: np.ndarray, fit: Callable[[np.ndarray], FrameFit]
     ) -> np.ndarray:
-        """Fit frames in blocks, and return the sums of χ² and degrees of freedom."""
-
         def work(rows: np.ndarray) -> tuple[float, float]:
             fitted = fit(rows)
             self.state[rows] = fitted.state
@@ -343,14 +336,14 @@ def _estimated_prior(
             scale = float(np.sqrt(fit.chi2 / fit.freedom))
             # With constant lengths, the noise and the variation of the lengths have
             # nearly equal effects on the residual. The noise is therefore updated only
-            # if the residual shows that the differences contain motion, and only in the
-            # second half of the iterations.
+            # in the second half of the iterations, and only if a small residual shows
+            # that the noise includes motion.
             if not fixed or (
                 scale < _MIN_MOTION_RATIO and 2 * iteration >= _EM_ITERATIONS
             ):
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
-        # With constant lengths, a new prior may change the best ε, so the coarse grid
-        # is searched again.
+        # With constant lengths, a new prior may change the best ε, so the grid is
+        # searched again.
         if fixed:
             start = initial_states(measured, placement, prior)
         else:

@@ -1,24 +1,25 @@
-r"""Tracking of markers through swaps and gaps.
+r"""Tracking of markers across column swaps and gaps.
 
-1. *Slots*: in some formats, a marker that reappears is stored in a new column. Columns
-   that never contain a marker in the same frame are combined into one slot.
-2. *Tracklets*: a tracklet is an interval of a slot in which all samples certainly
-   belong to one marker. The expected position of a marker in frame k is
+1. *Slots*: Some formats store a reappearing marker in a new column. Columns whose time
+   spans do not overlap are therefore combined into one slot.
+2. *Tracklets*: A tracklet is a part of a slot in which all samples certainly belong to
+   one marker. The expected position of a marker in frame k is
 
    $$ \hat p_k = p_a + (k - a)(p_a - p_{a-1}), $$
 
    where a is the last frame in which the marker was seen. A sample in the next frame
-   certainly belongs to the tracklet if its distance from the expected position is less
-   than the gate, and if all other samples are at least twice as far away.
-3. *Tracks*: tracklets that begin in a frame are assigned to the markers that were lost
+   certainly belongs to the tracklet if its distance from the expected position is below
+   a threshold called the gate. In addition, all other samples must be at least twice as
+   far away from this position.
+3. *Tracks*: Tracklets that begin in a frame are assigned to the markers that were lost
    before this frame. The Hungarian method minimises the sum of the distances from the
-   expected positions. After a gap of a few frames, a marker is expected at the position
-   extrapolated with its velocity. After a longer gap, two positions are considered: the
-   last position of the marker, and this position displaced by the motion of the
-   surrounding markers. The position closer to the new tracklet is used.
+   expected positions. After a gap of a few frames, the expected position is
+   extrapolated with the velocity of the marker. After a longer gap, two positions are
+   considered: the last position of the marker, and this position moved together with
+   the surrounding markers. The position closer to the new tracklet is used.
 
-Of 65 synthetic recordings with swaps, gaps and markers that reappear in new columns,
-only 16 can be read without tracking, whereas all 65 can be read with tracking.
+Of 65 synthetic recordings with swaps, gaps and reappearing markers, 16 can be read
+without tracking and all 65 with tracking.
 """
 
 from __future__ import annotations
@@ -34,27 +35,25 @@ MAX_MARKERS = 64
 """Maximum number of markers and reflections in one frame."""
 
 GATE_RATIO = 0.4
-"""Gate of a certain assignment, relative to the distance of the closest markers."""
+"""Gate of a tracklet, relative to the distance between the closest markers."""
 
 _DISTANCE_FRAMES = 500
-"""Number of frames from which the distance between the closest markers is computed."""
 _MIN_SAMPLES = 3
-"""Minimum number of samples of a track. A shorter track is treated as a reflection."""
+"""Minimum number of samples in a track that is not treated as a reflection."""
 _MAX_SHORT = 0.03
-"""Maximum fraction of samples in short tracklets that are treated as reflections.
+"""Maximum fraction of samples in short tracklets if these are reflections.
 
-If the fraction is larger, short tracklets are probably due to fast markers.
+A larger fraction is probably due to fast markers.
 """
 _VELOCITY_FRAMES = 4
-"""Maximum number of frames over which the velocity of a marker is extrapolated."""
+"""Maximum number of frames over which a marker is assumed to keep its velocity."""
 _MAX_REACH_RATIO = 6.0
 """Maximum ratio of the reach after a long gap to the reach after a short gap."""
 _PAST_SAMPLES = 100
-"""Maximum number of past samples used for the range of marker distances."""
 _RANGE_COST = 3.0
-"""Weight of distances outside their past ranges in the assignment cost."""
+"""Weight of deviations from past distance ranges in the assignment cost."""
 _FORBIDDEN_COST = 1e6
-"""Cost of an assignment whose distance exceeds the reach, m."""
+"""Cost of an assignment that exceeds the maximum distance, m."""
 
 
 class Tracks(NamedTuple):
@@ -63,9 +62,9 @@ class Tracks(NamedTuple):
     Attributes:
         points: marker positions, m, shape (frames, tracks, 2 or 3). The position of a
             hidden marker is NaN.
-        columns: column of the file that contains each sample, shape (frames, tracks).
-            The column of a hidden marker is −1.
-        unassigned: number of samples that do not belong to a track.
+        columns: file column of each sample, or −1 for a hidden marker, shape (frames,
+            tracks).
+        unassigned: number of samples that do not belong to any track.
     """
 
     points: np.ndarray
@@ -104,8 +103,8 @@ def pack_slots(points: np.ndarray) -> Tracks:
 def sample_frames(count: int, limit: int) -> np.ndarray:
     """Return the indices of all frames, or of a sample of at most `limit` frames.
 
-    Sampling is stratified and random, because equally spaced samples could alias with a
-    periodic gait.
+    The sample is stratified and random, because equally spaced frames could alias with
+    a periodic gait.
     """
     if count <= limit:
         return np.arange(count)
@@ -118,10 +117,10 @@ def sample_frames(count: int, limit: int) -> np.ndarray:
 
 
 def pairwise_distances(points: np.ndarray, frames: int) -> np.ndarray:
-    """Return all distances in sampled frames, m, shape (frames, points, points).
+    """Return all pairwise distances in a sample of at most `frames` frames, m.
 
-    The distance from a point to itself is NaN, and so are the distances to hidden
-    points.
+    The result has shape (frames, points, points). Distances to hidden points and from a
+    point to itself are NaN.
     """
     sampled = points[sample_frames(len(points), frames)]
     distance = np.asarray(
@@ -151,7 +150,7 @@ def track_markers(
     """Track markers over all frames.
 
     `longest` is the maximum length of a gap that is interpolated, in frames. `reach` is
-    the maximum distance of a marker from its expected position, in m.
+    the maximum distance of a marker from its expected position, m.
     """
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     nearest = np.where(np.isnan(distance), np.inf, distance).min(axis=(1, 2))
@@ -187,14 +186,14 @@ def track_markers(
 
 
 class _Tracker:
-    """Tracks up to the current frame.
+    """State of all tracks up to the current frame.
 
     Attributes:
-        slots: slot of each track, shape (frames, `MAX_MARKERS`). The slot of a hidden
-            marker is −1.
-        samples: number of samples of each track, shape (`MAX_MARKERS`,). An unused
-            track has 0 samples.
-        shortest: minimum number of samples of a tracklet that begins a new track.
+        slots: slot of each track, or −1 for a hidden marker, shape (frames,
+            `MAX_MARKERS`).
+        samples: number of samples in each track, 0 for an unused track, shape
+            (`MAX_MARKERS`,).
+        shortest: minimum number of samples in a tracklet that begins a new track.
     """
 
     def __init__(
@@ -218,7 +217,7 @@ class _Tracker:
         )
         self.slots[:, reflections & (self.samples > 0)] = -1
         self.samples[reflections] = 0
-        # Tracklets close to their expected positions are assigned first, because their
+        # Tracklets close to an expected position are assigned first, because their
         # distances help to identify the remaining tracklets.
         for reach, longest in ((self._gate, _VELOCITY_FRAMES), (self._reach, first)):
             free = np.flatnonzero(
@@ -270,8 +269,8 @@ class _Tracker:
     ) -> np.ndarray:
         """Return the cost of each assignment, m, shape (tracklets, tracks).
 
-        The maximum assignment distance grows with the length of the gap, up to the
-        factor `_MAX_REACH_RATIO`.
+        The maximum distance of an assignment grows with the gap, up to a factor of
+        `_MAX_REACH_RATIO`.
         """
         gap = frame - self._end[tracks]
         moved = (
@@ -303,7 +302,6 @@ class _Tracker:
     def _range_violation(
         self, track: int, frame: int, starts: np.ndarray
     ) -> np.ndarray:
-        """Return by how much distances lie outside their past ranges, m."""
         others = np.flatnonzero(self.slots[frame] >= 0)
         past = np.flatnonzero(self.slots[: self._end[track] + 1, track] >= 0)
         past = past[:: len(past) // _PAST_SAMPLES + 1][:, None]
@@ -323,7 +321,6 @@ class _Tracker:
 def _move_rigidly(
     point: np.ndarray, before: np.ndarray, after: np.ndarray
 ) -> np.ndarray:
-    """Move a point with the rigid motion of other points. Closer points weigh more."""
     weight = 1.0 / (((before - point)[:, :2] ** 2).sum(axis=1) + 1e-6) ** 2
     weight /= weight.sum()
     centre = weight @ before

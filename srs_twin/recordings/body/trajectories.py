@@ -1,18 +1,18 @@
-r"""Conversion of a tracked body to a measured trajectory with metadata and summary.
+r"""Conversion of a tracked body to a trajectory with metadata and a summary.
 
-The velocity v_k at frame k is the slope of a line that is fitted by least squares to
-the samples y_m at the times t_m of the frames k − n to k + n (Section 3.4.1). In the
-dissertation n = 5:
+The velocity v_k is the slope of a least-squares line through the samples y_m at the
+times t_m of the frames around frame k (Section 3.4.1). The default is n = 5, as in the
+dissertation:
 
 $$ v_k = \frac{\sum_m (t_m - \bar t)(y_m - \bar y)}{\sum_m (t_m - \bar t)^2}, \qquad m = k-n \ldots k+n. $$
 
-The slope v_k has no phase lag. The amplitude of an oscillation with the angular
-frequency ω is multiplied by the factor
+The velocity v_k has no phase lag. For an oscillation with an angular frequency of ω,
+the amplitude of v_k is multiplied by the factor
 
 $$ \frac{3 \sum_{m=1}^{n} m \sin(m \omega \Delta t)}{n (n + 1)(n + \tfrac12)\, \omega \Delta t}. $$
 
-At 120 frames per second, the factor is 0.97 for an oscillation at 2 Hz. At the 15
-frames per second of the dissertation, the factor is 0 at 2 Hz and 0.82 at 0.6 Hz.
+At 120 frames per second, the factor is 0.97 for an oscillation at 2 Hz. At 15 frames
+per second, as in the dissertation, the factor is 0 at 2 Hz and 0.82 at 0.6 Hz.
 """
 
 from __future__ import annotations
@@ -40,12 +40,10 @@ class MarkerCounts:
         frames_missing: number of frames that are missing in the file and were inserted.
         samples_other: number of positions that do not belong to the robot, such as
             reflections, other markers and short tracks.
-        longest_filled_s: duration of the longest gap that was interpolated, s.
-        spacing_m: 98 % quantile of the distance between adjacent connectors, m, ordered
-            from the head.
+        spacing_m: 98 % quantile of each distance between adjacent connectors, m, in
+            order from the head.
         residual_m: RMS distance of the markers from the fitted body, m.
-        noise_m: standard deviation of a marker coordinate, m.
-        bend_error_rad: RMS of the standard errors of the bends, rad.
+        bend_error_rad: RMS standard error of the bends, rad.
     """
 
     header_frames: int | None
@@ -67,7 +65,7 @@ class MarkerCounts:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """Summary of a measurement file, with the numbers of used and unused samples.
+    """Summary of a measurement file with the numbers of used and unused samples.
 
     Attributes:
         kind: file format, for example "Motive CSV 1.21", "plain CSV" or "bend log".
@@ -174,13 +172,13 @@ class LogSummary:
 
 
 HALF_WIDTH = 5
-"""Number n of frames on each side of a sample that are included in the line fit."""
+"""Number n of frames on each side of a sample in the line fit."""
 
 
 def moving_derivative(
     time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH
 ) -> np.ndarray:
-    """Return time derivatives, computed as slopes of fitted lines.
+    """Return time derivatives as the slopes of fitted lines.
 
     Each line is fitted to a sample and its `half_width` neighbours on each side, or to
     fewer neighbours near the ends of the signal.
@@ -197,7 +195,6 @@ def moving_derivative(
         t = (time[shifted] - time[middle])[:, None]
         y = flat[shifted] - flat[middle]
         sums[middle] += np.concatenate([np.ones_like(t), t, t * t, y, t * y], axis=1)
-    # Each sum over a window is named after its terms t, t², y or t y.
     count = sums[:, :1]
     t = sums[:, 1:2]
     tt = sums[:, 2:3]
@@ -214,7 +211,7 @@ _UNITS = {
     "bend_rate_": "rad/s",
 }
 _UNITS |= {"bend_error_": "rad", "length_": "m"}
-"""Units of columns that exist only in measured trajectories, by name prefix."""
+"""Units of columns that exist only in measured trajectories, keyed by name prefix."""
 
 MEASURED = "measured"
 """Value of the key `plant` in the metadata of a measured trajectory."""
@@ -227,7 +224,10 @@ def body_trajectory(
     summary: LogSummary,
     gait_frequency_hz: float | None,
 ) -> Trajectory:
-    """Return the trajectory of a tracked body, with the centre of mass from `spec`."""
+    """Return the trajectory of a tracked body.
+
+    The centre of mass is computed from the masses in `spec`.
+    """
     shape = body.shape
     mass_fraction = spec.mass.array() / spec.mass.total
     com = np.einsum("i,fij->fj", mass_fraction, shape.position)
@@ -254,8 +254,8 @@ def pose_columns(
 ) -> dict[str, np.ndarray]:
     """Return the pose columns of a trajectory.
 
-    The positions of the centre of mass and of the connectors are complex numbers x + i
-    y in m. The headings are in rad.
+    The positions `com` and `connector` are complex numbers x + iy in m. The headings
+    are in rad.
     """
     columns = {"com_x": com.real, "com_y": com.imag, "heading": heading}
     columns |= numbered_columns("x", connector.real) | numbered_columns(
@@ -270,7 +270,7 @@ def name_of(path: str) -> str:
 
 
 def numbered_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the columns of an array of shape (frames, n), named name_1 to name_n."""
+    """Return the columns of an array, shape (frames, n), as name_1 to name_n."""
     return {
         f"{name}_{i}": np.ascontiguousarray(column)
         for i, column in enumerate(values.T, start=1)
@@ -283,10 +283,7 @@ def measured_trajectory(
     summary: LogSummary,
     gait_frequency_hz: float | None,
 ) -> Trajectory:
-    """Return measured columns as a trajectory with metadata.
-
-    `gait_frequency_hz` is None if the gait frequency is unknown.
-    """
+    """Return measured columns as a trajectory with metadata."""
     units = {
         name: unit
         for name in columns

@@ -1,9 +1,8 @@
-"""Detection and reading of the file formats of motion recordings.
+"""Detection of the file format of motion recordings, and reading of the files.
 
 Each format is a subclass of `base.Format`, and each message container is a subclass of
-`topics.Bag`. `extensions.FORMATS` lists the built-in formats. Formats from plug-ins are
-tried before plain tables. Bags need the library `rosbags`, which the extra `recordings`
-installs.
+`topics.Bag`. `extensions.FORMATS` lists the built-in formats. Detection tries formats
+from plug-ins before plain tables.
 """
 
 from __future__ import annotations
@@ -28,10 +27,10 @@ from srs_twin.recordings.recorded_file import (
 _FORMATS: tuple[Format, ...] = tuple(
     kind() for _, kind in extensions.objects(extensions.FORMATS)
 )
-"""Formats in the order in which they are tried."""
+"""Built-in formats in the order of detection."""
 FORMATS = tuple(form.name for form in _FORMATS)
 BAG_SUFFIXES = tuple(form.suffix for form in _FORMATS if isinstance(form, Bag))
-"""Usual suffixes of bags. A bag may contain both positions and logs."""
+"""Usual file suffixes of bags, which may contain both positions and logs."""
 
 _NOTHING = Unstated()
 _TABLE = "save a table with the first line time,NAME_x,NAME_y,… as CSV"
@@ -91,7 +90,7 @@ class UnknownFormatError(InputError):
 
 
 def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:
-    """Return the name of the format of a recording, detected from the first bytes.
+    """Return the format name of a recording, detected from its first bytes.
 
     `dialect` describes a plain table whose layout cannot be detected.
     """
@@ -158,7 +157,7 @@ def _format(path: StrPath, dialect: Dialect) -> Format:
 
 
 def read_topics(path: StrPath) -> RecordedTopics | None:
-    """Read poses, points and signals of a bag.
+    """Read poses, points and signals from a bag.
 
     The result is None if the file is not a bag.
     """

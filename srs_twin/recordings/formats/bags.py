@@ -1,4 +1,4 @@
-"""Readers of message bags (MCAP, ROS 1 and ROS 2), with size limits."""
+"""Readers for message bags in the formats MCAP, ROS 1 and ROS 2."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ class _McapRecord(IntEnum):
 
 
 _RECORD_HEAD = struct.Struct("<BQ")
-"""Header of a record: kind and length."""
+"""Record header with the kind and the length of the record."""
 
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
-"""Header of a message: channel, sequence number, log time and publish time."""
+"""Message header with channel, sequence number, log time and publish time."""
 
 _CHUNK_HEAD = struct.Struct("<QQQI")
-"""Header of a chunk: first time, last time, unpacked size and checksum."""
+"""Chunk header with first time, last time, unpacked size and checksum."""
 
 
 @final
 class Mcap(Bag):
-    """MCAP file with messages of ROS 2, Foxglove, or ROS 1 after `mcap convert`."""
+    """MCAP file with messages in the encodings cdr (ROS 2), ros1 (ROS 1) and json."""
 
     name = "MCAP"
     suffix = ".mcap"
@@ -65,7 +65,7 @@ class Mcap(Bag):
 
 
 def stream_messages(data: memoryview) -> Iterator[BagMessage]:
-    """Yield the messages of a file without a limit on the unpacked size."""
+    """Yield the messages of an MCAP file, without a limit on the unpacked size."""
     kinds: dict[int, str] = {}
     channels: dict[int, Topic] = {}
     for outer, packed in _mcap_records(data[len(MCAP_MAGIC) :]):
@@ -118,7 +118,7 @@ def _text(content: memoryview, place: int) -> tuple[str, int]:
 
 
 _ROS1_MAGIC = b"#ROSBAG V2.0\n"
-# Values of the field `op` in the header of a record.
+# Values of the field `op` in a record header.
 _ROS1_MESSAGE = b"\2"
 _ROS1_CHUNK = b"\5"
 _ROS1_CONNECTION = b"\7"
@@ -128,7 +128,7 @@ _ROS1_CONNECTION = b"\7"
 class Ros1Bag(Bag):
     """ROS 1 bag (version 2.0).
 
-    The index is not read, so that truncated bags are readable.
+    The index is ignored, so that truncated bags can be read.
     """
 
     name = "ROS 1 bag"

@@ -1,4 +1,4 @@
-"""Base class of file formats, marker tables, and helpers for axes and units."""
+"""Marker tables, base class for file formats, and helpers for axes and units."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from srs_twin.recordings.recorded_file import AS_FOUND, Dialect, RecordedFile
 from srs_twin.recordings.signals.units import LENGTHS, bracketed, clean, symbol
 
 MAX_DISTANCE = 1e3
-"""Maximum coordinate of a marker, m. A larger value is not a position."""
+"""Maximum magnitude of a coordinate that is accepted as a position, m."""
 
 _MIN_ZEROS = 3
-"""Minimum number of frames at (0, 0, 0) if this position means a hidden marker."""
+"""Minimum number of frames at (0, 0, 0) for treating this position as missing."""
 
 _UNIT = r"(?P<unit>mm|cm|m|in|ft|um)"
 _AXIS_LAST = re.compile(
@@ -42,17 +42,16 @@ _NOT_A_POSITION = re.compile(
     r"residual|imu",
     re.IGNORECASE,
 )
-"""Words in the names of columns that have x, y and z axes but are not positions."""
+"""Words that exclude a column with an axis letter from the positions."""
 
 
 class Unstated(NamedTuple):
-    """Information from a map or options that a file may lack.
+    """Information from a map or from options that a file may lack.
 
     Attributes:
-        rate_hz: frame rate, Hz, for DeepLabCut, plain CSV without times, and Qualisys
-            with an external clock.
-        unit: unit of length, for DeepLabCut and plain CSV.
-        scale_m: size of a pixel, m, for DeepLabCut and plain CSV.
+        rate_hz: frame rate of a file without a frame rate or times, Hz.
+        unit: unit of length of a file that does not state it.
+        scale_m: size of a pixel, m, for coordinates in pixels.
     """
 
     rate_hz: float | None = None
@@ -63,10 +62,10 @@ class Unstated(NamedTuple):
 
 @dataclass(frozen=True)
 class MarkerTable:
-    """Markers of a file over time, in SI units and in the axes of the file.
+    """Marker positions in a file over time, in SI units and in the axes of the file.
 
     Attributes:
-        kind: file format, including the version if there are several versions.
+        kind: name of the file format, including the version if there are several.
         points: marker positions, m, shape (frames, columns, 3), or (…, 2) for positions
             in a plane. The position of a hidden marker is NaN.
         places: station and side of each column (see `body.markers.Places`), or an empty
@@ -74,12 +73,13 @@ class MarkerTable:
         header_frames: number of frames stated in the header, or None if the header
             states none.
         rotations: quaternions (x, y, z, w) of rigid bodies in the axes of the file,
-            shape (frames, columns, 4), or None if there are no rigid bodies. The
-            rotations of other columns are NaN.
+            shape (frames, columns, 4), or None without rigid bodies. The rotations of
+            other columns are NaN.
         bodies: whether the columns are rigid bodies. The two points that replace a
             rigid body are adjacent columns with the name of the body.
-        epoch_ns: Unix time at 0 s, ns, or None if the file contains no Unix times.
-        unit: unit of length of the file, as stated, given or assumed.
+        epoch_ns: Unix time that corresponds to a time of 0 s, ns, or None if the file
+            contains no Unix times.
+        unit: unit of length in the file, which is stated, given by the user or assumed.
     """
 
     name: str
@@ -98,16 +98,16 @@ class MarkerTable:
 
     @property
     def usual_up(self) -> str:
-        """Vertical axis that is common in files of this format."""
+        """Usual vertical axis of the file format."""
         if self.kind.startswith(("Motive", "TRC")):
             return "y"
         return "z"
 
 
 class Format(ABC):
-    """Base class of a file format of motion recordings.
+    """Base class for the file formats of motion recordings.
 
-    A reader converts lengths to m and times to s, and keeps the axes of the file.
+    Subclasses convert lengths to m and times to s, and keep the axes of the file.
     """
 
     name: ClassVar[str]
@@ -121,20 +121,19 @@ class Format(ABC):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the markers of a whole file.
 
-        `unstated` contains the frame rate and the unit of a file that does not state
-        them.
+        `unstated` contains information that the file may lack.
 
         Raises:
-            InputError: the file is damaged, or needs information that is not given.
+            InputError: the file is damaged, or required information is missing.
         """
 
 
 def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
-    """Return the columns of each marker, by marker name and axis.
+    """Return the position columns in a header, keyed by marker name and axis.
 
     A column name ends or begins with the axis, for example ``base_x``, ``Tip X (mm)``
-    or ``x_LED1``. Markers without x or y are excluded, and so are columns of other
-    quantities, such as rotations (``c1_rot_x``).
+    or ``x_LED1``. Markers without x or y and columns of other quantities, such as
+    rotations (``c1_rot_x``), are excluded.
     """
     markers: dict[str, dict[str, CsvColumn]] = {}
     for index, cell in enumerate(cells):
@@ -156,10 +155,10 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
 
 
 def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarray:
-    """Compute exact times from frame numbers, because written times are rounded.
+    """Compute exact times from frame numbers, because times in files are rounded.
 
-    If the computed and the written times differ by more than half a frame, for example
-    in an incomplete export, the written times are returned.
+    The given times are returned if the computed times differ by more than half a frame
+    period, for example in an incomplete export.
     """
     if not np.isfinite(frame).all():
         return time
@@ -172,7 +171,7 @@ def counted_times(frame: np.ndarray, time: np.ndarray, rate: float) -> np.ndarra
 def length_unit(
     file: RecordedFile, text: str, line: int | None = None, column: int | None = None
 ) -> str:
-    """Return the symbol of a unit of length that is given in any spelling."""
+    """Return the symbol of a unit of length in any spelling."""
     if not (found := symbol(text, LENGTHS)):
         hint = did_you_mean(text, LENGTHS)
         allowed = ", ".join(LENGTHS)
@@ -182,7 +181,7 @@ def length_unit(
 
 
 def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float:
-    """Return the frame rate (Hz) stated in a file or a map."""
+    """Return the frame rate (Hz) from text in a file or a map."""
     with suppress(ValueError):
         if 0 < float(given) < 1e6:
             return float(given)
@@ -194,7 +193,7 @@ def frame_rate(file: RecordedFile, given: str, line: int | None = None) -> float
 
 
 class Rows(NamedTuple):
-    """Rows of a table of markers.
+    """Rows of a marker table.
 
     Attributes:
         points: marker positions in the unit of the file, shape (frames, markers, 3).
@@ -218,15 +217,15 @@ def marker_rows(
     others: Sequence[int] = (),
     section: bool = False,
 ) -> Rows:
-    """Read the rows of a table of markers.
+    """Read the rows of a marker table.
 
     Args:
         file: recorded table.
         header_lines: number of header lines.
         width: number of cells per row.
         first: index of the first of the three columns of each marker.
-        clock: indices of the columns with frame number and time. If `clock` is empty,
-            the row numbers are used as times.
+        clock: indices of the columns with the frame number, the time or both. If
+            `clock` is empty, the row numbers are used instead.
         rate: frame rate, Hz, or None if a column contains times.
         others: indices of additional columns.
         section: whether the rows end at an empty line.
@@ -257,7 +256,7 @@ def marker_rows(
 
 
 def announced(text: str) -> int | None:
-    """Return the number of frames stated in a header, or None if there is no number."""
+    """Return the number of frames in a header, or None if the text is not a number."""
     if text.isdecimal() and len(text) < 10:
         return int(text)
     return None
@@ -274,7 +273,7 @@ def marker_table(
     unit: str | Sequence[str] = "m",
     rotations: np.ndarray | None = None,
 ) -> MarkerTable:
-    """Build a marker table in m, with implausible points removed.
+    """Build a marker table in m, without implausible positions.
 
     `unit` is the unit of the given positions, or a sequence with the unit of each
     marker.
@@ -322,10 +321,10 @@ def marker_table(
 
 
 def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
-    """Return the mask of hidden markers that some programs write as 0, 0, 0.
+    """Return the mask of hidden markers, which some programs write as (0, 0, 0).
 
-    A measured position is never exactly 0 in several frames. Rigid bodies are excluded,
-    because odometry starts at the origin.
+    A measured position is never exactly at the origin in several frames. Rigid bodies
+    are excluded, because odometry starts at the origin.
     """
     zero = (points == 0).all(axis=-1)
     zero[:, zero.sum(axis=0) < _MIN_ZEROS] = False
@@ -337,7 +336,7 @@ def _unseen(points: np.ndarray, rotations: np.ndarray | None) -> np.ndarray:
 
 
 def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
-    """Return the table after checking that the file states no other unit of length."""
+    """Return the table, or raise an error if its unit differs from the given unit."""
     if given not in (None, table.unit):
         raise InputError(
             f"{table.name}: the lengths are in {table.unit} according to the file, but"
@@ -348,7 +347,7 @@ def in_unit(table: MarkerTable, given: str | None) -> MarkerTable:
 
 @contextmanager
 def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
-    """Convert exceptions raised by a missing or failing library to `InputError`."""
+    """Convert exceptions from a missing or failing library to `InputError`."""
     try:
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
@@ -360,7 +359,7 @@ def decoding(file: RecordedFile, kind: str) -> Iterator[None]:
         raise file.error(
             f"{kind} needs the optional package {error.name}; install it with {how}"
         ) from error
-    except Exception as error:  # libraries raise errors of all kinds for damaged files
+    except Exception as error:  # libraries raise any kind of error for damaged files
         message = escape_unprintable(" ".join(str(error).split()))[:120]
         if isinstance(error, ValueError):
             reason = f" ({message})"

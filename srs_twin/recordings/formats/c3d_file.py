@@ -1,9 +1,10 @@
-"""C3D files of motion capture systems.
+"""Reader for C3D files of motion capture systems.
 
-A file has a header of one block, a parameter section, and a data section of whole
-frames. The processor type in the parameter section determines the byte order and the
-float format. Parameters are named arrays in groups. If two names differ only in capital
-letters, the first parameter is used.
+A C3D file consists of a header block, a parameter section, and a data section that
+stores the frames one after another. The processor type in the parameter section
+determines the byte order and the float format. Parameters are named arrays in groups.
+Names are not case-sensitive, and the first of several parameters with the same name is
+used.
 """
 
 from __future__ import annotations
@@ -26,18 +27,16 @@ from srs_twin.recordings.recorded_file import RecordedFile
 from srs_twin.recordings.signals.units import LENGTHS, symbol
 
 _BLOCK = 512
-"""Size of a block in bytes."""
 _DEC = 85
-"""Processor type of DEC (VAX) floats: swapped words, different exponent bias."""
+"""Processor type for DEC (VAX) floats with swapped words and another exponent bias."""
 _BIG_ENDIAN = 86
 """Processor type for big-endian numbers (MIPS)."""
 
 _MAX_FRAMES = 1 << 22
 """Maximum number of frames of a C3D file (one hour at 1 kHz)."""
 _MAX_COUNTED = 65_535
-"""Maximum number of frames that a 16-bit field of the header can contain."""
+"""Maximum frame number that a 16-bit field in the header can contain."""
 _MAX_PARAMETERS = 20_000
-"""Maximum number of groups and parameters."""
 
 _OTHER_KINDS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")
 """Parameters that name Vicon model outputs, which are not positions."""
@@ -158,7 +157,7 @@ class C3d(Format):
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
         """Read the points of a C3D file.
 
-        The time of frame 1 is 0 s, and a negative residual denotes a missing point.
+        The time of frame 1 is 0 s. A negative residual denotes a missing point.
         """
         with decoding(file, self.name):
             contents = _contents(file)
@@ -236,13 +235,13 @@ class _Frames(NamedTuple):
 
 
 def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
-    """Return the frames of a file.
+    """Return the frames of a C3D file.
 
-    The frame numbers in the header have only 16 bits. For longer recordings, the number
-    of frames is stated in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit
-    words each) or in POINT:LONG_FRAMES. These numbers may be wrong, so the largest
-    number that fits the file size is used. If the last frame number in the header is
-    65,535 and no larger number is stated, the file is read to the end.
+    The frame numbers in the header have only 16 bits. Longer recordings state the
+    number of frames in TRIAL:ACTUAL_START_FIELD and ACTUAL_END_FIELD (two 16-bit words
+    each) or in POINT:LONG_FRAMES. Any of these numbers may be wrong, so the largest
+    number of frames that fits the file size is used. If the last frame number in the
+    header is 65,535 and no larger number is stated, the file is read to the end.
     """
     scale = contents.number("POINT:SCALE", 12)
     is_float = scale < 0

@@ -1,4 +1,4 @@
-"""Text exports of motion capture systems: Motive, Vicon and Qualisys."""
+"""Readers for text exports of the motion capture systems Motive, Vicon and Qualisys."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from srs_twin.recordings.recorded_file import MAX_HEADER_BYTES, RecordedFile
 from srs_twin.recordings.signals.units import ANGLES
 
 MOTIVE_KINDS = ("Marker", "Rigid Body Marker", "Rigid Body")
-"""Types of columns with positions, in order of preference."""
+"""Types of position columns, in order of preference."""
 
 _MOTIVE_HEADER_LINES = 12
 
@@ -39,26 +39,25 @@ class _Column(NamedTuple):
 
 @final
 class Motive(Format):
-    """CSV export of OptiTrack Motive, formats 1.0 to 1.2x.
+    """CSV export of OptiTrack Motive in the format versions 1.0 to 1.2x.
 
-    The first line contains key-value pairs. After an empty line, several rows
-    describe the columns (Type, Name, ID, Position or Rotation, and Parent since version
-    1.24). The last header row is ``Frame,Time (Seconds),X,…``. An unlabelled marker
-    that disappears and reappears is stored in another column.
+    The first line contains key-value pairs. The rows after an empty line describe the
+    columns by Type, Name, ID, Position or Rotation, and since version 1.24 also by
+    Parent. The last header row is ``Frame,Time (Seconds),X,…``. A reappearing
+    unlabelled marker is stored in a new column.
     """
 
     name = "Motive CSV"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether a file starts with the version of the Motive format."""
+        """Return whether a file starts with the cell `Format Version`."""
         return start.title == "Format Version"
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the markers of an export.
+        """Read the markers or rigid bodies of an export.
 
-        The first type in `MOTIVE_KINDS` that the file contains is read, and columns of
-        other types are skipped with a note. Rigid bodies are read with their
-        quaternions.
+        Only columns of the first type in `MOTIVE_KINDS` that the file contains are
+        read. Rigid bodies are read with their quaternions.
         """
         lines = file.head(_MOTIVE_HEADER_LINES)
         header = dict(pairwise(lines[0]))
@@ -162,7 +161,8 @@ def _columns(file: RecordedFile, lines: list[list[str]]) -> _Columns:
             " Position",
             last + 1,
         )
-    # Older versions do not name the header rows, so their order identifies the rows.
+    # Older versions do not name the header rows, so the rows are identified by their
+    # order.
     kinds, names = (
         next((row for row in rows if name in row[:2]), rows[k])
         for k, name in enumerate(("Type", "Name"))
@@ -209,7 +209,7 @@ class Vicon(Format):
         return start.title in _SECTIONS
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the section Trajectories, or Objects if there are no Trajectories."""
+        """Read the section Trajectories, or Objects if the file has no Trajectories."""
         section, above, notes = _vicon_section(file)
         position_axes = _VICON_AXES[section]
         lines = file.head(4, above)
@@ -282,7 +282,6 @@ def _object_rotations(
 
 
 def _rotation_columns(axes: list[str], positions: list[int]) -> dict[int, range]:
-    """Return the columns RX, RY, RZ or RX, RY, RZ, RW in front of each position."""
     return {
         k: range(axes.index("RX", max(k - 4, 2), k), k)
         for k in positions
@@ -329,7 +328,7 @@ def _qtm_header_lines(file: RecordedFile) -> int:
 
 _QTM_LINE = re.compile(rb"(?!NULL|NAN)[A-Z][A-Z0-9_]+[\t\r ]|Frame\t")
 _QTM_HEADER_LINES = 1000
-"""Maximum number of header lines. Each event adds one line."""
+"""Maximum number of header lines, including one line per event."""
 
 
 @final
@@ -347,7 +346,7 @@ class Qualisys(Format):
         )
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read a 3D export, in which 0,0,0 denotes a missing marker.
+        """Read a 3D export, in which the position 0,0,0 denotes a missing marker.
 
         The columns Frame and Time are optional. If FREQUENCY is EXT or missing, the
         frame rate in `unstated` is used. If FREQUENCY is EXT and no rate is given, the

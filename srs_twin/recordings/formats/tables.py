@@ -1,4 +1,4 @@
-"""Tables of positions in the formats TRC, TUM, DeepLabCut and plain CSV."""
+"""Readers for position tables in the formats TRC, TUM, DeepLabCut and plain CSV."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from srs_twin.recordings.recorded_file import Dialect, RecordedFile, laid_out
 from srs_twin.recordings.signals.units import LENGTHS, is_clock
 
 _AXES_LINE = 5
-"""Number of the line X1, Y1, Z1, …, which may be followed by an empty line."""
+"""Number of the line X1, Y1, Z1, …, after which an empty line may follow."""
 
 
 @final
@@ -46,7 +46,7 @@ class Trc(Format):
         return start.title.split(maxsplit=1)[:1] == ["PathFileType"]
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
-        """Read the markers of a TRC file. Empty cells denote missing markers."""
+        """Read the markers, where empty cells denote missing markers."""
         file = replace(file, separator="\t")
         lines = file.head(_AXES_LINE + 2)
         if len(lines) <= _AXES_LINE or lines[3][:1] != ["Frame#"]:
@@ -84,12 +84,11 @@ _TUM_START = re.compile(
 )
 _TUM_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
 _MAX_NORM_ERROR = 0.01
-"""Maximum deviation of the norm of a quaternion from 1."""
 
 
 @final
 class Tum(Format):
-    """TUM trajectory of one body, written by SLAM tools, in s and m.
+    """Trajectory of one body in the TUM format of SLAM tools, in s and m.
 
     Each line contains ``timestamp tx ty tz qx qy qz qw``.
     """
@@ -97,7 +96,7 @@ class Tum(Format):
     name = "TUM trajectory"
 
     def recognizes(self, start: RecordedFile) -> bool:
-        """Return whether the first data line has eight numbers and no commas."""
+        """Return whether the first data line contains eight numbers without commas."""
         return bool(_TUM_START.match(start.data.removeprefix(b"\xef\xbb\xbf")))
 
     def read(self, file: RecordedFile, unstated: Unstated) -> MarkerTable:
@@ -130,7 +129,7 @@ MIN_LIKELIHOOD = 0.6
 
 @final
 class DeepLabCut(Format):
-    """CSV file of DeepLabCut with coordinates in pixels or lengths.
+    """CSV file of DeepLabCut, with coordinates in pixels or in a unit of length.
 
     The file has three header rows for one animal and four for several animals.
     """
@@ -213,9 +212,9 @@ class PlainCsv(Format):
     """Plain CSV file, usually with the columns ``time`` and ``x_1,y_1…``.
 
     The markers are numbered from the head. Two markers on one connector have the
-    columns ``x_1a,y_1a,x_1b,y_1b``. The column ``z_1`` is optional. A column name may
-    contain a unit (``time_ms``, ``x_1_mm`` or ``x_1 (mm)``). The default units are s
-    and m.
+    columns ``x_1a,y_1a,x_1b,y_1b``. Columns for heights, such as ``z_1``, are optional.
+    A column name may contain a unit (``time_ms``, ``x_1_mm`` or ``x_1 (mm)``). The
+    default units are s and m.
     """
 
     name = "plain CSV"

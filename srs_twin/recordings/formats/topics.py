@@ -1,10 +1,9 @@
-"""Poses, points and signals read from bag messages (ROS 1, ROS 2, JSON).
+"""Extraction of poses, points and signals from bag messages (ROS 1, ROS 2, JSON).
 
 A container (see `bags`) yields messages with topics and log times. The library
-`rosbags` decodes known ROS message types with its own definitions. Definitions in the
-file are ignored. The declared sizes of chunks are checked before the chunks are
-unpacked, because the contents of a malicious file may be ten thousand times as large as
-the file.
+`rosbags` decodes known ROS message types with its own definitions and ignores
+definitions in the file. The declared chunk sizes are checked before unpacking, because
+the contents of a malicious file may be ten thousand times as large as the file.
 """
 
 from __future__ import annotations
@@ -44,20 +43,19 @@ if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
 Decoded = Any
-"""Decoded message: an object of `rosbags`, or a namespace for a JSON message."""
+"""Decoded message, either a `rosbags` object or a namespace with JSON fields."""
 
 _MIN_EPOCH_NS = 10**17
 """Minimum log time that is interpreted as Unix time, ns."""
 _OTHER_CLOCK_S = 1e6
-"""Minimum difference between stamp and log time that indicates a simulated clock, s."""
+"""Minimum difference between stamp and log time due to a simulated clock, s."""
 _NOTED_DIFFERENCE_S = 1.0
 """Difference between stamp and log time above which a note is added, s."""
 _MAX_UNPACKED = 4 * MAX_BYTES
-"""Maximum unpacked size of a file, bytes."""
 _MIN_ALLOWED = 16 << 20
-"""Unpacked size that is allowed however small the file is, bytes."""
+"""Unpacked size that is allowed for a file of any size, bytes."""
 _MAX_RATIO = 32
-"""Maximum ratio of unpacked to packed size. Repetitive JSON reaches 20."""
+"""Maximum ratio of unpacked to packed size (repetitive JSON reaches 20)."""
 _MAX_MESSAGES = 1 << 23
 """Maximum number of messages (one hour of twenty topics at 100 Hz)."""
 if sys.version_info >= (3, 14):
@@ -81,10 +79,11 @@ class CutError(ChunkError):
 
 
 class Topic(NamedTuple):
-    """Topic with its name, message type and encoding.
+    """Topic of a bag.
 
-    The message type is a string such as "geometry_msgs/Pose". The encoding is "cdr",
-    "ros1" or "json".
+    Attributes:
+        kind: message type, for example "geometry_msgs/Pose".
+        encoding: message encoding, "cdr", "ros1" or "json".
     """
 
     name: str
@@ -101,7 +100,7 @@ class BagMessage(NamedTuple):
 
 
 def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
-    """Check the declared unpacked sizes of the chunks of a file."""
+    """Raise an error if the declared unpacked sizes of chunks exceed the limit."""
     allowed = min(_MAX_UNPACKED, _MIN_ALLOWED + _MAX_RATIO * len(file.data))
     total = 0
     with suppress(CutError):  # a truncated file is allowed
@@ -119,7 +118,7 @@ def check_unpacked(file: RecordedFile, sizes: Iterable[int]) -> None:
 def unpacked(
     data: memoryview | bytes, compression: str, size: int | None
 ) -> bytes | memoryview:
-    """Decompress data.
+    """Return decompressed data.
 
     `size` is the declared unpacked size in bytes, or None for a single message.
 
@@ -146,10 +145,9 @@ class RecordedTopics:
     """Topics of a file on a common clock that starts at the first message.
 
     Attributes:
-        name: file name, as shown in notes and errors.
         origin_ns: log time of the first message, ns.
-        signals: times (s) and recorded values of each signal, each of shape (samples,).
-            Examples of signal names are ``/joy.axes[0]``, ``/joints.NAME.position``,
+        signals: times (s) and values of each signal, both of shape (samples,), keyed by
+            name. Examples of names are ``/joy.axes[0]``, ``/joints.NAME.position``,
             ``/topic.fluid_pressure`` (Pa) and, for JSON, ``/topic.dotted.path``.
     """
 
@@ -162,7 +160,7 @@ class RecordedTopics:
 
 
 class Bag(Format):
-    """Message container. A truncated container is read up to the cut."""
+    """Base class for message containers, including truncated containers."""
 
     binary = True
     suffix: ClassVar[str]
@@ -194,11 +192,11 @@ class Bag(Format):
     def read_topics(
         self, file: RecordedFile, *, signals: bool = True
     ) -> RecordedTopics:
-        """Read poses and points, and signals unless `signals` is false.
+        """Read poses and points, and also signals if `signals` is true.
 
-        The time of a message is its header stamp, or the log time if it has no header
-        stamp. The body with the most messages determines the frame times. Poses of
-        other bodies are taken from the nearest message within half a frame.
+        The time of a message is the stamp in its header, or the log time without such a
+        stamp. The body with the most messages determines the frame times. The poses of
+        other bodies are taken from the nearest message within half a frame period.
 
         Raises:
             InputError: the file is damaged or too large, or the libraries are not
@@ -218,7 +216,8 @@ class Bag(Format):
 
 _Numbers = tuple[float, ...]
 _Series = dict[str, "array[float]"]
-"""Rows with a time (ns since the first message) and one or seven numbers, by label."""
+"""Rows with the time since the first message (ns) and one or seven numbers, keyed by
+label."""
 
 
 @dataclass
@@ -228,16 +227,16 @@ class _Topics:
     with_signals: bool = True
     origin: int = 0
     signals: _Series = field(default_factory=dict)
-    bodies: dict[str, _Series] = field(default_factory=dict)  # by topic
+    bodies: dict[str, _Series] = field(default_factory=dict)  # keyed by topic
     parents: dict[str, str] = field(
         default_factory=dict
-    )  # parent frame by label of the transform
-    skipped: Counter[str] = field(default_factory=Counter)  # number of messages
+    )  # parent frame, keyed by transform label
+    skipped: Counter[str] = field(default_factory=Counter)  # message counts
     messages: int = 0
     numbers: int = 0
     clock_differences: dict[str, float] = field(
         default_factory=dict
-    )  # stamp minus log time by topic, s
+    )  # difference between stamp and log time, s, keyed by topic
     notes: list[str] = field(default_factory=list)
 
     def add(self, message: BagMessage) -> None:
@@ -357,8 +356,8 @@ class _Topics:
             notes.append(f"the bodies are in different frames: {listed}")
         rotated = _has_rotation(poses)
         quaternions = np.where(rotated[..., None], poses[..., 3:], np.nan)
-        # A simulated clock may start at any time, so its times are shifted to begin
-        # at 0.
+        # A simulated clock may start at any time, so its times are shifted to start at
+        # 0.
         time = frames.time
         other_clock = abs(time[0]) > _OTHER_CLOCK_S
         if other_clock:
@@ -386,14 +385,12 @@ def _unique_names(bodies: Iterable[tuple[str, str]]) -> list[str]:
 
 
 class _Frames(NamedTuple):
-    """Times of the frames and half of the frame period, s."""
-
     time: np.ndarray
     half_period: float
 
 
 def _frames(bodies: Mapping[str, np.ndarray], main: str) -> _Frames:
-    """Return the frames of `main`, and frames with only other bodies of the topic."""
+    """Return the frames of `main` and the frames that contain only other bodies."""
     time = np.unique(bodies[main][:, 0])
     half = 0.5 * float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     every = np.unique(np.concatenate([rows[:, 0] for rows in bodies.values()]))
@@ -424,7 +421,7 @@ def _has_rotation(poses: np.ndarray) -> np.ndarray:
 def _compose(
     poses: np.ndarray, names: list[str], parents: Mapping[str, str]
 ) -> list[str]:
-    """Convert transforms that are relative to another body to the root frame."""
+    """Convert poses that are relative to another body to the root frame, in place."""
     from scipy.spatial.transform import Rotation
 
     index = {name: k for k, name in enumerate(names)}
@@ -457,7 +454,7 @@ _SIGNALS = re.compile(
     r"std_msgs/(Bool|(Float|U?Int)\d+(MultiArray)?)|sensor_msgs/(Joy|JointState|FluidPressure)"
 )
 _DRAWING = " (visualization_msgs/"
-"""Prefix of message types that only draw shapes and are skipped without a note."""
+"""Prefix of drawing message types, which are skipped without a note."""
 _METADATA = ("header", "layout")
 """Message fields that contain no signals."""
 _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]] = {
@@ -487,7 +484,7 @@ _BODIES: dict[str, Callable[[str, Decoded], list[tuple[str, Decoded, Decoded]]]]
         for stamped in message.transforms
     ],
 }
-"""Functions that return label, stamped part and pose, by message type."""
+"""Functions that return label, stamped part and pose, keyed by message type."""
 
 
 @lru_cache(1000)
@@ -515,7 +512,7 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]
 def _definitions(encoding: str) -> Typestore:
     """Return the ROS message definitions of `rosbags`.
 
-    Compiling definitions from a file would be unsafe.
+    The definitions in a file are not used, because compiling them would be unsafe.
     """
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 

@@ -1,18 +1,18 @@
-r"""Synchronisation of a motion with a valve or pressure log through their bends.
+r"""Synchronisation of a recorded motion with a valve or pressure log.
 
-The chamber model of the robot computes free bends b̂_j from the valve states or
-pressures of the log. The loss function for a delay τ compares the free bends with the
-measured bends b_j:
+From the valve states or pressures in the log, the chamber model of the robot computes
+the bends b̂_j without load. For a delay τ, the loss function compares these modelled
+bends with the measured bends b_j:
 
 $$ S(\tau) = \sum_j \min_{a_j, c_j} \sum_t \bigl(b_j(t) - a_j\,\hat b_j(t - \tau) - c_j\bigr)^2, $$
 
-where a_j > 0 is a gain and c_j an offset of each segment, and the sum over t includes
-the times at which motion and log overlap. Fast Fourier transforms evaluate S for all
-delays. A parabola is fitted to the smallest value of S and its two neighbours, and the
-clock offset is the minimum of the parabola. The standard error of the offset is √(2
-s²/S''), where s² is the variance of the residual per independent sample. Because a gait
-is periodic, the loss may have several minima of similar size. An error is raised if the
-offset is ambiguous for this reason.
+where a_j > 0 is the gain and c_j the offset of segment j. The sum over t includes the
+times that are covered by both the motion and the log. Fast Fourier transforms evaluate
+S for all delays. A parabola is fitted to the smallest value of S and its two
+neighbours, and the clock offset is the minimum of the parabola. The standard error of
+the offset is √(2 s²/S''), where s² is the variance of the residual per independent
+sample. An error is raised if S has several minima of similar size, which may occur for
+a periodic gait.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ MIN_OVERLAP = 0.5
 """Minimum overlap of two recordings, as a fraction of the shorter recording."""
 
 MIN_RIVAL_RATIO = 1.5
-"""Minimum ratio of the second smallest to the smallest minimum of S."""
+"""Minimum ratio of the second-smallest to the smallest minimum of S."""
 
 MIN_EXPLAINED = 0.5
 """Minimum fraction of the bend variance that the best offset explains."""
@@ -43,21 +43,20 @@ MIN_EXPLAINED = 0.5
 _MIN_STEP = 1 / 500
 """Minimum step between delays, s."""
 _MAX_SAMPLES = 1 << 20
-"""Maximum number of samples in the Fourier transforms."""
 _MODEL_STEP = 0.002
 """Time step of the modelled bends, s."""
 _SETTLED_TIME_CONSTANTS = 5.0
-"""Number of time constants until unknown initial pressures have decayed."""
+"""Number of time constants after which unknown initial pressures have no effect."""
 
 
 @dataclass(frozen=True)
 class Offset:
-    """Offset between two clocks.
+    """Offset between the clocks of a motion and a log.
 
     Attributes:
         seconds: value to add to the times of the log, s.
-        error: standard error, s, or 0 if the offset was given. Errors in the modelled
-            lag of the chambers are not included.
+        error: standard error of the offset, s, or 0 if the offset was given. Errors in
+            the modelled lag of the chambers are not included.
         explained: fraction of the bend variance that the log explains, or 1 if the
             offset was given.
     """
@@ -73,8 +72,7 @@ def estimate_offset(
 ) -> Offset:
     """Estimate the offset between the clocks of a motion and a log.
 
-    The times (s) of the log must be evenly spaced. `driven` contains the bends (rad)
-    computed from the log.
+    `driven` contains the bends (rad) computed from the log at the times `log_time` (s).
     """
     step = max(_MIN_STEP, float(np.median(np.diff(time))) / 2)
     spans = (time[-1] - time[0], log_time[-1] - log_time[0])
@@ -131,7 +129,7 @@ def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
 def _losses(
     bends: np.ndarray, model: np.ndarray, min_count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return S divided by the variance, delays (steps), and counts of common samples."""
+    """Return S relative to the variance, delays in steps, and common sample counts."""
     from scipy.signal import fftconvolve
 
     def correlate(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -144,15 +142,15 @@ def _losses(
     count = np.rint(correlate(ones, other_ones))[:, 0]
     enough = count >= min_count
     n = np.maximum(count, 1.0)[:, None]
-    # For each delay, the sums include the common samples of motion and log. Names: b is
-    # the measured bend, m the modelled bend, and s a sum.
+    # For each delay, the sums include the samples that motion and log have in common.
+    # In names, b is the measured bend, m the modelled bend, and s a sum.
     sb = correlate(bends, other_ones)
     sm = correlate(ones, model)
     bb = correlate(bends**2, other_ones) - sb**2 / n
     mm = correlate(ones, model**2) - sm**2 / n
     bm = correlate(bends, model) - sb * sm / n
-    # A segment that does not move in the model, or whose fitted gain is not positive,
-    # explains no variance.
+    # A segment explains no variance if it does not move in the model or if its fitted
+    # gain is not positive.
     moving = mm > 1e-9 * np.maximum(mm.max(axis=0), 1e-30)
     explained = np.where(moving & (bm > 0), bm**2 / np.where(moving, mm, 1.0), 0.0)
     energy = bb.sum(axis=1)
@@ -174,7 +172,7 @@ def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None
     limit = MIN_RIVAL_RATIO * loss[best] + 1e-6
 
     others = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best]
-    # Minima with no value above the limit between them are counted as one minimum.
+    # Two minima are counted as one if no loss between them exceeds the limit.
     rivals = [k for k in others if loss[min(k, best) : max(k, best) + 1].max() > limit]
     if rivals:
         nearest = sorted(
@@ -207,21 +205,23 @@ def _independent_fraction(bends: np.ndarray, model: np.ndarray, lag: int) -> flo
 def join(
     recording: Recording, log: ValveLog, spec: RobotSpec, *, offset: float | None = None
 ) -> Recording:
-    """Synchronise a log with a motion, and add the columns of the log.
+    """Synchronise a log with a motion, and add the logged columns to the motion.
 
-    If `offset` is None and both files have overlapping Unix times, the clock offset is
-    computed from these times. Otherwise `estimate_offset` estimates the clock offset.
+    If both files contain Unix times, the difference between these times is added to
+    `offset`. If `offset` is None and the files have no overlapping Unix times,
+    `estimate_offset` estimates the offset.
 
     Args:
         recording: recorded motion.
         log: valve or pressure log.
         spec: robot whose chamber model computes bends from the log.
-        offset: value to add to the times of the log, s, or None to determine it.
+        offset: value to add to the times of the log, s, or None to determine it from
+            the files.
 
     Returns:
-        Part of the motion that the log covers, and the log on the clock of the motion.
-        The trajectory has the columns ``valve_plus_1…`` or ``pressure_plus_1…``. The
-        metadata of the trajectory contain the offset.
+        Recording of the part of the motion that the log covers, with the log on the
+        clock of the motion. The trajectory also has the columns ``valve_plus_1…`` or
+        ``pressure_plus_1…``, and its metadata contain the offset.
     """
     trajectory = recording.trajectory
     segments = {log.values.shape[1], trajectory.stack("bend").shape[1]}
@@ -312,16 +312,17 @@ def _find_offset(
 
 
 def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times (s) and the free bends (rad) computed from a log.
+    """Return the times (s) and the bends without load (rad) computed from a log.
 
     Unless all chambers vent at the start of a valve log, the initial pressures are
-    unknown. The bends then start after the effect of these pressures has decayed.
+    unknown. In this case, the bends start after the effect of these pressures has
+    decayed.
     """
     span = float(log.time[-1] - log.time[0])
     step = max(_MODEL_STEP, span / 1e6)
     clock = step * np.arange(int(span / step + 1e-9) + 1)
     if log.kind == "pressure":
-        # For slow signals, the lag of the bends is a delay of τ₂.
+        # For slow signals, the lag of the bends is equivalent to a delay of τ₂.
         bends = air_bend(spec, log.at(log.time[0] + clock))
         return log.time[0] + clock + spec.actuator.tau_mode, np.asarray(bends)
     chambers = LagPneumatics(spec, supply_pa=spec.supply.nominal, layout="in_out")

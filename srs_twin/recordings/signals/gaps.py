@@ -13,11 +13,11 @@ MIN_FRAMES = 12
 """Minimum number of frames of a recording."""
 
 _GRID_TOLERANCE = 0.2
-"""Maximum deviation of a time from a multiple of the frame period, in periods."""
+"""Maximum deviation of a time step from a multiple of the frame period, in periods."""
 _MAX_FRAMES_PER_ROW = 10
-"""Maximum ratio of grid frames to file rows."""
+"""Maximum ratio of the number of frames in the grid to the number of file rows."""
 _MAX_TIME = 1e9
-"""Maximum time, s. A larger value indicates a wrong unit."""
+"""Maximum time, above which the unit is probably wrong, s."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,6 @@ class FrameGrid:
     Attributes:
         time: times in ascending order, s, shape (frames,).
         rows: file row of each frame, or −1 for a missing frame, shape (frames,).
-        corrections: descriptions of changes to the data.
     """
 
     time: np.ndarray
@@ -128,7 +127,7 @@ def at_frames(values: np.ndarray, frames: FrameGrid) -> np.ndarray:
 
 
 _NEIGHBOURS = np.array([-2, -1, 1, 2])
-"""Relative indices of the samples that predict a sample."""
+"""Indices of the samples that predict a sample, relative to this sample."""
 _OUTLIER_RATIO = 8.0
 """Minimum deviation of an outlier from its prediction, in standard deviations."""
 _STD_PER_MAD = 1.4826
@@ -136,9 +135,9 @@ _STD_PER_MAD = 1.4826
 
 
 def outliers(points: np.ndarray, min_jump: float) -> np.ndarray:
-    """Return the mask of single outliers, shape (frames, tracks).
+    """Return the mask of isolated outliers, shape (frames, tracks).
 
-    `min_jump` is the minimum distance of an outlier from the track (m).
+    `min_jump` is the minimum distance of an outlier from its track, m.
     """
     result = np.zeros(points.shape[:2], dtype=bool)
     for track in range(points.shape[1]):
@@ -155,13 +154,13 @@ def _track_outliers(
 ) -> np.ndarray:
     """Return the mask of outliers in one track, shape (samples,).
 
-    The residuals r = A p are deviations of the samples p from cubic polynomials. Each
-    polynomial passes through the two samples before and the two samples after the
-    tested sample. The polynomial error is proportional to the product of the four time
-    differences between these samples and the tested sample, which is 4 frames⁴ if there
-    are no gaps. Each row of A is divided by this product. An outlier of
-    size d at sample k adds d a_k to the residuals, where a_k is column k of A.
-    Therefore |a_k·r| / |a_k| has its maximum at the outlier, and |a_k·r| / |a_k|² is
+    The residuals r = A p are the deviations of the samples p from cubic polynomials.
+    Each polynomial passes through the two samples before and the two samples after the
+    tested sample. The error of a polynomial is proportional to the product of the four
+    time differences between these samples and the tested sample. Each row of A is
+    divided by this product, relative to the product of 4 frames⁴ without gaps. An
+    outlier of size d at sample k adds d a_k to the residuals, where a_k is column k of
+    A. Therefore |a_k·r| / |a_k| has its maximum at the outlier, and |a_k·r| / |a_k|² is
     the size of the outlier.
     """
     from scipy.sparse import csr_array
@@ -169,7 +168,7 @@ def _track_outliers(
     middle = np.arange(2, len(frames) - 2)
     neighbours = middle[:, None] + _NEIGHBOURS
     time = (frames[neighbours] - frames[middle, None]).astype(float)
-    # The weights are computed by Lagrange interpolation at time 0.
+    # The weights follow from Lagrange interpolation at time 0.
     weight = -np.ones_like(time)
     for k, other in permutations(range(len(_NEIGHBOURS)), 2):
         weight[:, k] *= time[:, other] / (time[:, other] - time[:, k])
@@ -196,15 +195,15 @@ def _track_outliers(
     )
     large = projection > min_jump * size**2
     outlier = large & (score > _OUTLIER_RATIO * _STD_PER_MAD * usual) & (score >= peak)
-    # The first two and the last two samples cannot be tested, because they are in too
-    # few cubic polynomials. Their scores are included in the peak, so that their errors
-    # do not affect other samples.
+    # The first two and the last two samples cannot be tested, because they affect too
+    # few polynomials. Their scores are included in the peak, so that their errors do
+    # not affect other samples.
     outlier[[0, 1, -2, -1]] = False
     return np.asarray(outlier)
 
 
 def runs(missing: np.ndarray) -> np.ndarray:
-    """Return the start and end (exclusive) of each True run, shape (runs, 2)."""
+    """Return the start and the exclusive end of each run of True, shape (runs, 2)."""
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8))
     )
@@ -215,7 +214,7 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
     """Return the longest interval without long gaps.
 
     All tracks are visible in the first and the last frame of the interval. `longest` is
-    the maximum time between the samples before and after a gap (s).
+    the maximum time between the samples before and after a gap, s.
     """
     allowed = np.ones(len(time), dtype=bool)
     visible = ~np.isnan(points[..., 0])
@@ -234,7 +233,7 @@ def longest_complete(time: np.ndarray, points: np.ndarray, longest: float) -> sl
 
 
 def fill_gaps(time: np.ndarray, points: np.ndarray, degree: int) -> np.ndarray:
-    """Interpolate the gaps of tracks whose first and last position are known.
+    """Interpolate gaps in tracks whose first and last positions are known.
 
     Tracks with at most `degree` samples are interpolated linearly.
     """

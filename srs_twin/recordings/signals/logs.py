@@ -1,14 +1,15 @@
-"""Robot logs: measured bends, and valve states, duties or pressures.
+"""Readers for robot logs with bends, valve states, duties or pressures.
 
 A bend log contains the bends of a robot on a bench, in the columns ``time,bend_1,…``.
 Bends are in rad unless the column name states another unit (``bend_1_deg``). A bend is
 positive if the front end of the segment is turned to the left relative to the rear end.
 The body positions are computed from the bends and the pose of the clamped head.
 
-A valve log has the column ``time`` and either ``valve_plus_1, valve_minus_1, …`` (1 to
-fill, 0 to hold, −1 to vent) or ``pressure_plus_1, pressure_minus_1, …``. Pressures are
-gauge pressures in Pa unless the column name states another unit
-(``pressure_plus_1_kpa``). The clock of the log may differ from the clock of the motion.
+A valve log has the column ``time`` and columns of one quantity for all chambers. The
+possible columns are ``valve_plus_1, valve_minus_1, …`` (1 to fill, 0 to hold, −1 to
+vent), ``duty_plus_1, …``, ``pressure_plus_1, …`` and ``setpoint_plus_1, …``. Pressures
+are gauge pressures in Pa unless the column name states another unit
+(``pressure_plus_1_kpa``).
 """
 
 from __future__ import annotations
@@ -65,7 +66,7 @@ from srs_twin.robot.spec import RobotSpec
 
 SIDES = ("plus", "minus")
 AIR = ("pressure", "setpoint")
-"""Kinds of logs that contain pressures. The other kinds are "valve" and "duty"."""
+"""Kinds of logs that contain pressures, in contrast to "valve" and "duty"."""
 
 _MAX_BEND = 2 * np.pi
 """Maximum bend, rad (a full circle)."""
@@ -75,7 +76,6 @@ _MIN_PRESSURE = -1.1e5
 """Minimum gauge pressure of a chamber, Pa (slightly below vacuum)."""
 _BEND = re.compile(r"bend_1(?!\d)")
 _MAX_PERIODS = 1_000_000
-"""Maximum number of carrier periods in a log of duties."""
 _MAX_CLAMP_SHIFT = 0.05
 """Maximum displacement of a clamped head, relative to the segment length."""
 _MAX_CLAMP_TURN = np.radians(5.0)
@@ -83,7 +83,7 @@ _MAX_CLAMP_TURN = np.radians(5.0)
 
 
 def is_bend_log(path: StrPath, recording_map: RecordingMap = NO_MAP) -> bool:
-    """Return whether a file has bend columns, by name or according to the map."""
+    """Return whether a file has bend columns according to their names or the map."""
     start = start_of(path, recording_map.dialect)
     if "\0" in start.first_line:
         return False
@@ -102,8 +102,7 @@ def read_bends(
 ) -> Recording:
     """Read the longest interval of a bend log in which all bends are known.
 
-    In the returned recording, the head is at the origin with heading 0.
-    `gait_frequency_hz` (Hz) is None if the motion is not periodic.
+    In the returned recording, the head is at the origin with a heading of 0.
     """
     table = _table(path, as_map(map), ("bend",))
     clock = table.clock(
@@ -197,8 +196,8 @@ def read_valves(
 ) -> ValveLog:
     """Read a log of valve states, duties or pressures from a CSV file or a bag.
 
-    `map` is a recording map, its entries, or its path. The map states the meanings of
-    columns and the carrier frequency of duties.
+    `map` is a recording map, given as an object, a mapping or a path. The map states
+    the meanings of columns and the carrier frequency of duties.
     """
     recording_map = as_map(map)
     if (topics := read_topics(path)) is not None:
@@ -239,9 +238,9 @@ def read_valves(
 def log_of_topics(
     topics: RecordedTopics, spec: RobotSpec, recording_map: RecordingMap
 ) -> ValveLog:
-    """Read a log from topics.
+    """Read a log from the topics of a bag.
 
-    Measured pressures are interpolated. A valve state, duty or set point is valid until
+    Measured pressures are interpolated. A valve state, duty or set point holds until
     the next message.
     """
     meanings = recording_map.meanings(("valve", "duty", *AIR))
@@ -272,7 +271,6 @@ def log_of_topics(
             factors.append(units.get(unit, 1.0))
     series = [topics.signals[signal] for signal in chosen]
     time = np.unique(np.concatenate([times for times, _ in series]))
-    # The log starts when every signal has a value.
     time = time[time >= max(times[0] for times, _ in series)]
     sample = np.interp if kind == "pressure" else held_values
     values = np.stack([sample(time, *own) for own in series], axis=1) * factors
@@ -401,12 +399,11 @@ def _switched_valves(
 def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     """Transform a recording to the clamp frame.
 
-    The origin of this frame is the centre of mass that a straight body would have.
+    The origin of this frame is the centre of mass of the straight body.
     """
     trajectory = recording.trajectory
     head = trajectory.position[:, 0]
     head_heading = trajectory["connector_heading_1"]
-    # Medians are robust to a few wrong frames.
     clamp = np.median(head, axis=0)
     heading = float(np.median(head_heading))
     shift = float(np.quantile(np.linalg.norm(head - clamp, axis=1), 0.95))

@@ -1,4 +1,4 @@
-"""Units of recorded quantities, and spellings of the units in column names."""
+"""Units of recorded quantities, and their spellings in column names."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PRESSURES |= {
     "cmH2O": 98.0665,
     "kgf/cm2": 98066.5,
 }
-"""Units of gauge pressures. Units of absolute pressures (psia, bara) are excluded."""
+"""Units of gauge pressure, without units of absolute pressure (psia, bara)."""
 FRACTIONS = {"1": 1.0, "%": 1e-2}
 
 QUANTITIES: dict[str, dict[str, float]] = {
@@ -41,7 +41,7 @@ QUANTITIES: dict[str, dict[str, float]] = {
     "setpoint": PRESSURES,
     "bend": ANGLES,
 }
-"""Units of each quantity of a log."""
+"""Accepted units of each quantity in a log."""
 
 _UNIT_REQUIRED = ("pressure", "setpoint", "bend")
 """Quantities whose unit must be stated if the column has a custom name."""
@@ -68,12 +68,12 @@ _CAMEL = re.compile(r"(?<=[a-z])[A-Z]+[a-z]*$")
 
 
 def clean(text: str) -> str:
-    """Normalise the Unicode characters of a text (µ, ²) and its spaces."""
+    """Normalise Unicode characters, such as µ and ², and spaces in a text."""
     return " ".join(unicodedata.normalize("NFKC", text).split())
 
 
 def symbol(text: str, units: Mapping[str, float]) -> str:
-    """Return the symbol of a unit that is given in any spelling.
+    """Return the symbol of a unit in any spelling.
 
     The result is an empty string if `units` does not contain the unit, or if the
     spelling is ambiguous (such as `mpa`).
@@ -100,10 +100,10 @@ def bracketed(name: str) -> tuple[str, str]:
 
 
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
-    """Return the unit in a column name: `P1 (bar)`, `time_ms`, `P1/bar` or `timeMs`.
+    """Return the unit in a name such as `P1 (bar)`, `time_ms`, `P1/bar` or `timeMs`.
 
-    The result is an empty string if the name contains no unit, and None if the unit is
-    unknown or the name contains two units.
+    The result is an empty string without a unit, and None if the unit is unknown or the
+    name contains two different units.
     """
     name = clean(name)
     bare, inside = bracketed(name)
@@ -133,10 +133,10 @@ class Meaning(NamedTuple):
     """Meaning of a column with a custom name, as stated in a recording map.
 
     Attributes:
-        kind: quantity: time, valve, duty, pressure, setpoint or bend.
+        kind: quantity, one of the keys of `QUANTITIES`.
         name: quantity and side, such as "pressure_plus".
         default: unit in the map key, which is used if the column name contains no unit.
-        unit: unit of this column in the map, or an empty string if the map states none.
+        unit: unit that the map states for this column, or an empty string.
     """
 
     kind: str
@@ -183,7 +183,6 @@ def unit_of(
 
 
 _CLOCK = re.compile("time|timestamps?|stamp|t|epoch|elapsed")
-"""Words that denote a time in column names."""
 _CLOCK_QUALIFIER = re.compile(
     "since|start|unix|ros|system|host|header|field|log|relative|absolute"
 )
@@ -191,7 +190,7 @@ _CLOCK_QUALIFIER = re.compile(
 
 
 def is_clock(name: str) -> bool:
-    """Return whether a column name such as `t_ms` or `timestamp [ns]` means a time."""
+    """Return whether a name such as `t_ms` or `timestamp [ns]` is a time column."""
     bare, _ = bracketed(clean(name))
     if re.search(r"\d", bare):
         return False

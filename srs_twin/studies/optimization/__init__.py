@@ -1,1 +1,1 @@
-"""Optimisation of robot designs and gaits with the compliant model and the twin."""
+"""Optimisation of robot designs and gaits with two simulation models."""

@@ -1,4 +1,4 @@
-"""Command `srs-twin optimize`: search for the best robot and gait."""
+"""Command `srs-twin optimize`, which searches for the best robot or gait."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def optimize(
 ) -> None:
     """Find the best robot or gait for the objectives of a study.
 
-    The search runs the analytical model `compliant` many times and corrects its results
-    with a few runs of the twin. All reported results come from the twin. An interrupted
-    search resumes if you start the command again with the same output folder.
+    The search combines many runs of the analytical model `compliant` with a few runs of
+    the twin. All reported results come from the twin. To resume an interrupted search,
+    run the command again with the same output folder.
 
     Options:
         name: Name of a shipped study, or path of a study file.

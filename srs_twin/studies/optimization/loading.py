@@ -1,4 +1,4 @@
-"""Study files and their design space. All problems in a file are reported together."""
+"""Loading of study files, which reports all problems in a file at once."""
 
 from __future__ import annotations
 
@@ -47,40 +47,38 @@ from srs_twin.studies.sweep.points import (
 from srs_twin.studies.uncertainty.study import compliant_scenario, on_plant
 
 SEGMENTS = "robot.segments"
-"""Variable for the number of segments. It also changes all robot parameters that depend
-on this number.
-"""
+"""Name of the variable for the number of segments, which sets the connector count."""
 
 
 class VariableFile(Section):
-    """Range of a field that the study optimises."""
+    """Range of a scenario field to optimise."""
 
     low: float = Field(ge=-1e12, le=1e12, description="Minimum value of the field.")
     high: float = Field(ge=-1e12, le=1e12, description="Maximum value of the field.")
     scale: Literal["linear", "log"] = "linear"
-    """Scale on which the search measures distances. `log` treats equal ratios as equal
+    """Scale of the variable in the search. With `log`, equal ratios correspond to equal
     distances.
     """
     whole: bool = False
-    """Whether only integers are allowed."""
+    """Whether values are rounded to integers."""
     hold: list[Literal["total_length", "total_mass"]] | None = None
     """Quantities to keep constant when the number of segments (`robot.segments`)
     changes.
     """
     bounds_source: Words | None = None
-    """Physical reason for `low` and `high`. The result quotes it for designs on a
+    """Physical reason for `low` and `high`, which the result quotes for designs on a
     bound.
     """
 
     def value_at(self, fraction: float) -> float | int:
         """Return the rounded value at a fraction of the range."""
         value = value_at(fraction, self.low, self.high, self.scale)
-        # With six digits, designs that differ only by rounding errors share a stored
-        # run.
+        # Because of the rounding, designs that differ only by rounding errors share a
+        # stored run.
         return round(value) if self.whole else float(f"{value:.6g}")
 
     def fraction_of(self, value: float) -> float:
-        """Return a value as a fraction of the range."""
+        """Return the position of a value in the range as a fraction."""
         low = self.low
         high = self.high
         if self.scale == "log":
@@ -107,8 +105,8 @@ class ObjectiveFile(Section):
     goal: Literal["maximize", "minimize"]
     """Direction of the optimisation."""
     quantile: float | None = quantity(0.01, 0.99, None)
-    """Quantile over the robot's uncertain parameters (`budget.uncertain`) that ranks
-    the reported designs (default: rank by the result of the nominal robot).
+    """Quantile over random robots (`budget.uncertain`) by which the reported designs
+    are ranked (default: rank by the result with the nominal robot).
     """
 
     @property
@@ -118,10 +116,10 @@ class ObjectiveFile(Section):
 
 
 class ConstraintFile(Section):
-    """Limit on a metric that every design must satisfy."""
+    """Constraint on a metric."""
 
     metric: MetricName
-    """Limited metric, as listed by `srs-twin list --metrics`."""
+    """Constrained metric, as listed by `srs-twin list --metrics`."""
     below: float | None = Field(
         None, ge=-1e12, le=1e12, description="Maximum allowed value."
     )
@@ -139,25 +137,25 @@ class ConstraintFile(Section):
 
 
 class BudgetFile(Section):
-    """Numbers of runs in a study."""
+    """Budget of simulation runs for a study."""
 
     compliant: int = quantity(8, 1_000_000, 400)
-    """Number of runs of the analytical model `compliant`, if this model can run the
+    """Number of runs with the analytical model `compliant`, if it can simulate the
     scenario.
     """
     twin: int = quantity(4, 1_000_000, 40)
-    """Number of runs of the twin during the search."""
+    """Number of twin runs during the search."""
     uncertain: int = quantity(0, 10_000, 0)
-    """Number of twin runs per best design, each with randomly drawn uncertain
-    parameters of the robot. With 0 there are no such runs.
+    """Number of robots with random parameters with which the twin simulates the initial
+    scenario and each best design.
     """
 
 
 class StudyFile(Section):
-    """Optimisation of selected scenario fields."""
+    """Optimisation study for selected scenario fields."""
 
     title: Line | None = None
-    """Title on one line (default: the name)."""
+    """Title on one line (default: the name of the study)."""
     scenario: PathOrName
     """Name of a shipped scenario or path of a scenario file."""
     fixed: dict[FieldName, Plain | list[Plain]] = Field(
@@ -202,8 +200,8 @@ def study_json_schema() -> dict[str, object]:
 
 
 ON_BOUND = 0.01
-"""Distance from a bound below which a design counts as on the bound, as a fraction of
-the range.
+"""Distance from a bound at which a variable counts as being on the bound, as a fraction
+of its range.
 """
 
 
@@ -213,8 +211,8 @@ class DesignSpace:
 
     Attributes:
         variables: range of each variable, keyed by dotted name.
-        robot: robot of the scenario as plain data. It contains the quantities that
-            `hold` keeps constant.
+        robot: robot parameters of the scenario as plain data, from which the quantities
+            under `hold` are computed.
     """
 
     variables: Mapping[str, VariableFile]
@@ -226,17 +224,17 @@ class DesignSpace:
         return len(self.variables)
 
     def values(self, fractions: np.ndarray) -> tuple[float | int, ...]:
-        """Return the values of a design from its fractions, shape (d,)."""
+        """Convert a design from fractions of the ranges, shape (d,), to values."""
         ranges = zip(self.variables.values(), np.clip(fractions, 0.0, 1.0), strict=True)
         return tuple(variable.value_at(fraction) for variable, fraction in ranges)
 
     def fractions(self, values: Sequence[float]) -> np.ndarray:
-        """Return a design as fractions of the ranges, from 0 to 1, shape (d,)."""
+        """Convert the values of a design to fractions of the ranges, shape (d,)."""
         ranges = zip(self.variables.values(), values, strict=True)
         return np.array([variable.fraction_of(value) for variable, value in ranges])
 
     def bounds(self, fractions: np.ndarray) -> dict[str, str]:
-        """Return "low" or "high" for each variable of a design that lies on a bound."""
+        """Return "low" or "high" for each variable that lies on that bound."""
         fractions_by_name = zip(
             self.variables, self.snapped(fractions[None])[0], strict=True
         )
@@ -247,13 +245,13 @@ class DesignSpace:
         }
 
     def snapped(self, fractions: np.ndarray) -> np.ndarray:
-        """Return designs with rounded values, shape (designs, d)."""
+        """Round the values of designs, given as fractions, shape (designs, d)."""
         return np.array(
             [self.fractions(self.values(fraction)) for fraction in fractions]
         )
 
     def changes(self, fractions: np.ndarray) -> Changes:
-        """Return the changes that a design makes to the scenario."""
+        """Return the scenario fields that a design changes, with their new values."""
         changes: dict[str, Value] = {}
         for (name, variable), value in zip(
             self.variables.items(), self.values(fractions), strict=True
@@ -287,10 +285,10 @@ class OptimizationStudy:
     """Loaded and validated study.
 
     Attributes:
-        name: name of the study and of the output folder.
-        experiments: experiment for the twin and, if possible, for the model
-            "compliant".
-        changes: fields that differ from the study file, as text.
+        name: name of the study and of its default output folder.
+        experiments: experiments, keyed by fidelity ("twin" and, if possible,
+            "compliant").
+        changes: fields that differ from the study file.
     """
 
     name: str
@@ -303,7 +301,7 @@ class OptimizationStudy:
 
     @property
     def title(self) -> str:
-        """Title on one line."""
+        """Title on one line, including the changed fields."""
         return marked(self.file.title or self.name, self.changes)
 
 
@@ -315,9 +313,11 @@ def load_study(
     """Load a shipped study by name (gen2_speed), or a study file by path.
 
     Args:
-        study: name or path of the study. A loaded study is returned unchanged.
-        set: values of scenario fields, keyed by dotted path, in addition to the fixed
-            fields in the file. The field `seed` sets the random seed of the study.
+        study: name or path of the study, or a loaded study, which is returned
+            unchanged.
+        set: values of scenario fields, keyed by dotted path, which extend or replace
+            the fixed fields in the file. The key `seed` sets the random seed of the
+            study.
     """
     if isinstance(study, OptimizationStudy):
         refuse_changes("study", set)

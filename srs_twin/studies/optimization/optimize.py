@@ -1,4 +1,4 @@
-"""Function `optimize`: search for the best robot and gait, and write the result."""
+"""Function `optimize`, which searches for the best robot or gait."""
 
 from __future__ import annotations
 
@@ -28,17 +28,19 @@ def optimize(
 ) -> StudyResult:
     """Search for the best robot or gait.
 
-    The command `srs-twin optimize` calls this function. Finished runs are stored in
-    `out`, so an interrupted search can be resumed with the same folder.
+    An interrupted search resumes if the function is called again with the same output
+    folder.
 
     Args:
         study: name of a shipped study, path of a study file, or a loaded study.
         out: output folder, or None to write no files.
         set: values of scenario fields, as described in `load_study`.
-        engine: name of the engine ("local", "ray" or "warp"), or an engine object.
+        engine: name of the execution engine ("local", "ray" or "warp"), or an engine
+            object.
         workers: number of parallel runs, or None for one per processor.
-        changed: whether to reuse runs in `out` that belong to another study.
-        progress: callback that reports the runs (see `execution.Progress`).
+        changed: whether the folder may contain runs of a different version of the
+            study.
+        progress: callback for progress reports (see `execution.Progress`).
 
     Raises:
         InputError: the study is not valid, the engine is not available, or the folder
@@ -47,9 +49,8 @@ def optimize(
     loaded = load_study(study, set=set)
     budget = loaded.file.budget
     total = budget.twin + (budget.compliant if "compliant" in loaded.experiments else 0)
-    # After the search, the initial scenario runs once with the nominal robot and once
-    # with each random robot. Each reported design runs with two refinements and with
-    # each random robot.
+    # The additional runs simulate the initial scenario with nominal and random robots,
+    # and each reported design with two refinements and random robots.
     total += 1 + MAX_REPORTED * (2 + budget.uncertain) + budget.uncertain
     progress(loaded.name, total, None)
 
@@ -63,7 +64,7 @@ def optimize(
             result = StudyResult.evaluate(loaded, search(loaded, runs), runs)
         if out is None:
             return result
-        # Importing matplotlib at the top would delay the search.
+        # A top-level import of Matplotlib would delay the start of the search.
         from srs_twin.studies.optimization.report import write_result
 
         return replace(result, files=write_result(result, folder))

@@ -1,4 +1,4 @@
-"""Output files of a study: JSON document, table of runs, best designs and plots."""
+"""Output files of an optimisation: JSON document, report, tables and plots."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def draw_convergence(
     *,
     maximize: bool,
 ) -> CaptionedFigure:
-    """Plot the objective of each twin run and the best feasible value so far."""
+    """Plot the objective of each twin run and the best feasible result so far."""
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axes = figure.subplots()
     number = np.arange(1, len(values) + 1)
@@ -79,7 +79,7 @@ def draw_front(
     labels: Sequence[str],
     initial: Sequence[float | None],
 ) -> CaptionedFigure:
-    """Plot the two objectives of all runs, shape (runs, 2), and the Pareto front."""
+    """Plot the values of two objectives, shape (runs, 2), and their Pareto front."""
     figure = Figure(figsize=(6.5, 4.2), layout="constrained")
     axes = figure.subplots()
     axes.plot(*values.T, "o", color=_RUN_COLOR, markersize=4, label="runs of the twin")
@@ -103,7 +103,7 @@ def draw_front(
 def draw_parallel(
     space: DesignSpace, runs: Sequence[Run], ranks: np.ndarray, best: Sequence[Run]
 ) -> CaptionedFigure:
-    """Plot designs as parallel coordinates, and emphasise better designs."""
+    """Plot designs in parallel coordinates, and emphasise the better designs."""
     places = np.arange(space.size)
     figure = Figure(figsize=(max(6.5, 1.1 * space.size), 3.6), layout="constrained")
     axes = figure.subplots()
@@ -145,14 +145,11 @@ def draw_parallel(
 
 
 BOUND_MARK = "†"
-"""Mark of a variable that lies on a bound."""
+"""Mark for variables that lie on a bound of their range."""
 
 
 def write_result(result: StudyResult, folder: Path) -> tuple[str, ...]:
-    """Write all output files of a study into a folder and return their names.
-
-    If an error occurs, no file is written.
-    """
+    """Write all output files of a study to a folder, and return their names."""
     with replace_files(folder, PRODUCTS) as fresh:
         return _write(result, fresh)
 
@@ -188,7 +185,7 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
 
 
 def write_report(folder: Path, result: StudyResult) -> list[str]:
-    """Write the plots and the HTML page of a study, and return their names."""
+    """Write the plots and the HTML report of a study, and return the file names."""
     document = result.document()
     figures = _figures(result, document)
     pictures = []
@@ -235,7 +232,7 @@ def _figures(
     else:
         members = [[run.metric(goal.metric) for goal in goals] for run in best]
         figures[front] = draw_front(values, np.array(members), labels, start)
-    # Infeasible runs have the lowest ranks.
+    # Infeasible runs rank behind all feasible runs.
     ranks = np.argsort(np.lexsort((costs(study, twin)[:, 0], violation)))
     figures[parallel] = draw_parallel(study.space, twin, ranks, best)
     return figures
@@ -289,7 +286,7 @@ def _interval_text(
 
 
 def bound_lines(document: StudyDocument) -> list[str]:
-    """Return a sentence for each bound on which a best design lies."""
+    """Return a sentence for each bound that a best design reaches, and a final note."""
     designs: dict[str, list[str]] = {}
     for design in document["best"]:
         for name, bound in design["on_bound"].items():
@@ -308,7 +305,7 @@ def bound_lines(document: StudyDocument) -> list[str]:
 
 
 def mark_bound(value: float, on_bound: bool) -> str:
-    """Return a value as text, with a mark if the variable is on a bound."""
+    """Format a value, and append a mark if the variable is on a bound."""
     text = f"{value:.4g}"
     if on_bound:
         return text + BOUND_MARK
@@ -325,7 +322,7 @@ def _fidelity_text(document: StudyDocument) -> str:
 
 
 def percentage(value: float | None) -> str:
-    """Return a fraction as a signed percentage."""
+    """Format a fraction as a signed percentage, or None as a dash."""
     if value is None:
         return "–"
     return f"{100 * value:+.1f} %"

@@ -1,4 +1,4 @@
-"""Result of a study: best designs with their accuracy, robustness and gains."""
+"""Result of an optimisation: best designs with their accuracy and gains."""
 
 from __future__ import annotations
 
@@ -31,23 +31,21 @@ PICTURES = ("convergence.png", "front.png", "parallel.png")
 PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 
 _MAX_REFINEMENT_CHANGE = 0.01
-"""Maximum relative change due to a refinement of the twin at which a result counts as
-converged.
-"""
+"""Maximum relative change of a converged result due to a refinement of the model."""
 
 _MIN_RANKED = 4
-"""Minimum number of runs for a rank correlation."""
+"""Minimum number of designs for a rank correlation."""
 
 
 class Gain(TypedDict):
-    """Relative gain over the initial scenario, with a 95 % interval over robots."""
+    """Relative gain over the initial scenario, with its 95 % interval."""
 
     fraction: float | None
     interval_95: list[float | None] | None
 
 
 class Bound(TypedDict):
-    """Bound on which a design variable lies, with the physical reason for the bound."""
+    """Bound that a design variable reaches, with the physical reason for the bound."""
 
     bound: str
     value: float
@@ -55,7 +53,7 @@ class Bound(TypedDict):
 
 
 class DesignDocument(TypedDict):
-    """Best design as JSON values."""
+    """JSON representation of one of the best designs."""
 
     variables: dict[str, float]
     metrics: dict[str, float | None]
@@ -71,7 +69,7 @@ class DesignDocument(TypedDict):
 
 
 class StudyDocument(TypedDict):
-    """Result as JSON values."""
+    """JSON representation of a study result."""
 
     study: str
     title: str
@@ -87,12 +85,12 @@ class StudyDocument(TypedDict):
 
 @dataclass(frozen=True)
 class EvaluatedDesign:
-    """Design with additional runs that show the accuracy of its result.
+    """Design with additional runs that quantify its accuracy and robustness.
 
     Attributes:
-        refined: runs with half the time step and with twice the number of hinges. The
-            initial scenario has no such runs.
-        samples: runs with random robots. All designs use the same random robots.
+        refined: one run with half the time step and one with twice the number of
+            hinges, or an empty tuple for the initial scenario.
+        samples: runs with random robots, which are identical for all designs.
     """
 
     run: Run
@@ -100,11 +98,11 @@ class EvaluatedDesign:
     samples: tuple[Row, ...] = field(repr=False)
 
     def sampled(self, name: str) -> np.ndarray:
-        """Return a metric for the runs with random robots, shape (samples,)."""
+        """Return a metric of the runs with random robots, shape (samples,)."""
         return np.array([metric_of(row, "twin", name) for row in self.samples])
 
     def refinement_change(self, name: str) -> float | None:
-        """Return the maximum relative change of a metric due to a refinement."""
+        """Return the larger relative change of a metric due to the two refinements."""
         value = self.run.metric(name)
         refined = [metric_of(row, "twin", name) for row in self.refined]
         return _number(
@@ -114,16 +112,16 @@ class EvaluatedDesign:
 
 @dataclass(frozen=True)
 class StudyResult:
-    """Result of a study.
+    """Result of an optimisation study.
 
     Attributes:
-        study: optimised study.
-        runs: simulated designs with their results.
-        initial: scenario before the optimisation, with the fixed fields.
-        designs: best designs in descending order of quality.
-        files: names of the written files, if an output folder was given.
-        improvement: expected improvement due to one more run, as described in
-            `Optimum`.
+        study: study that defines the optimisation.
+        runs: all runs of the search.
+        initial: initial scenario, including the fixed fields of the study.
+        designs: best designs, sorted from best to worst, or designs on the Pareto
+            front, sorted by the first objective.
+        files: names of the written files.
+        improvement: expected improvement from one more run (see `Optimum`).
     """
 
     study: OptimizationStudy
@@ -137,10 +135,10 @@ class StudyResult:
     def evaluate(
         cls, study: OptimizationStudy, optimum: Optimum, runs: StudyRuns
     ) -> StudyResult:
-        """Perform the additional runs of the initial scenario and the best designs.
+        """Perform the additional runs for the initial scenario and the best designs.
 
         Raises:
-            InputError: a row cannot be written.
+            InputError: a result row cannot be stored.
         """
         settings = study.experiments["twin"].document({})["plants"]["twin"]
         refinements: list[Changes] = [
@@ -171,7 +169,7 @@ class StudyResult:
         return result.ranked_by_quantile()
 
     def ranked_by_quantile(self) -> StudyResult:
-        """Return the result with designs ranked by a quantile of the objective."""
+        """Return a copy with the designs ranked by a quantile of the objective."""
         objective = self.study.file.objectives[0]
         fraction = objective.quantile or 0.5
         samples = [design.sampled(objective.metric) for design in self.designs]
@@ -179,7 +177,7 @@ class StudyResult:
         return replace(self, designs=tuple(self.designs[k] for k in order))
 
     def document(self) -> StudyDocument:
-        """Return the result as JSON values."""
+        """Return the result as JSON-compatible data."""
         study = self.study
         parts = [run.part for run in self.runs]
         return {
@@ -202,7 +200,7 @@ class StudyResult:
 
     @property
     def warning(self) -> str | None:
-        """Warning if the budget was too small for the search, otherwise None."""
+        """Warning that the budget was too small, or None."""
         if self.improvement is None or self.improvement <= MAX_IMPROVEMENT:
             return None
         gain = f"{100 * self.improvement:.1f} %"
@@ -250,7 +248,7 @@ class StudyResult:
 
     @property
     def metrics(self) -> tuple[str, ...]:
-        """Metrics of the objectives, followed by those of the constraints."""
+        """Names of the objective metrics, followed by the constrained metrics."""
         objectives = [objective.metric for objective in self.study.file.objectives]
         constraints = [constraint.metric for constraint in self.study.file.constraints]
         return tuple(dict.fromkeys([*objectives, *constraints]))
@@ -276,9 +274,9 @@ class StudyResult:
     def _fidelity_correlation(
         self, objective: ObjectiveFile
     ) -> dict[str, float | None] | None:
-        """Return the rank correlations of an objective between the two models.
+        """Return the rank correlation of an objective between the two models.
 
-        The key "all" refers to all designs, and "near" to the better half.
+        The key "all" refers to all designs, and "near" refers to the better half.
         """
         from scipy.stats import spearmanr
 
@@ -303,7 +301,7 @@ class StudyResult:
 
     @cached_property
     def table(self) -> Mapping[str, list[Any]]:
-        """Columns of all runs in order: part, variables, status, reason and metrics."""
+        """Columns of the run table, keyed by name."""
         space = self.study.space
         runs = self.runs
         columns: dict[str, list[Any]] = {"part": [run.part for run in runs]}

@@ -1,8 +1,7 @@
-"""Storage of finished runs, so that no design is simulated twice.
+"""Storage of finished runs, which prevents repeated simulations of a design.
 
-The sequence of designs depends only on the seed and on earlier results. A resumed
-search therefore requests identical designs and reads the results of finished runs from
-the store.
+Because the seed and the earlier results determine the sequence of designs, a resumed
+search requests the same designs and finds their stored results.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ from srs_twin.studies.sweep.store import RowStore
 from srs_twin.studies.sweep.task import DONE, Row
 
 PLANTS = {"compliant": "analytical", "twin": "twin"}
-"""Plant that simulates each fidelity."""
+"""Name of the plant that simulates each fidelity."""
 
 RowCallback = Callable[[str, Row], None]
-"""Callback that receives the fidelity and the row of each newly finished run."""
+"""Callback that receives the fidelity and the result row of each finished run."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """Run of a design at one fidelity.
+    """Simulation run of a design at one fidelity.
 
     Attributes:
-        part: fidelity, which is "compliant" or "twin".
+        part: fidelity ("compliant" or "twin").
         fractions: design variables as fractions of their ranges, shape (d,).
     """
 
@@ -48,7 +47,7 @@ class Run:
 
 
 def metric_of(row: Row, part: str, name: str) -> float:
-    """Return a metric of a row, or NaN if the run failed or the metric has no value."""
+    """Return a metric of a result row, or NaN if the metric has no value."""
     value = row.values.get(f"{PLANTS[part]}.{name}")
     if value is None or row.status != DONE:
         return float("nan")
@@ -59,7 +58,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
     """Runs of a study in a locked folder.
 
     Attributes:
-        requested: requested runs without duplicates, in the order of the first request.
+        requested: distinct runs in the order in which they were first requested.
     """
 
     def __init__(
@@ -71,7 +70,6 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         *,
         changed: bool = False,
     ) -> None:
-        """Open the folder."""
         self._study = study
         self._engine = engine
         self._on_row = on_row
@@ -90,14 +88,13 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             self._opened = opened.pop_all()
 
     def __exit__(self, *error: object) -> None:
-        """Unlock the folder."""
         self._opened.close()
 
     def run(self, part: str, fractions: np.ndarray) -> list[Run]:
-        """Return the runs of designs at one fidelity.
+        """Return the runs of designs at one fidelity, and simulate missing runs.
 
         Args:
-            part: fidelity, which is "compliant" or "twin".
+            part: fidelity ("compliant" or "twin").
             fractions: designs as fractions of the ranges, shape (designs, d).
         """
         runs = []
@@ -112,7 +109,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return runs
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
-        """Return the rows of scenarios. Missing rows are computed first."""
+        """Return one result row per changed scenario, and compute missing rows."""
         experiment = self._study.experiments[part]
         points = [experiment.point(change) for change in changes]
         missing = list({p.key: p for p in points if p.key not in self._rows}.values())
@@ -122,8 +119,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             if self._on_row is not None:
                 self._on_row(part, row)
 
-        # Starting an engine may take seconds, so it is started only if a run is
-        # missing.
+        # Starting an engine may take seconds, so it is not started without need.
         if missing:
             self._stores[part].collect(
                 self._engine(experiment, missing), [p.key for p in missing], on_row
@@ -131,7 +127,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         return [self._rows[point.key] for point in points]
 
     def reset(self) -> None:
-        """Clear the list of requested runs, but keep their results."""
+        """Clear the list of requested runs, but keep the stored results."""
         self.requested = []
         self._requested_by_key = {}
 

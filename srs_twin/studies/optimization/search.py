@@ -1,37 +1,40 @@
-r"""Design optimisation with many runs of `compliant` and few runs of the twin.
+r"""Design optimisation with many low-fidelity runs and few high-fidelity runs.
 
-**One objective.** CMA-ES (Hansen 2016) minimises the objective of the low-fidelity
-model, and the twin then simulates the best designs. A Gaussian process fitted to these
-runs predicts the twin's result from the design and the low-fidelity result (Kennedy and
-O'Hagan 2000). New designs maximise the expected improvement
+The low-fidelity model is the analytical model `compliant`, and the high-fidelity model
+is the twin. If `compliant` cannot simulate a scenario, the search uses only the twin.
+
+**One objective.** CMA-ES (Hansen 2016) first optimises the designs with the
+low-fidelity model, and the twin then simulates the best of these designs. A Gaussian
+process fitted to the twin runs predicts the twin's results for other designs from their
+variables and low-fidelity results (Kennedy and O'Hagan 2000). In each round, the twin
+simulates two designs that maximise the expected improvement
 
 $$ \mathrm{EI}(u) = σ \bigl(z Φ(z) + φ(z)\bigr) \prod_c P(c \text{ holds}), \qquad z =
 (y^* - μ)/σ, $$
 
-where μ and σ are the predicted mean and standard deviation at design u, and y* is the
-best result so far. Each round selects two designs. The second design is selected as if
-the first design had already yielded its predicted result. Candidates are all designs
-that the low-fidelity model has simulated. Every round draws many new designs near the
-best designs and in the whole space, and interpolates their low-fidelity results between
-earlier results. The low-fidelity model then simulates the most promising new designs.
-Failed runs are left out when the Gaussian processes are fitted. If the run nearest to a
-design has failed, the design's expected improvement is zero.
+where μ and σ are the predicted mean and standard deviation of the cost of design u, and
+y* is the lowest cost so far. The second design is selected under the assumption that
+the first design yields its predicted result. The candidates are all designs that the
+low-fidelity model has already simulated. In every round, many new designs are drawn
+near the best designs and from the whole design space. Their low-fidelity results are
+estimated by interpolation, and the low-fidelity model simulates the most promising of
+them. Failed runs are excluded from all fits, and designs whose nearest run has failed
+get an expected improvement of zero.
 
-**Constraints.** The low-fidelity model may violate a constraint that the twin
-satisfies, and CMA-ES avoids such designs. A Gaussian process for each constraint
-therefore predicts the value for the twin. New designs are also drawn near designs that
-violate a constraint by a small amount.
+**Constraints.** CMA-ES avoids designs that violate a constraint in the low-fidelity
+model, although they may satisfy it in the twin. A separate Gaussian process therefore
+predicts each constrained metric of the twin. New designs are also drawn near designs
+that slightly violate a constraint.
 
-**End.** After the last run, the maximum expected improvement among new designs is
-computed. If this maximum exceeds `MAX_IMPROVEMENT`, the result contains a warning.
+**Budget.** After the last run, the maximum expected improvement over new designs is
+computed. If it exceeds the fraction `MAX_IMPROVEMENT` of the best result, a warning is
+issued.
 
-**Two objectives.** The low-fidelity model is searched with several weights of a
-Tchebycheff scalarisation (Knowles 2006). New designs maximise the expected growth of
-the area that the Pareto front dominates (Emmerich et al. 2006). This area may grow only
-slightly even if an end of the front moves far. Every other round therefore improves one
-end of the front instead.
-
-If `compliant` cannot simulate a scenario, the search uses only the twin.
+**Two objectives.** CMA-ES minimises several Tchebycheff scalarisations with different
+weights (Knowles 2006). The twin then simulates designs with the largest expected
+increase in the area that the Pareto front dominates (Emmerich et al. 2006). Extending
+an end of the front may hardly increase this area. The second design of every other
+round therefore improves a single objective instead.
 """
 
 from __future__ import annotations
@@ -57,60 +60,58 @@ _BATCH_SIZE = 2
 """Number of designs that the twin simulates per round."""
 
 _NEIGHBOUR_STD = 0.08
-"""Maximum standard deviation of new candidates about the best designs, as a fraction
-of the ranges.
+"""Maximum standard deviation of new designs around the best designs, as a fraction of
+each variable's range.
 """
 
 _NEIGHBOURS = {1: 8, 2: 16}
-"""Number of new candidates per round, for each number of objectives."""
+"""Number of new candidates per round, keyed by the number of objectives."""
 
 _INITIAL_FRACTION = 0.3
-"""Fraction of the twin runs that are spent on the initial designs."""
+"""Fraction of the twin runs spent on the initial designs."""
 
 _EDGE_OVERDRAW = 0.2
-"""Distance by which samples may lie outside the ranges, as a fraction of the ranges.
-Clipping then moves some samples to the bounds, where optima often are.
+"""Distance by which random samples may exceed a variable's range before clipping, as a
+fraction of the range.
 """
 
 _MIN_DISTANCE = 1e-3
-"""Distance below which two designs are considered identical."""
+"""Distance below which two designs count as identical, with variables as fractions of
+their ranges.
+"""
 
 MAX_REPORTED = 3
 """Maximum number of designs reported for a study with one objective."""
 
 _OPTIMUM_DISTANCE = 0.1
-"""Minimum distance between two reported designs."""
+"""Minimum distance between two reported designs, measured like `_MIN_DISTANCE`."""
 
 _CMA_FRACTION = 0.6
-"""Fraction of the low-fidelity runs that are spent on CMA-ES. The remaining runs are
-spent on candidates.
-"""
+"""Fraction of the low-fidelity runs spent on random samples and CMA-ES."""
 
 _POPULATION = 12
 
 _SCREENED = 256
-"""Number of new designs near the best designs that are evaluated by interpolation per
-round. Equally many designs in the whole space are evaluated.
+"""Number of designs that are drawn near the best designs in every round and screened
+by interpolation. The same number is drawn from the whole design space.
 """
 
 _SMOOTHING = 1e-9
-"""Smoothing of the interpolated low-fidelity results, which keeps the linear system
-regular.
-"""
+"""Smoothing parameter that keeps the linear system of the interpolation regular."""
 
 MAX_IMPROVEMENT = 0.005
-"""Expected improvement above which a warning is given, as a fraction of the best
+"""Expected improvement above which a warning is issued, as a fraction of the best
 result.
 """
 
 _IMPROVEMENT_DRAWS = 64
-"""Number of random results drawn per candidate to compute the expected growth of the
-dominated area.
+"""Number of random results drawn per candidate to estimate the expected increase in
+the dominated area.
 """
 
 _FAILURE_PENALTY_SD = 10.0
-"""Penalty for violating a constraint by one standard deviation, in standard deviations
-of the objective. It also scales the penalty for failed runs.
+"""Penalty for violating a constraint by one standard deviation of the constrained
+metric, in standard deviations of the objective.
 """
 
 
@@ -119,11 +120,12 @@ class Optimum:
     """Result of a search.
 
     Attributes:
-        best: best runs of the twin in descending order of quality, at a minimum
-            distance from each other. With two objectives, these runs are the Pareto
-            front, sorted by the first objective.
-        improvement: maximum expected improvement due to one more run, as a fraction of
-            the best result, or None if there are two objectives or no feasible runs.
+        best: twin runs of the best distinct designs, sorted from best to worst. With
+            two objectives, these runs form the Pareto front and are sorted by the first
+            objective.
+        improvement: maximum expected improvement from one more twin run, as a fraction
+            of the best result. The value is None for two objectives or without feasible
+            runs.
     """
 
     best: tuple[Run, ...]
@@ -132,7 +134,7 @@ class Optimum:
 
 
 def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
-    """Find the best designs within the budget."""
+    """Search for the best designs within the run budget of a study."""
     state = _Search(study, runs)
     if "compliant" in study.experiments:
         state.search_compliant()
@@ -144,15 +146,15 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
 
 
 def costs(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
-    """Return the objectives as costs to minimise, shape (runs, objectives)."""
+    """Return the objectives of runs as costs to minimise, shape (runs, objectives)."""
     goals = study.file.objectives
     return _signed(runs, [(goal.metric, goal.sign, 0.0) for goal in goals])
 
 
 def excesses(study: OptimizationStudy, runs: Sequence[Run]) -> np.ndarray:
-    """Return the violations of the constraints, shape (runs, limits).
+    """Return how far each run exceeds each constraint limit, shape (runs, limits).
 
-    The violation of a satisfied constraint is at most 0.
+    Satisfied constraints have zero or negative values.
     """
     limits = [
         (constraint.metric, sign, limit)
@@ -174,7 +176,7 @@ def _signed(
 
 
 def front(costs: np.ndarray) -> np.ndarray:
-    """Return a mask of the rows that no other row dominates, shape (rows,)."""
+    """Return a mask of the Pareto-optimal rows of a cost array, shape (rows,)."""
     dominated: np.ndarray = np.all(costs[None] <= costs[:, None], axis=2)
     dominated &= np.any(costs[None] < costs[:, None], axis=2)
     return np.asarray(~dominated.any(axis=1) & ~np.isnan(costs).any(axis=1))
@@ -192,8 +194,6 @@ def _cma() -> Any:
 
 
 class _Search:
-    """State of a search. The method `iterate` performs one round."""
-
     def __init__(self, study: OptimizationStudy, runs: StudyRuns) -> None:
         self._study = study
         self._runs = runs
@@ -205,15 +205,14 @@ class _Search:
         self._round = 0
 
     def search_compliant(self) -> None:
-        """Search the low-fidelity model with CMA-ES for several objective weights."""
         cma = _cma()
         budget = int(_CMA_FRACTION * self._study.file.budget.compliant)
         weights = self._weights_of(
             np.linspace(0.02, 0.98, 7 if self._objectives > 1 else 1)
         )
-        # Constraints may divide the design space, so a search from a single start may
-        # miss the best designs. Random samples therefore get as many runs as each
-        # search.
+        # Constraints may split the feasible designs into separate regions, and a search
+        # with a single start may miss the best region. Random samples therefore use as
+        # many runs as each CMA-ES search.
         sampled = max(2 * self._size, budget // (len(weights) + 1))
         self._run("compliant", self._sample_space(sampled))
         for k, weight in enumerate(weights):
@@ -255,7 +254,7 @@ class _Search:
 
     @property
     def _improved_objective(self) -> int | None:
-        """Objective improved in this round, or None to increase the dominated area."""
+        """Index of the objective to improve, or None to increase the dominated area."""
         if self._objectives == 1:
             return 0
         return self._round // 2 % 2 if self._round % 2 else None
@@ -264,7 +263,7 @@ class _Search:
         return self._study.file.budget.twin - len(self._twin_runs)
 
     def iterate(self) -> bool:
-        """Run the twin at the best candidates; return False if no candidate is left."""
+        """Simulate the best candidates, or return False if no candidate is left."""
         candidates = self._candidates()
         if not candidates:
             return False
@@ -272,7 +271,6 @@ class _Search:
         chosen: list[np.ndarray] = []
         assumed_costs = self._outputs(self._twin_runs)
         for k_batch in range(min(_BATCH_SIZE, self.budget_left())):
-            # With two objectives, the first run of a round always maximises the area.
             if k_batch or self._objectives == 1:
                 objective = self._improved_objective
             else:
@@ -286,18 +284,12 @@ class _Search:
             if score[k] < 0:
                 break
             chosen.append(candidates[k].fractions)
-            # The next design is selected as if this run had already yielded its
-            # predicted result.
             assumed_costs = np.vstack([assumed_costs, mean[k]])
         self._run("twin", np.array(chosen))
         self._round += 1
         return True
 
     def expected_improvement(self) -> float | None:
-        """Return the maximum expected improvement as a fraction of the best result.
-
-        The result is None if there are two objectives or no feasible designs.
-        """
         best = self.best()[:1]
         if self._objectives > 1 or (excesses(self._study, best) > 0).any():
             return None
@@ -311,7 +303,7 @@ class _Search:
         )
 
     def best(self) -> tuple[Run, ...]:
-        """Return the best twin runs, with minimum violation of the constraints."""
+        """Return the best of the twin runs that violate the constraints least."""
         if self._objectives == 1:
             return self._distinct_optima(0)
         feasible = self._most_feasible()
@@ -358,7 +350,7 @@ class _Search:
         return runs
 
     def _sample_space(self, count: int) -> np.ndarray:
-        """Return Sobol points of the design space, some on bounds, shape (count, d)."""
+        """Return random designs, some of them on the bounds, shape (count, d)."""
         wide = (1 + 2 * _EDGE_OVERDRAW) * sobol_points(
             self._size, count, self._rng
         ) - _EDGE_OVERDRAW
@@ -383,14 +375,13 @@ class _Search:
         weight: np.ndarray,
         relative_to: Sequence[Run] | None = None,
     ) -> np.ndarray:
-        """Return penalised Tchebycheff scalarisations of runs as costs."""
+        """Return a penalised Tchebycheff scalarisation of the costs, shape (runs,)."""
         reference = runs if relative_to is None else relative_to
         reference_costs = costs(self._study, reference)
         known = reference_costs[~np.isnan(reference_costs).any(axis=1)]
         if not len(known):
             return np.zeros(len(runs))
         std = np.maximum(known.std(axis=0), 1e-12)
-        # Costs are measured from the best known costs, in standard deviations.
         weighted = weight * ((costs(self._study, runs) - known.min(axis=0)) / std)
         value = weighted.max(axis=1) + 0.05 * weighted.sum(axis=1)
         scale = np.maximum(np.nanstd(excesses(self._study, reference), axis=0), 1e-12)
@@ -433,8 +424,7 @@ class _Search:
         objective = self._improved_objective
         best = optima = self.best()
         if self._objectives == 1:
-            # The penalised cost also ranks designs that violate a constraint by a small
-            # amount.
+            # The penalised cost also ranks designs that slightly violate a constraint.
             best = best[:1]
             order = np.argsort(self._scalarise(self._twin_runs, np.ones(1)))
             optima = tuple(self._twin_runs[k] for k in order[:MAX_REPORTED])
@@ -448,8 +438,9 @@ class _Search:
         centres = np.array([run.fractions for run in parents])
         std = _NEIGHBOUR_STD * 0.5 ** (self._rng.integers(0, 4, size=count))[:, None]
         new = np.clip(centres + std * self._rng.normal(size=centres.shape), 0.0, 1.0)
-        # To reach other optima, every third candidate gets a new value in one variable:
-        # a bound in half of the cases, otherwise a random value from the whole range.
+        # To reach other optima, every third design gets a new value for one variable.
+        # This value is a bound in half of the cases, and otherwise any value in the
+        # range.
         third = np.arange(0, count, 3)
         new[third, self._rng.integers(self._size, size=len(third))] = np.clip(
             self._rng.uniform(-0.5, 1.5, size=len(third)), 0.0, 1.0
@@ -485,10 +476,10 @@ class _Search:
         objective: int | None,
         low_fidelity: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return predicted means and standard deviations, shape (candidates, outputs).
+        """Predict outputs and their standard deviations, shape (candidates, outputs).
 
-        If `low_fidelity` is None, the low-fidelity model simulates candidates where
-        necessary.
+        If `low_fidelity` is None, the low-fidelity model simulates all candidates that
+        have no low-fidelity result.
         """
         known = self._twin_runs
         outputs = self._outputs(known)
@@ -502,9 +493,8 @@ class _Search:
                 x = np.column_stack([fractions, scaled[:, column]])
             rows = np.flatnonzero(np.isfinite(y))
             if column == objective:
-                # Results far from the optimum would reduce the accuracy of the fit near
-                # the optimum. The worst third is clipped but not removed, because the
-                # search must know where these designs are.
+                # Clipping the worst third of the results improves the fit near the
+                # optimum, while the search still avoids these designs.
                 order = rows[np.argsort(y[rows])]
                 better = order[: max(2 * len(order) // 3, 2 * self._size + 2)]
                 y = np.minimum(y, y[better[-1]])
@@ -548,8 +538,8 @@ class _Search:
     ) -> np.ndarray:
         """Return the expected improvement of each candidate, shape (candidates,).
 
-        The arrays `mean`, `sd` and `known` (results of the twin) have one column per
-        output. If `objective` is None, the improvement is the growth of the dominated
+        The predictions `mean` and `sd` and the twin results `known` have one column per
+        output. If `objective` is None, the improvement is the increase in the dominated
         area.
         """
         count = self._objectives
@@ -559,7 +549,6 @@ class _Search:
             feasible = known[is_feasible, :count]
             if objective is not None:
                 spread = sd[:, objective]
-                # The score is the expected improvement EI of the module docstring.
                 z = (feasible[:, objective].min() - mean[:, objective]) / spread
                 score = spread * (z * norm.cdf(z) + norm.pdf(z))
             else:
@@ -573,11 +562,14 @@ class _Search:
 
 
 def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return how much each point would enlarge the dominated area, shape (…).
+    """Return the relative increase in the dominated area due to each point, shape (…).
 
-    Points of shape (…, 2) contain two costs. A reference point bounds the dominated
-    area. In each coordinate, it lies beyond the end of the front by the extent of the
-    front. Moving an end of the front therefore increases the area.
+    The area is bounded by a reference point, which exceeds the maximum costs of the
+    front by its extents. The result is divided by the product of the extents.
+
+    Args:
+        known: costs of known designs, shape (designs, 2).
+        points: costs of new designs, shape (…, 2).
     """
     members = known[front(known)]
     members = members[np.argsort(members[:, 0])]
@@ -585,8 +577,8 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
         np.ptp(members, axis=0), 1e-9 + 1e-3 * np.abs(members).max(axis=0)
     )
     reference = members.max(axis=0) + extent
-    # The boundary of the dominated area is a step function. Between two neighbouring
-    # points of the front, the step function equals the second cost of the left point.
+    # Between two neighbouring points of the front, the boundary of the dominated area
+    # lies at the second cost of the left point.
     edges = np.concatenate([[-np.inf], members[:, 0], [reference[0]]])
     level = np.concatenate([[reference[1]], members[:, 1]])
     width = np.clip(edges[1:] - np.maximum(points[..., :1], edges[:-1]), 0.0, None)
@@ -597,10 +589,10 @@ def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:
 def _predict_with_process(
     x: np.ndarray, y: np.ndarray, at: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean and standard deviation of a Gaussian process fitted to samples.
+    """Return the means and standard deviations of a fitted Gaussian process.
 
-    Simulations have no noise, so the fitted noise stands for structure that more runs
-    may reveal. The standard deviation therefore includes it.
+    The standard deviations include the fitted noise. Because simulations are
+    deterministic, this noise represents variation that more runs may resolve.
     """
     scale = max(float(y.std()), 1e-12)
     mean = float(y.mean())

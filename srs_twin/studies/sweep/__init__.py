@@ -1,4 +1,4 @@
-"""Sweeps: stored and resumable runs of a scenario over many values of its fields."""
+"""Sweeps that run a scenario with many values of its fields."""
 
 from typing import TYPE_CHECKING
 

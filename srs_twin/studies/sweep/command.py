@@ -1,4 +1,4 @@
-"""Command `srs-twin sweep`: run one scenario over many values of its fields."""
+"""Command `srs-twin sweep`, which runs a scenario with many values of its fields."""
 
 from __future__ import annotations
 
@@ -30,20 +30,19 @@ if TYPE_CHECKING:
 SWEEPS = Path("runs/sweeps")
 
 _MAX_REASONS = 5
-"""Maximum number of failure reasons that are printed."""
 
 
 @dataclass(frozen=True)
 class StudyOptions:
-    """Options shared by commands that run many points.
+    """Options shared by all commands that perform many runs.
 
     Options:
         --engine NAME: Engine that executes the runs: local (processes on this machine),
-            ray (cluster) or warp (twins on a GPU).
+            ray (Ray cluster) or warp (twins on a GPU).
         --address HOST:PORT: Address of the Ray cluster (--engine ray), or name of the
             Warp device (--engine warp), for example cuda:0.
-        --changed: Resume in a folder that contains results of another version of the
-            file. Rows that are still valid are kept.
+        --changed: Resume in a folder with results of a different version of the file,
+            and keep the rows that are still valid.
     """
 
     engine: str = "local"
@@ -56,7 +55,7 @@ class StudyOptions:
         if self.engine == "local":
             from srs_twin.compute.workers import start_server
 
-            # The fork server is started first. It imports the modules for the workers
+            # The fork server is started early, so that it imports the worker modules
             # while this process imports other modules.
             start_server("srs_twin.studies.sweep.warm")
         from srs_twin.studies.sweep.execution import make_engine
@@ -78,17 +77,16 @@ def sweep(
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a scenario over grids, lists or samples of its fields.
+    """Run a scenario with grids, lists or samples of field values.
 
-    An interrupted sweep resumes if you start the command again with the same output
-    folder.
+    To resume an interrupted sweep, run the command again with the same output folder.
 
     Options:
         name: Name of a shipped sweep, or path of a sweep file.
         --out DIR: Output folder. [default: runs/sweeps/SWEEP]
         --retry-failed: Repeat the points that failed in an earlier run.
-        --exclude FIELD=VALUE: Skip all points in which FIELD has this VALUE. Can be
-            repeated.
+        --exclude FIELD=VALUE: Skip all points in which FIELD has the value VALUE. Can
+            be repeated.
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
             [default: the models named in the sweep]
     """

@@ -1,8 +1,8 @@
-"""Execution of sweeps: run the missing points, store their rows and write the files.
+"""Execution of sweeps, including the storage of results.
 
-Engines run points in worker processes, on Ray, or in batches on an accelerator
-(`warp`). All engines compute equal rows, except that `warp` computes in single
-precision.
+Engines run the points of a sweep in worker processes, on a Ray cluster, or in batches
+on an accelerator (`warp`). All engines yield equal results, except that `warp` computes
+in single precision.
 """
 
 from __future__ import annotations
@@ -57,10 +57,9 @@ Engine = Callable[[Experiment, Sequence[Point]], Iterator[TaskResult[Row]]]
 
 
 def local(workers: int | None = None) -> Engine:
-    """Return the engine that runs points in processes on this machine.
+    """Return an engine that runs points in worker processes on this machine.
 
-    Threads, or batches of twins of one model (`mujoco.batch`), would not be faster (see
-    benchmarks/sweeps.py). If a process crashes, the other runs continue.
+    If a worker process crashes, the other runs continue.
     """
 
     def run(
@@ -73,11 +72,11 @@ def local(workers: int | None = None) -> Engine:
 
 
 def on_ray(address: str | None = None, workers: int | None = None) -> Engine:
-    """Return the engine that runs points on a Ray cluster or on a local Ray instance.
+    """Return an engine that runs points on a Ray cluster or on a local Ray instance.
 
     Args:
-        address: address of a cluster as in `ray.init`, or None for a local instance
-            that ends with the sweep.
+        address: address of a cluster, as in `ray.init`, or None to start a local
+            instance for the duration of the sweep.
         workers: number of processors of the local instance, or None for all processors.
     """
     settings = dict(_RAY_SETTINGS)
@@ -145,23 +144,23 @@ def _run_on_ray(
 
 
 Progress = Callable[[str, int, Row | None], object]
-"""Callback that reports the progress of one part of a study. It is called with the
-number of runs and None when the part starts, and then with the row of each finished
-run.
+"""Callback that receives the name of a study part, its number of runs, and the row of a
+finished run (None at the start).
 """
 
 
 def quiet(part: str, total: int, row: Row | None) -> None:
-    """Report no progress."""
+    """Ignore a progress report."""
 
 
 def make_engine(
     engine: str | Engine, workers: int | None = None, address: str | None = None
 ) -> Engine:
-    """Return an engine by its name. An engine object is returned unchanged.
+    """Return the engine with the given name.
 
     Args:
-        engine: name of the engine ("local", "ray" or "warp"), or an engine object.
+        engine: name of the engine ("local", "ray" or "warp"), or an engine object,
+            which is returned unchanged.
         workers: number of parallel runs, or None for one per processor.
         address: address of a Ray cluster, or name of a Warp device.
     """
@@ -181,10 +180,7 @@ def make_engine(
 
 
 def select_points(swept: Sweep, exclude: Sequence[str]) -> set[str]:
-    """Return the keys of the points of a sweep that are not excluded.
-
-    Each excluded value has the form `field=value`.
-    """
+    """Return the keys of all points without an excluded value (`field=value`)."""
     selected = {point.key: point.changes for point in swept.points}
     for excluded in exclude:
         field, _, value = excluded.partition("=")
@@ -215,24 +211,24 @@ def sweep(
     changed: bool = False,
     progress: Progress = quiet,
 ) -> Summary:
-    """Run a scenario over grids, lists or samples of its fields.
+    """Run a scenario with grids, lists or samples of field values.
 
-    The command `srs-twin sweep` calls this function. An interrupted sweep resumes in
-    its folder and keeps all finished rows.
+    An interrupted sweep resumes if the function is called again with the same output
+    folder.
 
     Args:
         sweep: name of a shipped sweep, path of a sweep file, or a loaded sweep.
         out: output folder, or None to write no files.
         set: values of scenario fields, as described in `load_sweep`.
-        plants: plants to simulate, or None for the plants that the sweep names.
-        exclude: excluded values, each in the form `field=value`.
-        engine: name of the engine ("local", "ray" or "warp"), or an engine object
-            (`local`, `on_ray`, `on_device`).
+        plants: plants to simulate, or None for the plants of the sweep.
+        exclude: field values to exclude, each in the form `field=value`.
+        engine: name of the execution engine ("local", "ray" or "warp"), or an engine
+            object (see `local`, `on_ray` and `on_device`).
         workers: number of parallel runs, or None for one per processor.
         retry_failed: whether to repeat points that failed in an earlier run.
-        changed: whether the folder may contain rows of another version of the sweep
+        changed: whether the folder may contain rows of a different version of the sweep
             (see `open_sweep`).
-        progress: callback that reports the runs.
+        progress: callback for progress reports (see `Progress`).
 
     Raises:
         InputError: the sweep is not valid, the engine is not available, or the folder
@@ -267,14 +263,12 @@ RESULTS = "results.parquet"
 SUMMARY = "sweep.json"
 
 SWEEP = "sweep.yaml"
-"""File name of the sweep including its changes."""
 
 SCENARIO = "scenario.resolved.yaml"
-"""File name of the scenario that includes all default values and the robot."""
 
 PLOTS = "plots"
 
-# In `replace_files`, the first file marks a complete set. This file is the summary.
+# The summary comes first, because `replace_files` uses it to mark a complete set.
 _PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 
 
@@ -285,10 +279,10 @@ def open_sweep(
     """Open and lock a folder for a sweep.
 
     Args:
-        sweep: sweep to run.
-        folder: folder of rows and results, which is created if it does not exist.
-        changed: whether the folder may contain rows of another version of the sweep.
-            Rows that are still valid are kept.
+        sweep: sweep to run in the folder.
+        folder: folder for rows and results, which is created if it does not exist.
+        changed: whether the folder may contain rows of a different version of the
+            sweep. Rows that are still valid are kept.
     """
     check_output_folder(folder, _PRODUCTS)
     with RowStore(folder) as store:
@@ -296,7 +290,7 @@ def open_sweep(
 
 
 class OpenSweep:
-    """Sweep whose folder is open and locked."""
+    """Sweep with an open and locked output folder."""
 
     def __init__(
         self, sweep: Sweep, folder: Path, store: RowStore, *, changed: bool
@@ -309,7 +303,7 @@ class OpenSweep:
             store.retain(point.key for point in sweep.points)
 
     def missing(self, *, retry_failed: bool = False) -> tuple[Point, ...]:
-        """Return the points without a row, and optionally the failed points."""
+        """Return the points without a result, optionally including failed points."""
         existing = self._store.keys(failed=not retry_failed)
         return tuple(point for point in self.sweep.points if point.key not in existing)
 
@@ -323,7 +317,7 @@ class OpenSweep:
         points: tuple[Point, ...],
         finished: Callable[[Row], object] | None = None,
     ) -> None:
-        """Run points and store each row when its run finishes."""
+        """Run sweep points, store each finished row, and pass it to `finished`."""
         self._store.collect(
             engine(self.sweep.experiment, points), [p.key for p in points], finished
         )
@@ -331,7 +325,7 @@ class OpenSweep:
     def finish(self) -> Summary:
         """Write the table, plots, report and summary of the stored rows.
 
-        If an error occurs, no file of the sweep is written.
+        After an error, the earlier files in the folder are restored.
         """
         with replace_files(self.folder, _PRODUCTS) as fresh:
             return self._write(fresh)
@@ -368,7 +362,7 @@ class OpenSweep:
     def _draw(self, fresh: Path, results: SweepTable) -> dict[str, str]:
         if not self.sweep.plots:
             return {}
-        # Importing matplotlib at the top would delay sweeps without plots.
+        # A top-level import of Matplotlib would delay sweeps without plots.
         from srs_twin.studies.sweep.plots import draw
         from srs_twin.viewing.plots.style import save
 
@@ -412,7 +406,7 @@ class OpenSweep:
 
 
 _RUN_KEYS = ("title", "name", "duration_s", "seed", "record_hz", "controller", "start")
-"""Scenario keys that have no effect on the twin itself."""
+"""Scenario keys that do not affect the model of the twin."""
 
 
 class _TwinPoint(NamedTuple):
@@ -422,12 +416,13 @@ class _TwinPoint(NamedTuple):
 
 
 def on_device(device: str | None = None, workers: int | None = None) -> Engine:
-    """Return the engine that runs twins with MuJoCo Warp.
+    """Return an engine that simulates twins with MuJoCo Warp.
 
-    Points that Warp cannot run are left to the engine `local`, and a warning is given.
+    The engine `local` runs the points that Warp does not support, and a warning is
+    issued.
 
     Args:
-        device: Warp device, or None to use an accelerator, if there is one.
+        device: name of a Warp device, or None to use an accelerator if available.
         workers: number of workers of the engine `local`.
     """
     batch_class = warp_batch()
@@ -473,11 +468,7 @@ def _batches(
     points: Sequence[Point],
     unsupported: dict[int, str],
 ) -> Iterator[list[_TwinPoint]]:
-    """Yield groups of twins, one per batch, and record which points are unsupported.
-
-    A group has as many points as fit into memory. Points with equal robots and worlds
-    share one twin.
-    """
+    """Yield batches of points that fit into memory, and record unsupported points."""
     groups: dict[object, list[_TwinPoint]] = defaultdict(list)
     most: dict[object, int] = {}
     twins: dict[str, Plant] = {}
@@ -501,7 +492,7 @@ def _batches(
 
 
 def _shared_twin(scenario: Scenario, twins: dict[str, Plant]) -> Plant:
-    """Return the twin shared by all scenarios with equal robots and worlds."""
+    """Return the twin that all scenarios with equal robots and worlds share."""
     relevant = {
         key: value for key, value in scenario.document.items() if key not in _RUN_KEYS
     }
@@ -512,7 +503,7 @@ def _shared_twin(scenario: Scenario, twins: dict[str, Plant]) -> Plant:
 
 
 def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]:
-    """Return the time step and other values that all runs in a batch must share."""
+    """Return the duration, seed and recording rate, which all runs in a batch share."""
     timing = scenario.timing
     if "twin" not in experiment.plants:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Loading of sweep files. All problems in a file are reported together."""
+"""Loading of sweep files, which reports all problems in a file at once."""
 
 from __future__ import annotations
 
@@ -64,10 +64,11 @@ def load_sweep(
     """Load a shipped sweep by name (fig31), or a sweep file by path.
 
     Args:
-        sweep: name or path of the sweep. A loaded sweep is returned unchanged.
-        set: values of scenario fields, keyed by dotted path, in addition to the fixed
-            fields in the file.
-        plants: plants to simulate, which replace the plants in the file.
+        sweep: name or path of the sweep, or a loaded sweep, which is returned
+            unchanged.
+        set: values of scenario fields, keyed by dotted path, which extend or replace
+            the fixed fields in the file.
+        plants: plants to simulate, or None for the plants in the file.
     """
     if isinstance(sweep, Sweep):
         refuse_changes("sweep", set, plants)
@@ -111,7 +112,7 @@ def _with_changes(
     if not changes:
         return sweep
     title = marked(sweep.title, changes)
-    # The document is written to sweep.yaml, which `load_sweep` must be able to read.
+    # `load_sweep` must accept the written document, so its title is shortened.
     document = {**sweep.document, "title": title[:200]}
     return replace(sweep, title=title, changes=changes, document=document)
 
@@ -122,7 +123,7 @@ def changed_base(
     written: Mapping[str, object],
     locs: Iterable[Loc],
 ) -> list[dict[str, object]]:
-    """Return the fields that differ between an experiment and its file."""
+    """Return the fields in which an experiment differs from its file."""
     fixed = written.get("fixed")
     original = replace(experiment, base=scenario.document)
     before = original.with_fixed(fixed if isinstance(fixed, dict) else {})
@@ -132,10 +133,10 @@ def changed_base(
 def problems_at(
     points: Iterable[tuple[Loc, Experiment, Mapping[str, Value]]],
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield each distinct problem of the scenarios at points, with its location.
+    """Yield each distinct problem of the changed scenarios, with its location.
 
-    Each entry of `points` is a location in the file, an experiment and changes of its
-    scenario.
+    Each entry of `points` contains a location in the file, an experiment and the fields
+    to change.
     """
     reported: set[str] = set()
     for loc, experiment, changes in points:
@@ -148,13 +149,13 @@ def problems_at(
 
 
 def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
-    """Add a suggestion to a problem that reports an unknown key."""
+    """Add a similar known name to a message about an unknown key."""
     needs_hint = "unknown key" in problem and "did you mean" not in problem
     return problem + (did_you_mean(field, known) if needs_hint else "")
 
 
 def locate_files(document: Document) -> bool:
-    """Resolve the paths in a sweep or study, and return whether all files exist."""
+    """Resolve file paths in a sweep or study, and return whether all files exist."""
     before = len(document.problems)
     document.locate(("scenario",), "scenario")
     kinds = {format_path(loc): kind for loc, kind in path_fields(SECTIONS).items()}
@@ -170,7 +171,7 @@ def locate_files(document: Document) -> bool:
 
 
 def refuse_changes(kind: str, *changes: object) -> None:
-    """Refuse to change a sweep or study that is already loaded."""
+    """Raise an `InputError` if changes are given for a loaded sweep or study."""
     if any(changes):
         raise InputError(
             f"a loaded {kind} cannot be changed; give its name or path instead"
@@ -341,7 +342,7 @@ class _Loader:
     def _test_points(
         self, sweep: Sweep
     ) -> Iterator[tuple[Loc, Experiment, Mapping[str, Value]]]:
-        """Yield a point per varied value, with other fields at their first value."""
+        """Yield a point per varied value, with other fields at their first values."""
         experiment = sweep.experiment
         rows = [dict(zip(sweep.fields, row, strict=True)) for row in sweep.values]
         if self._file.sampling.kind == "list":

@@ -1,7 +1,7 @@
-"""Plots of a sweep: a metric along one field, or against another column.
+"""Plots of sweep results, which show a metric over a field or another metric.
 
-Means are computed over seeds only. If additional fields vary, each combination of their
-values has its own line.
+Results are averaged over seeds but not over other fields. If additional fields vary,
+each combination of their values has a separate line.
 """
 
 from __future__ import annotations
@@ -32,16 +32,15 @@ from srs_twin.viewing.plots.labels import field_label
 from srs_twin.viewing.plots.style import drawing, finish, side_by_side, style_of
 
 _MAX_LINES = 12
-"""Maximum number of values in a legend. For more values, a colour bar is drawn instead.
-"""
+"""Maximum number of values in a legend, above which a colour bar is drawn."""
 
 _COLORMAP = "viridis"
 _FAILED_COLOR = "#CC3311"
-"""Colour of failed runs. The plants and the colour map do not use this colour."""
+"""Colour of failed runs, which neither the plants nor the colour map use."""
 
 _LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
 
-# Sizes of figures, inches.
+# Figure dimensions, inches.
 _WIDTH = 9.0
 _HEIGHT = 4.2
 _TOP = 0.75
@@ -52,9 +51,8 @@ _KEY_WIDTH = 1.3
 
 @drawing
 def draw(plot: Plot, results: SweepTable) -> Figure:
-    """Draw a plot. The order of the rows has no effect on the figure."""
+    """Draw a plot of sweep results, which does not depend on the row order."""
     owners = results.owners(plot.metric)
-    # The comparison is plotted only if no plant has the metric.
     owners = [owner for owner in owners if owner != COMPARISON] or owners
     if plot.kind == "line" and plot.by is None:
         separate = _separate_fields(plot, results)
@@ -138,13 +136,14 @@ def _write_empty_note(axes: Axes, failed: np.ndarray) -> None:
 
 
 class _Colors:
-    """Colours of the values of `by`, explained by a legend or a colour bar.
+    """Colours for the values of the field `by`, with a legend or a colour bar.
 
     Attributes:
-        column: column of the field `by` for the first owner, or zeros without such a
-            field.
-        norm: function from values to positions on the colour map.
-        by_group: colour of each value. It is empty if the colours show the owners.
+        column: values of the field `by` for the first owner, or zeros if the plot has
+            no such field.
+        norm: function that maps values to positions on the colour map.
+        by_group: colour of each value, or an empty dictionary if colours distinguish
+            the owners.
     """
 
     def __init__(self, columns: list[ColumnValues], *, used: bool) -> None:
@@ -243,7 +242,7 @@ def _mark_failed(axes: Axes, x: np.ndarray) -> None:
 
 def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
     handles: list[Artist] = []
-    # Metrics of a plan belong to no plant, so they have no legend entry.
+    # Metrics of a plan do not belong to a plant, so they have no legend entry.
     for owner in owners if PLAN not in owners else ():
         style = _line_style(owner)
         if plot.kind == "scatter":
@@ -269,16 +268,12 @@ def _draw_legend(axes: Axes, owners: list[str], plot: Plot) -> None:
 
 
 def _draw_lines(axes: Axes, owner: str, columns: np.ndarray, colors: _Colors) -> int:
-    """Draw the means over seeds for each value of `by`. Return the number of points.
-
-    The rows of `columns` are x, y and `by`.
-    """
+    """Draw means over seeds for each value of `by`, and return the number of points."""
     drawn = 0
     x, y, by = columns
     size, width = (3.5, 1.3) if colors.few else (2.0, 0.9)
     for i, group in enumerate(colors.groups):
-        # Each line has smaller markers than the line before, so that coinciding lines
-        # remain visible.
+        # Markers shrink from line to line, so that coinciding lines remain visible.
         steps = 0
         if colors.column.names and colors.few:
             steps = len(colors.groups) - 1 - i

@@ -1,4 +1,4 @@
-"""Sweep files and their points: combinations of field values, each with a key."""
+"""Sweep files and sweep points, which are combinations of field values."""
 
 from __future__ import annotations
 
@@ -39,21 +39,20 @@ FieldValues = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
 
 
 class Plot(Section):
-    """Plot of the results."""
+    """Plot of sweep results."""
 
     kind: Literal["line", "scatter"]
     """Kind of plot."""
     x: FieldName
-    """Varied field on the x axis. In a scatter plot, the x axis may also show a metric.
-    """
+    """Varied field on the x axis, or a metric in the case of a scatter plot."""
     metric: MetricName
-    """Metric to plot, for each plant or for the comparison."""
+    """Metric on the y axis."""
     by: FieldName | None = None
-    """Varied field whose values are shown as separate lines or colours."""
+    """Varied field whose values are shown in separate lines or colours."""
 
 
 class RangeFile(Section):
-    """Range of values, including both ends."""
+    """Range of field values, including both ends."""
 
     start: float = Field(
         alias="from",
@@ -70,9 +69,9 @@ class RangeFile(Section):
         description="Last value of the field.",
     )
     count: int | None = quantity(2, 10_000, None)
-    """Number of values, which only the sampling kinds `grid` and `list` use."""
+    """Number of values for the sampling kinds `grid` and `list`."""
     scale: Literal["linear", "log"] = "linear"
-    """Spacing of the values. With `log`, consecutive values have a constant ratio."""
+    """Spacing of the values, which is linear or logarithmic."""
 
     @model_validator(mode="after")
     def _ascending(self) -> RangeFile:
@@ -100,16 +99,16 @@ VariedField = Annotated[_OneOf, Discriminator(_values_or_range)]
 
 
 class SamplingFile(Section):
-    """Method that combines the values of several fields."""
+    """Method for combining the values of several fields."""
 
     kind: Literal["grid", "list", "latin_hypercube", "sobol"] = "grid"
-    """Sampling method. `grid` takes all combinations. `list` combines the first values
-    of all fields, then the second values, and so on. `latin_hypercube` and `sobol` draw
-    points that fill the ranges evenly.
+    """Sampling method. The method `grid` uses all combinations of values, and `list`
+    combines the k-th values of all fields. The methods `latin_hypercube` and `sobol`
+    draw points that fill the ranges evenly.
     """
     count: int | None = quantity(1, MAX_POINTS, None)
-    """Number of points for `latin_hypercube` and `sobol`. For `sobol` it must be a
-    power of 2.
+    """Number of points for `latin_hypercube` and `sobol`. With `sobol`, the number must
+    be a power of 2.
     """
     seed: int | None = quantity(0, 2**32 - 1, None)
     """Random seed of the points for `latin_hypercube` and `sobol` (default 0)."""
@@ -137,40 +136,40 @@ class SamplingFile(Section):
 
 
 class SweepFile(Section):
-    """Runs of one scenario over many values of its fields."""
+    """Sweep of one scenario with many values of its fields."""
 
     title: Line | None = None
-    """Title on one line (default: the name)."""
+    """Title on one line (default: the name of the sweep)."""
     scenario: PathOrName
     """Name of a shipped scenario or path of a scenario file."""
     plants: (
         Annotated[list[Literal["analytical", "twin"]], Field(max_length=2)] | None
     ) = None
-    """Plants to simulate (default: the plants of the scenario). With `[]`, the scenario
-    is planned but not simulated.
+    """Plants to simulate (default: the plants of the scenario). With an empty list, the
+    scenario is planned but not simulated.
     """
     periods: float | None = quantity(3.0, 1000.0, None)
-    """Simulated time in periods of the gait or the reference, rounded up to whole
-    ticks. It replaces `duration_s`.
+    """Simulated time in periods of the gait or the reference, which replaces
+    `duration_s`. The time is rounded up to whole control ticks.
     """
     fixed: Annotated[dict[FieldName, Plain], Field(max_length=64)] = {}
-    """Scenario fields that are changed in all runs, with their new values."""
+    """New values of scenario fields, which apply to all runs."""
     vary: Annotated[
         dict[FieldName, VariedField], Field(min_length=1, max_length=MAX_FIELDS)
     ]
-    """Scenario fields to vary, with dotted names (`supply.pressure_kpa`). Each has a
-    list of values, or a range with the keys `from`, `to` and `count`.
+    """Scenario fields to vary, keyed by dotted name (such as `supply.pressure_kpa`).
+    Each field has a list of values, or a range with the keys `from`, `to` and `count`.
     """
     sampling: SamplingFile = SamplingFile()
-    """Method that combines the values."""
+    """Method for combining the values."""
     metrics: Annotated[list[MetricName], Field(min_length=1, max_length=64)] | None = (
         None
     )
-    """Metrics to include as columns of the results (default: all)."""
+    """Metrics to include in the table of results (default: all)."""
     trajectories: bool = False
-    """Whether to store the trajectories as well."""
+    """Whether to store the trajectories of all runs."""
     plots: Annotated[list[Plot], Field(max_length=32)] = []
-    """Plots of the results."""
+    """Plots of the sweep results."""
 
 
 def is_number(value: object) -> bool:
@@ -185,19 +184,17 @@ def sweep_json_schema() -> dict[str, object]:
 
 
 RUNNER = "srs_twin.studies.sweep.task"
-"""Module that runs a point. Row keys depend on the source code of this module and its
-imports.
-"""
+"""Module that runs a point. Its source code and imports affect the row keys."""
 
 Changes = Mapping[str, Value]
 
 BY_A_SWEEP = "varied by a sweep"
-"""Recorded source of a robot parameter that a sweep sets."""
+"""Source that is recorded for robot parameters set by a sweep."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """One run of a sweep with the value of each varied field.
+    """Point of a sweep, with the value of each varied field.
 
     Attributes:
         key: SHA-256 of all inputs that affect the results.
@@ -209,14 +206,14 @@ class Point:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Inputs shared by all points of a sweep, small enough to be sent to every worker.
+    """Inputs shared by all points of a sweep.
 
     Attributes:
-        base: scenario with defaults, robot and `fixed` fields as plain data.
+        base: scenario as plain data, including defaults, robot and fixed fields.
         plants: plants to simulate, or an empty tuple if the scenario is only planned.
         periods: simulated time in periods of the gait or the reference, or None to use
             the field duration_s of the scenario.
-        robots: contents of the robot file for each value of the field `robot`.
+        robots: contents of robot files, keyed by the values of the field `robot`.
     """
 
     base: Mapping[str, Any] = field(repr=False)
@@ -235,11 +232,11 @@ class Experiment:
         return document
 
     def provenance(self, document: Mapping[str, object]) -> Provenance:
-        """Return the provenance of a run on the plants of the experiment."""
+        """Return the provenance of a scenario that runs on the experiment's plants."""
         return run_provenance(document, self.plants, RUNNER)
 
     def point(self, changes: Changes) -> Point:
-        """Return a run with some fields changed."""
+        """Return the sweep point with the given field values."""
         return Point(self.provenance(self.document(changes)).key, changes)
 
     def with_fixed(self, fixed: Mapping[str, Value | list[Value]]) -> dict[str, Any]:
@@ -252,7 +249,7 @@ class Experiment:
     def with_change(self, document: Any, name: str, value: Value | list[Value]) -> Any:
         """Return a scenario with one field changed, as plain data.
 
-        The name of a robot is replaced by the contents of its file.
+        A robot name is replaced by the contents of the robot file.
         """
         content: Any = self.robots.get(str(value), value) if name == "robot" else value
         path = parse_path(name)
@@ -262,7 +259,7 @@ class Experiment:
             twin = with_preset(document["plants"].get("twin", {}), value)
             return {**document, "plants": {**document["plants"], "twin": twin}}
         if len(path) == 3 and path[0] == "robot" and not isinstance(content, Mapping):
-            # A parameter that is not in the robot file needs a new record.
+            # A parameter that is missing from the robot file needs a new record.
             unit = section_units(str(path[1])).get(str(path[2]))
             if unit is not None:
                 content = replace_value(None, value, unit, BY_A_SWEEP)
@@ -274,9 +271,9 @@ class Sweep:
     """Loaded and validated sweep.
 
     Attributes:
-        name: name of the sweep and of the output folder.
+        name: name of the sweep and of its default output folder.
         fields: dotted names of the varied fields.
-        values: values of the fields, one row per point.
+        values: values of the varied fields, one row per point.
         metrics: metrics that become columns, or None for all metrics.
         document: sweep file as plain data.
         changes: fields that differ from the sweep file.
@@ -295,7 +292,7 @@ class Sweep:
 
     @cached_property
     def points(self) -> tuple[Point, ...]:
-        """Points without duplicates, in the order of the file."""
+        """Distinct points, in the order of the sweep file."""
         points: dict[str, Point] = {}
         for row in self.values:
             changes = dict(zip(self.fields, row, strict=True))
@@ -316,8 +313,8 @@ def _with_planner_keys(document: Any, kind: Any) -> Any:
 def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
     """Return a copy of plain data in which one value is replaced.
 
-    If a number replaces a robot record, the record keeps the unit, and its source
-    becomes `BY_A_SWEEP`.
+    If a number replaces the record of a robot parameter, the record keeps its unit, and
+    its source becomes `BY_A_SWEEP`.
     """
     if not loc:
         if _is_record(data) and not isinstance(value, Mapping):
@@ -336,7 +333,7 @@ def _is_record(data: object) -> bool:
 
 
 def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all scalars and robot parameters."""
+    """Yield the dotted names of all mappings except robot parameters."""
     if isinstance(data, Mapping) and not _is_record(data):
         for key, value in data.items():
             yield from leaf_names(value, f"{prefix}.{key}" if prefix else str(key))
@@ -346,10 +343,9 @@ def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
 def _duration(
     document: Mapping[str, Any], plants: tuple[str, ...], periods: float
 ) -> Any:
-    """Return the duration (s) of `periods`, rounded up to whole time steps.
+    """Return the duration (s) of `periods`, rounded up to whole control ticks.
 
-    If the frequency or a time step is unknown, the result is the duration of the
-    scenario.
+    If the frequency or a tick is unknown, the duration of the scenario is returned.
     """
     controller = document.get("controller", {})
     frequency = (controller.get("reference") or controller).get("frequency_hz")
@@ -368,7 +364,7 @@ Varied = Mapping[str, Sequence[Value] | RangeFile]
 
 
 def sample(vary: Varied, sampling: SamplingFile) -> list[tuple[Value, ...]]:
-    """Return one row per point with a value for each field."""
+    """Return the field values of all points, one row per point."""
     if sampling.kind in ("latin_hypercube", "sobol"):
         return _space_filling_points(list(vary.values()), sampling)
     lists = [_value_list(name, values) for name, values in vary.items()]
@@ -438,7 +434,7 @@ def _values_at(
 
 
 def value_at(fraction: Any, low: float, high: float, scale: str) -> Any:
-    """Return the values at fractions (0 to 1) along a linear or logarithmic range."""
+    """Return the values at fractions from 0 to 1 of a linear or logarithmic range."""
     if scale == "log":
         return low * (high / low) ** fraction
     return low + (high - low) * fraction

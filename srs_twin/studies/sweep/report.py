@@ -1,4 +1,4 @@
-"""HTML report of a sweep: fields, runs, plots and means over seeds."""
+"""HTML report of a sweep, with its fields, runs, plots and means over seeds."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ class Summary:
 
     Attributes:
         folder: output folder.
-        points: number of points.
+        points: number of points in the sweep.
         done: number of successful runs.
-        reasons: number of failed runs for each error message.
+        reasons: number of failed runs, keyed by error message.
         exit_code: highest exit code of the failed runs, or 0 if no run failed.
-        sha256: digest of all rows.
-        ranges: minimum, median and maximum of each summary metric.
+        sha256: SHA-256 of all rows without wall times.
+        ranges: minimum, median and maximum of each summary metric, keyed by column.
         files: names of the written files.
-        results: all rows.
+        results: table of all rows.
     """
 
     folder: Path
@@ -61,13 +61,13 @@ class Summary:
 
 @dataclass(frozen=True)
 class _Column:
-    """Metric of one owner, with one number per run (NaN if missing)."""
+    """Table column with one number per run, or NaN if the value is missing."""
 
     heading: str
     numbers: np.ndarray
 
     def text(self, run: int) -> str:
-        """Return a number, rounded to the fourth digit of the column's maximum."""
+        """Format a number, rounded to a decimal place that the whole column shares."""
         largest = np.abs(self.numbers[np.isfinite(self.numbers)]).max(initial=0)
         places = 3 - int(np.floor(np.log10(largest))) if largest else 0
         if np.isfinite(self.numbers[run]):
@@ -90,8 +90,8 @@ class _Column:
 def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
     """Return tables with one row per run, ordered by field values.
 
-    If there are more than `MAX_RUNS` runs, a note replaces them. A list metric is
-    represented by its mean.
+    If there are more than `MAX_RUNS` runs, the tables are replaced by a note. List
+    metrics are averaged over their elements.
     """
     failed = results.failed
     if len(failed) > MAX_RUNS:
@@ -111,7 +111,7 @@ def run_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
 
 
 def mean_tables(results: SweepTable, metrics: Sequence[str]) -> list[Table]:
-    """Return tables of means over seeds, or no tables if no seed varies."""
+    """Return tables of means over seeds, or an empty list if no seed varies."""
     groups = results.groups(results.settings)
     if len(groups) == len(results.failed):
         return []
@@ -167,16 +167,15 @@ def _split_tables(
 REPORT = "report.html"
 
 _MAX_VALUES = 12
-"""Maximum number of values of a field that are listed."""
+"""Maximum number of listed values per field."""
 
 _MAX_REASONS = 20
-"""Maximum number of failure reasons that are listed."""
 
 
 def write_report(
     path: Path, sweep: Sweep, summary: Summary, pictures: Mapping[str, bytes]
 ) -> None:
-    """Write the self-contained HTML page atomically."""
+    """Write a self-contained HTML report atomically."""
     results = summary.results
     metrics = shown_metrics(sweep)
     made_with = [("results sha256", summary.sha256), *versions().items()]

@@ -1,8 +1,7 @@
-"""Storage of rows in an SQLite file, which is updated when each run finishes.
+"""Storage of finished rows in an SQLite file.
 
-The write-ahead log is not flushed to disk after every row. If the process is killed, no
-row is lost. After a power failure, the last rows may be lost and are then computed
-again.
+No row is lost if the process is killed. After a power failure, the last rows may be
+missing, because the write-ahead log is not flushed to disk after every row.
 """
 
 from __future__ import annotations
@@ -32,9 +31,7 @@ from srs_twin.studies.sweep.task import FAILED, PLAN_TIME, Row, failed_row
 FILE = "rows.sqlite"
 
 _MAX_BYTES = 1_000_000
-"""Maximum size of a value that is read from the file, bytes. It protects against
-damaged files.
-"""
+"""Maximum size of a value that is read from the file, bytes."""
 
 
 Parsed = TypeVar("Parsed")
@@ -43,10 +40,10 @@ Parsed = TypeVar("Parsed")
 _DAMAGE = (
     sqlite3.Error,
     UnicodeDecodeError,
-)  # SQLite may include damaged text in an error message.
+)  # Error messages about a damaged file may contain invalid text.
 
-# Exclusive locking must be set first, so that the log needs no shared memory. Network
-# drives do not support shared memory.
+# Exclusive locking is set first, so that the log does not need shared memory, which
+# network drives do not support.
 _OPENING = (
     "PRAGMA locking_mode=EXCLUSIVE",
     "PRAGMA journal_mode=WAL",
@@ -83,10 +80,9 @@ _ROW = TypeAdapter(tuple[dict[str, Any], float, str | None, int])
 
 
 class RowStore(contextlib.AbstractContextManager["RowStore"]):
-    """Stored rows of one sweep. As a context manager, it locks the folder."""
+    """Row storage of a sweep, which locks its folder while it is open."""
 
     def __init__(self, folder: Path) -> None:
-        """Open the file, and create the file and the folder if they do not exist."""
         self._path = folder / FILE
         self._is_new = not os.path.lexists(self._path)
         try:
@@ -107,8 +103,8 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
     def __exit__(self, *error: object) -> None:
         """Unlock the folder, and delete a newly created file that contains no rows."""
-        # Closing the database copies the log into it. On a full disk the copy fails,
-        # but the rows remain in the log.
+        # Closing the database copies the log into it. On a full disk, this fails, but
+        # the rows remain in the log.
         with contextlib.suppress(sqlite3.Error, OSError):
             is_empty = (
                 self._is_new
@@ -124,10 +120,10 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
         Args:
             now: provenance of the study.
-            changed: whether to accept rows of another version of the study.
+            changed: whether to accept rows of a different version of the study.
 
         Raises:
-            InputError: the rows belong to another version of the study.
+            InputError: the rows belong to a different version of the study.
         """
         for (text,) in self._read("SELECT value FROM about WHERE name = 'sweep'"):
             before = self._parse(_PROVENANCE, text)
@@ -160,10 +156,9 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         keys: Sequence[str],
         on_row: Callable[[Row], object] | None = None,
     ) -> None:
-        """Store the rows of tasks when they finish.
+        """Store the row of each task as soon as the task finishes.
 
-        A task that raised an error is stored as a failed row. The rows that finished
-        before an interrupt are kept.
+        If a task raises an error, a failed row is stored.
         """
         with contextlib.closing(finished) as results:  # type: ignore[type-var]
             for done in results:
@@ -177,7 +172,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         return self._path.parent / "trajectories" / f"{key}.{plant}.parquet"
 
     def rows(self) -> Iterator[Row]:
-        """Yield all rows in the order of their keys."""
+        """Yield all rows, sorted by key."""
         for key, status, content in self._read(
             "SELECT key, status, row FROM rows ORDER BY key"
         ):
@@ -185,7 +180,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             yield Row(key, status, values, wall, reason, exit_code)
 
     def keys(self, *, failed: bool) -> set[str]:
-        """Return the keys of the stored rows, optionally without the failed rows."""
+        """Return the keys of the stored rows, optionally including failed rows."""
         rows = self._read("SELECT key FROM rows WHERE ? OR status <> ?", failed, FAILED)
         return {key for (key,) in rows}
 
@@ -233,7 +228,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
 
 
 def rows_digest(rows: Sequence[Row]) -> str:
-    """Return the SHA-256 of rows without wall times, independent of the row order."""
+    """Return the SHA-256 of rows, which ignores wall times and the row order."""
     digest = hashlib.sha256()
     for row in sorted(rows, key=lambda row: row.key):
         values = {

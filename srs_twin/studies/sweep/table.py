@@ -1,4 +1,4 @@
-"""Sweep results as columns, for plots and reports."""
+"""Tables of sweep results for plots and reports."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 COMPARISON = "comparison"
-"""Prefix of the metrics of a comparison."""
+"""Prefix of metrics that compare the two plants."""
 
 OWNERS = ("analytical", "twin", COMPARISON, PLAN)
-"""All prefixes of metrics: the plants, the comparison and the plan."""
+"""Owners of metrics, which are also the prefixes of metric columns."""
 
 _EXACT = 1e15
-"""Integers below this magnitude, such as seeds, are printed with all digits."""
+"""Magnitude below which integers, such as seeds, are printed with all digits."""
 
 _ROW_COLUMNS = {"key", "status", "reason", "exit_code", "wall_s"}
 
@@ -47,17 +47,16 @@ _SUMMARY_METRICS = (
 """Metrics in the summary of a sweep that simulates plants."""
 
 _PLAN_SUMMARY_METRICS = ("plan_found", "plan_length_m", "plan_s")
-"""Metrics in the summary of a sweep that only plans."""
+"""Metrics in the summary of a sweep without simulations."""
 
 
 @dataclass(frozen=True)
 class ColumnValues:
-    """Values of one column as numbers, for an axis or a colour scale.
+    """Values of one column, converted to numbers for an axis or a colour scale.
 
     Attributes:
-        numbers: values, or indices into `names`, with NaN for missing values, shape
-            (rows,).
-        names: distinct strings in order, if the column contains strings.
+        numbers: values, or indices into `names`, or NaN if missing, shape (rows,).
+        names: distinct strings in sorted order, if the column contains strings.
     """
 
     label: str
@@ -65,7 +64,7 @@ class ColumnValues:
     names: tuple[str, ...] = ()
 
     def text(self, number: float) -> str:
-        """Format a number from the column as text."""
+        """Return a number of the column as text."""
         if self.names:
             return self.names[int(number)]
         if float(number).is_integer() and abs(number) < _EXACT:
@@ -75,21 +74,21 @@ class ColumnValues:
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Sweep results, one column per field and metric.
+    """Sweep results with one column per field and metric.
 
     Attributes:
-        columns: values of each column, one value per row.
+        columns: values of all rows, keyed by column name.
     """
 
     columns: Mapping[str, Sequence[Any]]
 
     @staticmethod
     def from_rows(sweep: Sweep, rows: Iterable[Row]) -> SweepTable:
-        """Build the table with one row per point, ordered by key.
+        """Build a table of rows, sorted by key.
 
         The columns are ``key``, the varied fields, ``status``, ``reason``,
-        ``exit_code``, the metrics (such as ``twin.com_speed_m_s``), with None for
-        missing values, and ``wall_s``.
+        ``exit_code``, the metrics (such as ``twin.com_speed_m_s``) and ``wall_s``.
+        Missing metrics are None.
 
         Args:
             sweep: sweep that produced the rows.
@@ -108,11 +107,11 @@ class SweepTable:
         return SweepTable(columns)
 
     def write(self, path: Path, sweep: Sweep) -> None:
-        """Write a Parquet file with the title and the package versions atomically.
+        """Write the table, the title and the package versions to a Parquet file.
 
         Args:
             path: output file.
-            sweep: sweep that provides the title and the versions.
+            sweep: sweep that provides the title.
 
         Raises:
             InputError: the file cannot be written.
@@ -130,7 +129,7 @@ class SweepTable:
         write_table(path, pa.table(columns, metadata={"srs_twin.sweep": about}))
 
     def ranges(self) -> dict[str, tuple[float, float, float]]:
-        """Return minimum, median and maximum of each summary metric with a value."""
+        """Return the minimum, median and maximum of each summary metric."""
         ranges = {}
         for name, column in self.columns.items():
             owner, _, metric = name.partition(".")
@@ -142,7 +141,7 @@ class SweepTable:
 
     @cached_property
     def failed(self) -> np.ndarray:
-        """Mask of the rows whose run failed, shape (rows,)."""
+        """Mask of failed runs, shape (rows,)."""
         return np.array(
             [status == "failed" for status in self.columns["status"]], dtype=bool
         )
@@ -158,7 +157,7 @@ class SweepTable:
         ]
 
     def owners(self, metric: str) -> list[str]:
-        """Return the owners of a metric: plants, the comparison or the plan.
+        """Return the owners of a metric, such as the plants.
 
         Raises:
             UnknownNameError: the results contain no metric with this name.
@@ -176,7 +175,7 @@ class SweepTable:
         return [owner for owner in OWNERS if self._names(owner, metric)]
 
     def metric(self, metric: str, owner: str) -> ColumnValues:
-        """Return a metric of an owner. A list metric is averaged over its elements."""
+        """Return a metric of one owner, averaged over the elements of a list metric."""
         names = self._names(owner, metric)
         elements = np.array([_numbers(self.columns[name]) for name in names])
         label = metric_label(metric)
@@ -203,23 +202,23 @@ class SweepTable:
 
     @property
     def repeats(self) -> list[str]:
-        """Varied seeds. Runs that differ only in seeds are averaged."""
+        """Names of the varied seeds, over which results are averaged."""
         return [name for name in self.fields if name.rpartition(".")[2] == "seed"]
 
     @property
     def settings(self) -> list[str]:
-        """Varied fields that are not seeds."""
+        """Names of the varied fields that are not seeds."""
         return [name for name in self.fields if name not in self.repeats]
 
     def unplotted_settings(self, plotted: Iterable[str]) -> list[str]:
-        """Return the settings that differ between runs with equal plotted values."""
+        """Return the settings that vary at fixed values of the plotted fields."""
         known = [name for name in plotted if name in self.fields]
         count = len(self.groups(known))
         others = (name for name in self.settings if name not in known)
         return [name for name in others if len(self.groups([*known, name])) > count]
 
     def groups(self, names: Sequence[str]) -> list[tuple[tuple[str, ...], np.ndarray]]:
-        """Return the distinct combinations of field values with their row indices."""
+        """Return the distinct combinations of field values, with their row indices."""
         if not names:
             return [((), np.arange(len(self.failed)))]
         columns = [self.values(name, "") for name in names]
@@ -252,7 +251,7 @@ def write_table(path: Path, table: pa.Table) -> None:
 
 
 def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
-    """Return the metrics to show, by default the plotted and summary metrics."""
+    """Return the metrics for a report, by default the plotted and summary metrics."""
     if sweep.metrics is not None:
         return sweep.metrics
     summary = _SUMMARY_METRICS if sweep.experiment.plants else _PLAN_SUMMARY_METRICS
@@ -309,12 +308,12 @@ def _numbers(column: Sequence[object]) -> np.ndarray:
 
 
 def group_means(group: np.ndarray, count: int, values: np.ndarray) -> np.ndarray:
-    """Return the mean of each group. The order of the rows has no effect.
+    """Return the mean of each group, which does not depend on the row order.
 
     Args:
         group: group number of each value, shape (rows,).
-        count: number of groups. The mean of an empty group is NaN.
-        values: values to average, shape (rows,). NaN values are ignored.
+        count: number of groups, including empty groups, which have a mean of NaN.
+        values: values to average, except NaN, shape (rows,).
     """
     # Floating-point sums depend on the order of their terms, so the values are sorted.
     order = np.lexsort((values, group))

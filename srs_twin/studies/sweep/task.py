@@ -1,4 +1,4 @@
-"""Task of a worker: run one point of a sweep and return its metrics as a row."""
+"""Worker task that runs one point of a sweep and returns the metrics as a row."""
 
 from __future__ import annotations
 
@@ -26,34 +26,30 @@ DONE = "done"
 FAILED = "failed"
 
 PLAN = "plan"
-"""Prefix of the metrics of a scenario that is planned but not simulated."""
+"""Prefix of metrics for scenarios that are planned but not simulated."""
 
 PLAN_TIME = f"{PLAN}.plan_s"
 """Column of the planning time, which differs between identical runs."""
 
-# Wall times differ between identical runs, so a row does not include them as metrics.
-# Its total time is in `wall_s`.
+# Wall times differ between identical runs, so they are not stored as metrics.
 _TIMES = ("wall_s", "realtime_factor")
 
 _warmed_planners: set[str] = set()
-"""Kinds of planners that this process has already used once."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Result of one point.
+    """Result of one sweep point.
 
     Attributes:
         key: key of the point.
         status: `DONE` or `FAILED`.
-        values: value of each metric, keyed by name (``<plant>.<metric>``,
-            ``comparison.<metric>`` or ``plan.<metric>``), or None if the metric has no
-            value.
+        values: value of each metric, or None if it is undefined, keyed by name
+            (``<plant>.<metric>``, ``comparison.<metric>`` or ``plan.<metric>``).
         wall_s: wall time, s.
-        reason: error message if the run failed.
-        exit_code: exit code that the command line uses for the error, or 0 if the run
-            succeeded.
-        files: Parquet trajectory of each plant, if trajectories are stored.
+        reason: error message, or None if the run succeeded.
+        exit_code: exit code of the command for the error, or 0 if the run succeeded.
+        files: trajectory of each plant in Parquet format, if trajectories are stored.
     """
 
     key: str
@@ -70,9 +66,10 @@ def run_point(
     point: Point,
     ran: Mapping[str, Trajectory | SrsError] = MappingProxyType({}),
 ) -> Row:
-    """Run the plants of a point, or only plan the path, and compute the metrics.
+    """Simulate or plan one sweep point, and compute its metrics.
 
-    If an `SrsError` occurs, a failed row with the error is returned.
+    Plants with a trajectory or an error in `ran` are not simulated again. If an
+    `SrsError` occurs, a failed row with the error message is returned.
     """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}
@@ -120,7 +117,7 @@ def run_point(
 
 
 def failed_row(key: str, error: Exception | None, wall_s: float = 0.0) -> Row:
-    """Return the row for a task that raised an error or whose worker crashed."""
+    """Return a failed row for a task that raised an error or whose worker crashed."""
     code = error.exit_code if isinstance(error, SrsError) else SrsError.exit_code
     return Row(
         key, FAILED, {}, wall_s, escape_unprintable(" ".join(str(error).split())), code
@@ -156,8 +153,8 @@ def _partial_trajectory(
 def flat_metrics(prefix: str, metrics: Mapping[str, object]) -> dict[str, float | None]:
     """Return metrics as scalars with names of the form ``<prefix>.<metric>``.
 
-    The elements of a list metric are numbered from 1. The names of a segment's two
-    chambers are `plus` and `minus`.
+    The elements of list metrics are numbered from 1. The two chambers of a segment are
+    named `plus` and `minus`.
     """
     scalars: dict[str, float | None] = {}
     for name, value in metrics.items():

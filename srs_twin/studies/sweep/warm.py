@@ -1,7 +1,8 @@
-"""Imports and kernels that the fork server of a sweep loads once for all workers.
+"""Module that the fork server imports once for all workers of a sweep.
 
 A short run of the analytical model loads the compiled kernels and the metrics, which
-saves each worker half a second. MuJoCo is imported only by workers that need it.
+saves half a second per worker. MuJoCo is not imported, because some workers do not need
+it.
 """
 
 import srs_twin.studies.sweep.task  # noqa: F401 - imported for the workers

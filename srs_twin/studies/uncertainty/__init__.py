@@ -1,1 +1,1 @@
-"""Uncertainty of predicted metrics due to the uncertain parameters of a robot."""
+"""Uncertainty of predicted metrics due to uncertain robot parameters."""

@@ -1,4 +1,4 @@
-"""Command `srs-twin uncertainty`: prediction intervals of a scenario's metrics."""
+"""Command `srs-twin uncertainty`, which computes prediction intervals of metrics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 STUDIES = Path("runs/uncertainty")
 
 _MAX_MEASUREMENTS = 3
-"""Maximum number of suggested measurements."""
 
 _NOTHING = 5e-4
 """Magnitude below which a value is printed as 0, in the unit of the metric."""
@@ -48,21 +47,20 @@ def uncertainty(
 ) -> None:
     """Compute prediction intervals of a scenario's metrics.
 
-    The command propagates the uncertain parameters in the robot file to every metric.
-    It also ranks the parameters by their influence and suggests what to measure next.
-    An interrupted study resumes if you start the command again with the same output
-    folder.
+    The command propagates the uncertainty of the robot parameters to every metric. It
+    also ranks the parameters by influence and suggests the next measurements. To resume
+    an interrupted study, run the command again with the same output folder.
 
     Options:
         --out DIR: Output folder. [default: runs/uncertainty/SCENARIO]
         --plants LIST: Models to simulate: analytical, twin, or both as analytical,twin.
             [default: the models named in the scenario]
         --samples N: Number of robots with randomly drawn parameters.
-        --twin N: Number of twin runs, if the compliant model simulates all samples.
+        --twin N: Number of twin runs if the compliant model simulates all samples.
         --exclude NAME: Parameter to keep at its value in the robot file, for example
             friction.drag_n. Can be repeated.
-        --model-form FIELD=A,B: Scenario field to vary between equally likely values, for
-            example pneumatics.kind=lag,orifice. Can be repeated.
+        --model-form FIELD=A,B: Scenario field with equally likely values, for example
+            pneumatics.kind=lag,orifice. Can be repeated.
         --write: Also write the intervals to calibration/intervals, so that scenario
             expectations can use them.
     """

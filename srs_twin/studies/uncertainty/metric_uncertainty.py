@@ -1,23 +1,22 @@
-r"""Uncertainty of one metric: prediction intervals, their errors, sensitivity indices.
+r"""Uncertainty of a metric: prediction intervals, their errors and sensitivity indices.
 
-The interval bounds are sample quantiles q. The standard error of a bound has two parts,
+The bounds of the intervals are sample quantiles q. The standard error of a bound
+combines a sampling error and a surrogate error:
 
 $$ \mathrm{se}^2 = \mathrm{se}_\text{sampling}^2 + \mathrm{se}_\text{surrogate}^2,
 \qquad
 \mathrm{se}_\text{surrogate}^2 = \frac{G-1}{G} \sum_g (q_{-g} - \bar q)^2 . $$
 
-The sampling error is estimated by the bootstrap (Efron 1979, Annals of Statistics 7),
-which draws samples with replacement. The bootstrap estimate is an upper bound, because
-points of a Sobol sequence are distributed more evenly than independent points. The
-surrogate error applies to metrics that a surrogate predicts for most samples. It is
-estimated by a delete-a-group jackknife over the twin runs, where q_{-g} is the quantile
-without group g of G groups. The groups are random, because consecutive Sobol points are
-not independent.
+The sampling error is estimated by the bootstrap (Efron 1979, Annals of Statistics 7).
+This estimate is an upper bound, because points of a Sobol sequence are distributed more
+evenly than independent points. For metrics that a surrogate predicts, the surrogate
+error is estimated by a delete-a-group jackknife over the twin runs. In the equation,
+q_{-g} is the quantile without group g of G groups, and \bar q is the mean of these
+quantiles. The groups are random, because consecutive Sobol points are not independent.
 
-The bootstrap cannot represent values beyond the outermost samples. All n samples lie
-above the quantile of probability p with probability (1 − p)^n. For the bounds of a
-95 % interval, this probability exceeds 2.5 % if there are fewer than
-`MIN_BOUNDING_SAMPLES` samples.
+The bootstrap cannot represent values beyond the outermost samples. With probability
+(1 − p)^n, all n samples lie above the quantile of order p. For p = 2.5 %, this
+probability exceeds 2.5 % if n is below `MIN_BOUNDING_SAMPLES`.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ _PROBABILITIES = [probability for ends in RANGES.values() for probability in end
 _TAIL = RANGES["interval_95"][0]
 
 MIN_BOUNDING_SAMPLES = math.ceil(math.log(_TAIL) / math.log(1 - _TAIL))
-"""Minimum number of samples for a 95 % interval, which is 146."""
+"""Minimum number of samples for a 95 % interval (146)."""
 
 _MAX_END_ERROR = 0.05
 """Standard error of an interval bound above which a warning is given, relative to the
@@ -45,17 +44,16 @@ interval width.
 """
 
 _MAX_INDEX_ERROR = 0.1
-"""Half width of a total index's 95 % interval above which a warning is given."""
+"""Half-width of the 95 % interval of a total index above which a warning is given."""
 
 _GROUPS = 8
 
 _RESAMPLINGS = 400
-"""Number of bootstrap samples. The relative error of the standard error is
-1/√(2·400), which is about 4 %.
+"""Number of bootstrap samples, which estimate a standard error with a relative error of
+1/√(2·400), or about 4 %.
 """
 
 _BATCH = 50
-"""Number of bootstrap samples that are in memory at the same time."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,7 @@ class SobolIndices:
     Attributes:
         first: first-order indices, shape (d,).
         total: total indices, shape (d,).
-        half_width: half widths of the 95 % intervals for the first-order and total
+        half_width: half-widths of the 95 % intervals of the first-order and total
             indices, shape (2, d).
     """
 
@@ -74,10 +72,10 @@ class SobolIndices:
     half_width: Array
 
     def ranks(self) -> list[tuple[int, int]]:
-        """Return the best and worst possible rank of each parameter by total index.
+        """Return the best and worst possible rank of each quantity by its total index.
 
-        Two total indices count as different if their difference exceeds the root sum of
-        squares of their half widths.
+        Two indices count as different if their difference exceeds the root sum of
+        squares of their half-widths.
         """
         limit = np.hypot(self.half_width[1][:, None], self.half_width[1])
         is_larger = self.total[:, None] - self.total > limit
@@ -89,7 +87,7 @@ class SobolIndices:
         ]
 
     def document(self, names: tuple[str, ...]) -> dict[str, object]:
-        """Return the indices and ranks of each quantity as JSON values."""
+        """Return the indices and ranks of each quantity as JSON-compatible data."""
         keys = ("first", "total", "first_error", "total_error")
         columns = np.array([self.first, self.total, *self.half_width]).T.tolist()
         return {
@@ -100,19 +98,17 @@ class SobolIndices:
 
 @dataclass(frozen=True)
 class MetricUncertainty:
-    """Distribution of a metric on one plant.
+    """Distribution of a metric for one plant.
 
     Attributes:
         value: value with the parameters from the robot file.
         half_timestep: value with half the time step.
         at_medians: value with all uncertain parameters at their medians.
-        samples: values at samples from the priors, with NaN for unknown values, shape
-            (samples,).
-        runs: number of samples that were simulated instead of predicted by a surrogate.
-        sampling: standard errors due to sampling, for the bounds of the 50 % and 95 %
-            intervals, shape (4,).
-        surrogate: standard errors due to the surrogate, for the same bounds, shape
-            (4,).
+        samples: values at samples from the priors, or NaN if unknown, shape (samples,).
+        runs: number of samples that are simulated rather than predicted by a surrogate.
+        sampling: standard errors of the bounds of the 50 % and 95 % intervals due to
+            sampling, shape (4,).
+        surrogate: standard errors of these bounds due to the surrogate, shape (4,).
         indices: sensitivity indices, or None if the metric is constant or the
             parameters are correlated.
     """
@@ -144,16 +140,16 @@ class MetricUncertainty:
 
     @property
     def errors(self) -> Array:
-        """Standard errors of the bounds of the 50 % and 95 % intervals, shape (4,)."""
+        """Total standard errors of the 50 % and 95 % interval bounds, shape (4,)."""
         return np.hypot(self.sampling, self.surrogate)
 
     @property
     def numerical_error(self) -> float:
-        """Time step error, estimated by first-order Richardson extrapolation."""
+        """Time-step error, estimated by first-order Richardson extrapolation."""
         return 2 * abs(self.value - self.half_timestep)
 
     def warnings(self) -> list[str]:
-        """Return a warning for each error that is too large."""
+        """Return warnings about too few samples and large errors."""
         low, high = self.interval("interval_95")
         if not high > low:
             return []
@@ -188,7 +184,7 @@ class MetricUncertainty:
 
     @property
     def verdict(self) -> IntervalVerdict | None:
-        """Whether the published value, if any, lies in the 95 % interval."""
+        """Position of the published value relative to the 95 % interval, or None."""
         if self.published is None:
             return None
         return interval_verdict(
@@ -196,7 +192,7 @@ class MetricUncertainty:
         )
 
     def document(self, names: tuple[str, ...]) -> dict[str, object]:
-        """Return the distribution as JSON values for the given quantity names."""
+        """Return the distribution as JSON-compatible data, given the quantity names."""
         sensitivity = None
         if self.indices is not None:
             sensitivity = self.indices.document(names)
@@ -225,7 +221,7 @@ def _finite(value: float) -> float | None:
 
 
 def sampling_errors(samples: Array) -> Array:
-    """Return the standard errors of interval bounds due to sampling, shape (4,)."""
+    """Return the standard errors of the interval bounds due to sampling, shape (4,)."""
     known = samples[np.isfinite(samples)]
     result = bootstrap(
         (known,),
@@ -239,14 +235,16 @@ def sampling_errors(samples: Array) -> Array:
 
 
 def predict_twin(fractions: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the twin's metric at all samples, and the errors of interval bounds.
-
-    The errors are standard errors due to the surrogate.
+    """Predict the twin's metric at all samples.
 
     Args:
         fractions: inputs u of all samples, shape (samples, d).
-        low: low-fidelity metric, with NaN for unknown values, shape (samples,).
+        low: low-fidelity metric, or NaN if unknown, shape (samples,).
         high: metric of the twin at the first n samples, shape (n,).
+
+    Returns:
+        Metric at all samples, shape (samples,), and standard errors of the interval
+        bounds due to the surrogate, shape (4,).
     """
     count = len(high)
     is_known = np.isfinite(low)
@@ -257,7 +255,7 @@ def predict_twin(fractions: Array, low: Array, high: Array) -> tuple[Array, Arra
     samples = np.full(len(low), np.nan)
     samples[is_known], hyperparameters = predict_high_fidelity(x, y, runs)
     if np.isfinite(samples).sum() == len(runs):
-        # No surrogate is needed, because the twin has simulated all samples.
+        # Only simulated samples have values, so there is no surrogate error.
         return samples, np.zeros(len(_PROBABILITIES))
     group = np.random.default_rng(0).permutation(len(runs)) % _GROUPS
     predicted = np.arange(len(runs), len(y))

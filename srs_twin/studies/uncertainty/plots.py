@@ -1,4 +1,4 @@
-"""Plot of the uncertainty of a prediction: intervals, and a tornado chart of causes."""
+"""Plot of prediction intervals, with a tornado chart of their causes."""
 
 from __future__ import annotations
 
@@ -15,25 +15,22 @@ from srs_twin.viewing.plots.style import PUBLISHED_COLOR, drawing, finish, style
 _MAX_SWINGS = 10
 
 _WIDTH = 4.6
-"""Width of the figure, inches. The text of a narrow figure is readable on a smartphone.
-"""
+"""Width of the figure, inches, which is narrow enough for a smartphone."""
 
 _LEFT = 1.85
 """Minimum left margin, inches."""
 
 _LEFT_OF_LABELS = 0.1
-"""Minimum distance of the labels from the left edge and from the panels, inches."""
+"""Minimum space to the left and right of the labels, inches."""
 
 _TOP = 0.7
-"""Height of the title and the heading above the panels, inches."""
+"""Height of the space above the panels for a title and a heading, inches."""
 
 _ROW = 0.42
-"""Height of the row for an interval or a cause, inches."""
+"""Height of each row in a panel, inches."""
 
 _BETWEEN = 0.85
-"""Height between the panels, inches. This space contains the axis of the upper panel
-and the heading of the lower panel.
-"""
+"""Height of the space between the panels for an axis and a heading, inches."""
 
 _LINE_CHARACTERS = 74
 """Maximum number of characters in a text line below the panels."""
@@ -59,7 +56,7 @@ _ERROR: dict[str, Any] = {
 def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
     """Plot the intervals of the target metric and the effect of each quantity on it.
 
-    `document` is the result of `Propagation.document`.
+    The argument `document` is the return value of `Propagation.document`.
     """
     plant = document["target"]["plant"]
     metric = document["target"]["metric"]
@@ -151,7 +148,7 @@ def _draw_swings(
     row: Mapping[str, Any],
     metric: str,
 ) -> None:
-    """Draw the effect of each quantity, hatched if its rank is uncertain."""
+    """Draw a bar for the effect of each quantity, hatched if the rank is uncertain."""
     style = style_of(plant)
     labels = []
     for y, swing in enumerate(reversed(swings)):

@@ -1,10 +1,9 @@
-"""Propagation of a robot's uncertain parameters to all metrics of a scenario.
+"""Propagation of uncertain robot parameters to all metrics of a scenario.
 
-Each plant is simulated at quasi-random samples of the uncertain parameters. The runs
-are stored as a sweep, so an interrupted study can be resumed. If the analytical model
-`compliant` can simulate the scenario, it is the low-fidelity model of the twin and
-simulates all samples. The twin then simulates only the first samples, and
-`predict_twin` predicts the metrics at the remaining samples.
+Each plant is simulated with quasi-random samples of the parameters. Where possible, the
+analytical model `compliant` simulates all samples as a low-fidelity model. The twin
+then simulates only the first samples, and `predict_twin` predicts its metrics at the
+remaining samples.
 """
 
 from __future__ import annotations
@@ -69,41 +68,41 @@ if TYPE_CHECKING:
 RESULT = "intervals.json"
 
 SAMPLES = "samples.parquet"
-"""File name of the table with parameters and metrics of all samples."""
 
 PICTURE = "intervals.png"
 
 FILES = (RESULT, SAMPLES, PICTURE)
 
 REFERENCE_ROWS = 3
-"""Number of additional runs after the samples. They use the parameter medians, the
-values in the robot file, and the values in the robot file with half the time step.
+"""Number of reference runs after the samples. The first run uses the parameter medians.
+The others use the robot file, once with the full and once with half the time step.
 """
 
 _MIN_KNOWN = 0.9
-"""Minimum fraction of samples that must have a value for a metric to be included."""
+"""Minimum fraction of samples with a value for a metric to be included."""
 
 _CENTRES = (0.1, 0.3, 0.5, 0.7, 0.9)
-"""Prior quantiles assumed as results of a measurement."""
+"""Quantiles of a parameter's prior that are assumed as measured values."""
 
 _MEASUREMENT_ERROR = 0.1
-"""Half width of the 95 % interval of an assumed measurement, relative to the
-measured value.
+"""Half-width of the 95 % interval of an assumed measurement, relative to the measured
+value.
 """
 
 _PREDICTION_SAMPLES = 4096
-"""Number of surrogate samples used to compute the effect of a measurement."""
+"""Number of surrogate evaluations used to compute the effect of a measurement."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Effect of measuring one parameter on the interval of the target metric.
+    """Effect of measuring one parameter on the 95 % interval of the target metric.
 
     Attributes:
-        interval_95: 95 % interval if the measurement gives the prior median.
-        width: interval width, averaged over measurements at several quantiles of the
-            prior.
-        width_now: width of the current interval.
+        parameter: path of the measured parameter.
+        interval_95: interval if the measured value is the median of the prior.
+        width: interval width after the measurement, averaged over several possible
+            measured values.
+        width_now: interval width before the measurement.
     """
 
     parameter: str
@@ -114,14 +113,12 @@ class Measurement:
 
 @dataclass(frozen=True)
 class Swing:
-    """Effect of one uncertain quantity on the target metric.
-
-    All other quantities are at their medians.
+    """Effect of one quantity on the target metric, with the others at their medians.
 
     Attributes:
         low: metric at the lower end of the quantity's 95 % interval.
         high: metric at the upper end of the quantity's 95 % interval.
-        error: two standard deviations of the leave-one-out residuals.
+        error: twice the RMS of the surrogate's leave-one-out residuals.
     """
 
     parameter: str
@@ -147,13 +144,13 @@ def check_can_be_kept(scenario: Scenario) -> None:
 
 @dataclass(frozen=True)
 class Propagation:
-    """Result of a propagation.
+    """Result of an uncertainty study.
 
     Attributes:
-        study: uncertainty study.
-        rows: values of each metric for each fidelity, first at the samples and then in
-            the `REFERENCE_ROWS` additional runs. The key `SEGMENTS` contains the values
-            for different stiffness and damping times.
+        study: study that produced the result.
+        rows: metric values, keyed by fidelity and metric, shape (samples +
+            `REFERENCE_ROWS`,). The key `SEGMENTS` contains the values for different
+            stiffness and damping times.
     """
 
     study: UncertaintyStudy
@@ -161,7 +158,7 @@ class Propagation:
 
     @cached_property
     def plants(self) -> dict[str, dict[str, MetricUncertainty]]:
-        """Uncertainty of each metric of each plant."""
+        """Uncertainty of each metric, keyed by plant and metric."""
         return {plant: self._uncertainties(plant) for plant in self.study.plants}
 
     def _uncertainties(self, plant: str) -> dict[str, MetricUncertainty]:
@@ -198,7 +195,7 @@ class Propagation:
     def _with_indices(
         self, uncertainties: dict[str, MetricUncertainty]
     ) -> dict[str, MetricUncertainty]:
-        """Add Sobol indices, which are not defined for correlated parameters."""
+        """Add Sobol indices, which are undefined for correlated parameters."""
         names = [
             name for name, entry in uncertainties.items() if _varies(entry.samples)
         ]
@@ -216,10 +213,10 @@ class Propagation:
 
     @property
     def target(self) -> tuple[str, str]:
-        """Plant and metric of the summary.
+        """Plant and metric that the summary shows.
 
-        The summary shows the first metric with a published value. Without published
-        values it shows the speed.
+        The target metric is the first metric with a published value, or the speed if no
+        values are published.
         """
         plants = [plant for plant in PLANTS if plant in self.plants]
         for plant in reversed(plants):
@@ -237,13 +234,13 @@ class Propagation:
         )
 
     def measure_next(self) -> list[Measurement]:
-        """Return the effects of measuring each parameter to ±10 %, narrowest first."""
+        """Return the measurements (±10 %) that narrow the interval, narrowest first."""
         chaos = self._chaos
         width_now = float(np.ptp(self._target.interval("interval_95")))
         if not width_now > 0 or self._target.indices is None:
             return []
         fractions = self.study.draw(_PREDICTION_SAMPLES, self.study.seed + 1)
-        # The residuals include the error of the surrogate in the predicted intervals.
+        # With random residuals, the predicted intervals include the surrogate error.
         rng = np.random.default_rng(self.study.seed)
         residuals = rng.choice(chaos.residuals[:, 0], _PREDICTION_SAMPLES)
         measurements = []
@@ -263,16 +260,16 @@ class Propagation:
         return sorted(measurements, key=lambda measurement: measurement.width)
 
     def swings(self) -> list[Swing]:
-        """Return the effects of the uncertain quantities, sorted by total index."""
+        """Return the effect of each quantity, sorted by descending total index."""
         names = self.study.names
         chaos = self._chaos
         indices = self._target.indices
         if indices is None:
             return []
         count = len(names)
-        # For each quantity, two rows contain the ends of the 95 % interval of the
-        # quantity. The other quantities are just below their medians, so that a
-        # discrete choice between two values selects the first value.
+        # Each quantity is evaluated at the two ends of its 95 % interval. All other
+        # quantities are just below their medians, so that the first of two discrete
+        # values is selected.
         fractions = np.full((2 * count, count), 0.5 - 1e-9)
         fractions[np.arange(2 * count), np.repeat(np.arange(count), 2)] = np.tile(
             RANGES["interval_95"], count
@@ -286,11 +283,11 @@ class Propagation:
 
     @property
     def segments(self) -> dict[str, list[float]] | None:
-        """Speed range of the twin for varied stiffness and damping time, m/s.
+        """Minimum and maximum speed of the twin with varied parameters, m/s.
 
-        For the key `stiffness_and_damping`, both parameters vary over their 95 %
-        intervals. For the key `damping`, only the damping time varies. The result is
-        None if the study has no such runs.
+        Stiffness and damping time vary for the key `stiffness_and_damping`, and only
+        the damping time varies for the key `damping`. The property is None if runs are
+        missing or have failed.
         """
         speeds = self.rows.get(SEGMENTS, {}).get("com_speed_m_s")
         if speeds is None or not np.isfinite(speeds).all():
@@ -304,7 +301,7 @@ class Propagation:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Warnings about large errors in the target metric, for each plant."""
+        """Warnings about large errors in the target metric, for all plants."""
         metric = self.target[1]
         return [
             f"{plant}, {metric_label(metric)}: {text}"
@@ -325,7 +322,7 @@ class Propagation:
         )
 
     def document(self) -> dict[str, object]:
-        """Return the result as JSON values."""
+        """Return the result as JSON-compatible data."""
         names = self.study.names
         plants = {
             plant: {
@@ -355,14 +352,14 @@ class Propagation:
         }
 
     def write(self, folder: Path) -> None:
-        """Write the document, table of samples and plot (`FILES`) into a folder.
+        """Write the JSON document, the table of samples and the plot to a folder.
 
         Raises:
             InputError: a file cannot be written.
         """
         import pyarrow as pa
 
-        # Importing matplotlib at the top would delay results without plots.
+        # A top-level import of Matplotlib would delay results without plots.
         from srs_twin.studies.uncertainty.plots import draw_intervals
         from srs_twin.viewing.plots.style import save
 
@@ -405,7 +402,7 @@ class Propagation:
 
     @property
     def failed(self) -> dict[str, int]:
-        """Number of samples for which no metric has a value, for each fidelity."""
+        """Number of samples without a value for any metric, keyed by fidelity."""
         failed = dict.fromkeys(self.study.runs, 0)
         for part in failed:
             if columns := list(self.rows[part].values()):
@@ -447,7 +444,7 @@ def propagate(
     *,
     changed: bool = False,
 ) -> Propagation:
-    """Run the missing rows of a study in a folder and return the result."""
+    """Compute the rows that are missing in a folder, and return the result."""
     rows = {}
     for part in study.parts:
         sweep = study.sweep(part)
@@ -456,7 +453,7 @@ def propagate(
             if missing:
                 progress(part, len(missing), None)
                 opened.run(engine, missing, partial(progress, part, len(missing)))
-            # An earlier result would not match the new rows.
+            # Earlier result files would not match the new rows.
             if missing or changed:
                 remove_completion_mark(folder / RESULT)
             opened.finish()
@@ -482,8 +479,8 @@ def uncertainty(
 ) -> Propagation:
     """Compute prediction intervals for the metrics of a scenario.
 
-    The command `srs-twin uncertainty` calls this function. An interrupted study resumes
-    in its folder, where finished runs are kept.
+    An interrupted study resumes if the function is called again with the same output
+    folder.
 
     Args:
         scenario: name or path of a scenario, or a loaded scenario.
@@ -491,15 +488,17 @@ def uncertainty(
         set: new values for scenario fields, as described in `load_scenario`.
         plants: plants to simulate, or None for the plants of the scenario.
         samples: number of robots with randomly drawn parameters.
-        twin: number of runs of the twin if the model `compliant` simulates all samples.
+        twin: number of twin runs if the model `compliant` simulates all samples.
         exclude: robot parameters to keep at their values in the robot file.
-        choices: equally likely values of each scenario field. If the bending damping is
-            uncertain, the two interpretations of the bend delay (`bending.lead`) are
-            added.
-        engine: name of the engine ("local", "ray" or "warp"), or an engine object.
+        choices: equally likely values of scenario fields, keyed by field name. If the
+            damping time is uncertain and the robot file does not set `bending.lead`,
+            both values of this field are added.
+        engine: name of the execution engine ("local", "ray" or "warp"), or an engine
+            object.
         workers: number of parallel runs, or None for one per processor.
-        changed: whether the folder may contain rows of another version of the study.
-        progress: callback that reports the runs.
+        changed: whether the folder may contain rows of a different version of the
+            study.
+        progress: callback for progress reports (see `execution.Progress`).
 
     Raises:
         InputError: the scenario is not valid, the engine is not available, or the

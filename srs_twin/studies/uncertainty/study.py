@@ -1,4 +1,4 @@
-"""Uncertainty study with one sweep over the uncertain parameters per fidelity."""
+"""Uncertainty study, which consists of one sweep per fidelity."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ COMPLIANT = "compliant"
 DAMPING = "bending.damping_time_s"
 STIFFNESS = "bending.stiffness_nm_per_rad"
 SEGMENTS = "segments"
-"""Part of a study in which stiffness and damping time of the twin vary over their 95 %
-intervals. All other parameters have their values from the robot file.
+"""Name of the study part that varies only the twin's bending stiffness and damping time
+over their 95 % intervals.
 """
 LEAD = "robot.bending.lead"
-"""Field with two equally likely values, the interpretations of the bend delay."""
+"""Field that selects one of two equally likely interpretations of the bend delay."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,10 @@ class UncertaintyStudy:
     """Scenario with uncertain robot parameters and discrete choices.
 
     Attributes:
-        discrete_choices: equally likely values of scenario fields, for example two
-            chamber models.
-        samples: number of samples that each plant simulates.
+        discrete_choices: equally likely values of scenario fields, keyed by field name.
+        samples: number of samples per plant.
         twin_samples: number of samples that the twin simulates if a low-fidelity model
-            is used.
+            simulates all samples.
     """
 
     scenario: Scenario
@@ -52,15 +51,15 @@ class UncertaintyStudy:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Paths of the uncertain parameters, then fields of the discrete choices."""
+        """Paths of the uncertain parameters, followed by the discrete fields."""
         return (*self.priors.paths, *self.discrete_choices)
 
     def draw(self, count: int, seed: int) -> np.ndarray:
-        """Return Sobol points in the unit cube, after `snapped`, shape (count, d)."""
+        """Return snapped Sobol points in the unit cube, shape (count, d)."""
         return self.snapped(sobol_points(len(self.names), count, seed))
 
     def snapped(self, fractions: np.ndarray) -> np.ndarray:
-        """Return points with each discrete choice at the middle of its interval."""
+        """Return points with each discrete choice at the centre of its interval."""
         snapped = fractions.copy()
         for i, values in enumerate(
             self.discrete_choices.values(), start=len(self.priors.parameters)
@@ -72,12 +71,12 @@ class UncertaintyStudy:
 
     @cached_property
     def surrogate_scenario(self) -> Mapping[str, Any] | None:
-        """Scenario with the plant `compliant`, or None if it cannot be simulated."""
+        """Scenario for the low-fidelity model, or None if it cannot be simulated."""
         return compliant_scenario(self.scenario)
 
     @property
     def runs(self) -> dict[str, int]:
-        """Number of samples of each fidelity ("analytical", "compliant" or "twin")."""
+        """Number of simulated samples, keyed by fidelity."""
         runs = {}
         if "analytical" in self.plants:
             runs["analytical"] = self.samples
@@ -89,7 +88,7 @@ class UncertaintyStudy:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """Fidelities of the study, followed by `SEGMENTS` if its runs are possible."""
+        """Names of the study parts: the fidelities and, if possible, `SEGMENTS`."""
         if {"analytical", "twin"} <= {*self.plants} and {STIFFNESS, DAMPING} <= {
             *self.priors.paths
         }:
@@ -102,7 +101,7 @@ class UncertaintyStudy:
         return self.draw(self.samples, self.seed)
 
     def sweep(self, part: str) -> Sweep:
-        """Return the sweep for a part, with the `REFERENCE_ROWS` after the samples."""
+        """Return the sweep for a study part, including the reference runs."""
         plant = "twin" if part in ("twin", SEGMENTS) else "analytical"
         document = self.surrogate_scenario
         if part != COMPLIANT:
@@ -144,7 +143,7 @@ class UncertaintyStudy:
     def _sampled(
         self, fractions: np.ndarray, plant: str, step: float
     ) -> Iterator[list[Any]]:
-        """Yield a row for each point u. Short damping times shorten the time step."""
+        """Yield the row of values for each point u, with a stable time step."""
         parameters, choices = np.split(fractions, [len(self.priors.parameters)], axis=1)
         for values, chosen in zip(
             self.priors.quantile(parameters).tolist(), choices, strict=True
@@ -159,7 +158,7 @@ class UncertaintyStudy:
     def _over_segments(
         self, nominal: Sequence[Any], step: float
     ) -> Iterator[list[Any]]:
-        """Yield rows that combine nominal and extreme stiffness and damping time."""
+        """Yield all combinations of nominal and extreme stiffness and damping times."""
         places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
         levels = []
         for prior in (self.priors.parameters[place] for place in places):
@@ -179,7 +178,7 @@ def on_plant(
 ) -> dict[str, Any]:
     """Return a scenario with a single plant and no expectations, as plain data.
 
-    If `settings` is None, the plant keeps its settings from the scenario.
+    By default, the plant has the settings from the scenario.
     """
     if settings is None:
         settings = document["plants"].get(plant, {})
@@ -187,7 +186,7 @@ def on_plant(
 
 
 def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
-    """Return a scenario with `compliant` as its only plant, or None if not possible."""
+    """Return the scenario for the model `compliant`, or None if it is not supported."""
     twin = scenario.plants.get("twin") or TwinFile()
     assert isinstance(twin, TwinFile), "the scenario's model ensures this type"
     settings = {"model": COMPLIANT, "friction": twin.friction_law, "gaps": twin.gaps}

@@ -1,22 +1,22 @@
 r"""Surrogate models: polynomial chaos with sensitivity indices, and a Gaussian process.
 
-**Polynomial chaos** (Sudret 2008, Reliability Engineering & System Safety 93). With
-Legendre polynomials ψ that are orthonormal over independent u ∈ (0, 1), the expansion
-and the indices are
+**Polynomial chaos** (Sudret 2008, Reliability Engineering & System Safety 93) expands a
+result in Legendre polynomials ψ, which are orthonormal for independent inputs
+u ∈ (0, 1). The expansion and the sensitivity indices are
 
 $$ y(u) \approx \sum_\alpha c_\alpha \prod_i \psi_{\alpha_i}(u_i), \qquad
 S_i = \frac{\sum_{\alpha \in A_i} c_\alpha^2}{\sum_{\alpha \ne 0} c_\alpha^2}, \qquad
 T_i = \frac{\sum_{\alpha_i > 0} c_\alpha^2}{\sum_{\alpha \ne 0} c_\alpha^2}, $$
 
-where the set A_i contains the terms that depend only on u_i, and S_i and T_i are
-Sobol's first-order and total indices. The degree is selected by leave-one-out
+where S_i and T_i are Sobol's first-order and total indices, and the set A_i contains
+the terms that depend only on u_i. The polynomial degree is selected by leave-one-out
 cross-validation. The error of an index combines the unexplained variance of left-out
-samples with the scatter under bootstrap resampling.
+samples and the scatter under bootstrap resampling.
 
-**Gaussian process** (Kennedy and O'Hagan 2000, Biometrika 87). The high-fidelity result
-is modelled as a linear function of the low-fidelity result and the inputs, plus a
-smooth remainder. Variances and length scales have log-normal priors and are set to
-their most probable values.
+The **Gaussian process** (Kennedy and O'Hagan 2000, Biometrika 87) models the
+high-fidelity result as a linear trend plus a smooth remainder. The inputs of the
+process include the low-fidelity result. The hyperparameters of the process have
+log-normal priors and are set to their most probable values.
 """
 
 from __future__ import annotations
@@ -35,30 +35,27 @@ from srs_twin.compute.arrays import Array
 _MAX_DEGREE = 10
 
 _SAMPLES_PER_TERM = 5
-"""Minimum number of samples per coefficient."""
 
 _MAX_INTERACTION = 2
 """Maximum number of variables in a term of degree above 3."""
 
 _RESAMPLINGS = 20
-"""Number of bootstrap samples from which the scatter of the indices is computed."""
+"""Number of bootstrap samples used to estimate the scatter of the indices."""
 
 _MAX_UNEXPLAINED = 0.5
-"""Unexplained fraction of the variance above which no surrogate is used."""
+"""Unexplained fraction of the variance above which a surrogate is rejected."""
 
 _TYPICAL = (0.1, 1.0, 0.01)
-"""Medians of the log-normal priors of s, b and n of a Gaussian process. The
-logarithms have a standard deviation of 1.
+"""Medians of the log-normal priors of s, b and n in `GaussianProcess`. The logarithms
+of all hyperparameters have a standard deviation of 1.
 """
 
 _TYPICAL_LENGTH = 2.0
-"""Median of the log-normal priors of all length scales ℓ. The logarithms have a
-standard deviation of 1.
-"""
+"""Median of the log-normal prior of each length scale ℓ in `GaussianProcess`."""
 
 
 def _terms(variables: int, degree: int) -> np.ndarray:
-    """Return the exponents of all terms up to a degree, shape (terms, variables)."""
+    """Return the degree of each term in each variable, shape (terms, variables)."""
     rows = [[0] * variables]
     for order in range(1, min(variables, degree, 3) + 1):
         if order <= _MAX_INTERACTION:
@@ -77,16 +74,16 @@ def _terms(variables: int, degree: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PolynomialChaos:
-    """Polynomial chaos expansion of one or more results.
+    """Polynomial chaos expansion of one or several results.
 
     Attributes:
-        terms: exponents, shape (terms, d).
-        coefficients: coefficients, shape (terms, results).
-        unexplained: unexplained fraction of the variance of each result in
+        terms: polynomial degree of each term in each variable, shape (terms, d).
+        coefficients: coefficients of the terms, shape (terms, results).
+        unexplained: fraction of each result's variance that is unexplained in
             cross-validation, shape (results,).
         residuals: leave-one-out residuals, shape (samples, results).
-        index_std: standard deviations of the first-order and total indices under
-            resampling, shape (2, d, results).
+        index_std: bootstrap standard deviations of the first-order and total indices,
+            shape (2, d, results).
     """
 
     terms: np.ndarray
@@ -97,7 +94,7 @@ class PolynomialChaos:
 
     @classmethod
     def fit(cls, fractions: Array, results: Array, *, seed: int = 0) -> PolynomialChaos:
-        """Fit results, shape (samples, results), to inputs u, shape (samples, d)."""
+        """Fit results, shape (samples, results), at inputs u, shape (samples, d)."""
         count, variables = fractions.shape
         variance = np.maximum(results.var(axis=0), 1e-300)
         best: tuple[float, Array, Array, Array] | None = None
@@ -118,7 +115,7 @@ class PolynomialChaos:
         indices = []
         for _ in range(_RESAMPLINGS):
             rows = rng.integers(count, size=count)
-            # Normal equations are accurate enough here, because the columns are nearly
+            # The normal equations are accurate enough, because the columns are nearly
             # orthonormal.
             drawn = design[rows]
             fitted = np.linalg.solve(drawn.T @ drawn + ridge, drawn.T @ results[rows])
@@ -137,7 +134,7 @@ class PolynomialChaos:
 
     @property
     def index_half_width(self) -> Array:
-        """Half widths of the 95 % intervals of the indices, shape (2, d, results)."""
+        """Half-widths of the 95 % intervals of the indices, shape (2, d, results)."""
         return np.asarray(2 * self.index_std + self.unexplained)
 
 
@@ -156,8 +153,8 @@ def _design_matrix(fractions: Array, terms: np.ndarray) -> Array:
 def _cross_validate(design: Array, results: Array) -> tuple[Array, Array]:
     basis, triangle = scipy.linalg.qr(design, mode="economic")
     coefficients = scipy.linalg.lstsq(triangle, basis.T @ results)[0]
-    # The leverage h of a sample is the diagonal element of the hat matrix. The
-    # leave-one-out residual is the residual divided by 1 − h.
+    # A leave-one-out residual is the residual divided by 1 − h, where the leverage h is
+    # the sample's diagonal element of the hat matrix.
     leverage = np.minimum((basis**2).sum(axis=1), 1 - 1e-9)
     return coefficients, (results - design @ coefficients) / (1 - leverage)[:, None]
 
@@ -176,7 +173,9 @@ def _indices(terms: np.ndarray, coefficients: Array) -> Array:
 
 
 class GaussianProcess:
-    r"""Gaussian process with a linear part, fitted to noisy samples.
+    r"""Gaussian process with a linear trend, fitted to noisy samples.
+
+    The covariance function is
 
     $$ k(x, x') = s^2 e^{-\frac12 \sum_i (x_i - x'_i)^2 / \ell_i^2} + b^2 (1 + x \cdot x') + n^2 \delta $$
 
@@ -194,10 +193,10 @@ class GaussianProcess:
         """Fit the process to samples.
 
         Args:
-            x: inputs with magnitudes of about 1, shape (samples, d).
-            y: values with magnitudes of about 1, shape (samples,).
+            x: inputs, scaled to magnitudes of about 1, shape (samples, d).
+            y: values, scaled to magnitudes of about 1, shape (samples,).
             log_hyperparameters: natural logarithms of the hyperparameters, or None to
-                compute the most probable values.
+                use the most probable values.
         """
         self._x = x
         self._y = y
@@ -222,11 +221,11 @@ class GaussianProcess:
         self._weights = scipy.linalg.cho_solve(self._factor, y)
 
     def at(self, x: Array) -> Array:
-        """Return the mean of the process at inputs."""
+        """Return the posterior mean at inputs x."""
         return np.asarray(_kernel(self.log_hyperparameters, x, self._x) @ self._weights)
 
     def covariance(self, x: Array) -> Array:
-        """Return the covariance of the noise-free function at inputs."""
+        """Return the posterior covariance of the noise-free function at inputs x."""
         cross = _kernel(self.log_hyperparameters, x, self._x)
         prior = _kernel(self.log_hyperparameters, x, x)
         return np.asarray(prior - cross @ scipy.linalg.cho_solve(self._factor, cross.T))
@@ -252,15 +251,15 @@ class GaussianProcess:
             )
         except scipy.linalg.LinAlgError:
             return 1e12
-        # With the Cholesky factor L of the covariance, the vector L⁻¹ y is white noise
-        # of unit variance.
+        # If L is the Cholesky factor of the covariance, L⁻¹ y is white noise with unit
+        # variance.
         white = scipy.linalg.solve_triangular(factor, self._y, lower=True)
         prior = float(((log_hyperparameters - centre) ** 2).sum())
         return float(white @ white / 2 + np.log(np.diag(factor)).sum() + prior / 2)
 
 
 def _kernel(log_hyperparameters: Array, x: Array, y: Array) -> Array:
-    # In the symbols of `GaussianProcess`, size is s², slope is b² and lengths are ℓ.
+    # In `GaussianProcess`, these variables are called s², b² and ℓ.
     size = np.exp(2 * log_hyperparameters[0])
     slope = np.exp(2 * log_hyperparameters[1])
     lengths = np.exp(log_hyperparameters[3:])
@@ -273,19 +272,19 @@ def predict_high_fidelity(
 ) -> tuple[Array, Array]:
     """Predict a high-fidelity result at all samples from a low-fidelity result.
 
-    Random leave-one-out residuals are added to the predictions, so that quantiles
-    include the error of the surrogate. The predictions are NaN if the surrogate
-    explains less than half of the variance of left-out samples.
+    Random leave-one-out residuals are added to the predictions, so that quantiles of
+    the predictions include the surrogate error. If the surrogate explains less than
+    half of the variance of left-out samples, the predictions are NaN.
 
     Args:
         fractions: inputs u of all samples, shape (samples, d).
         low: low-fidelity result, shape (samples,).
         high: high-fidelity result at the first n samples, shape (n,).
         log_hyperparameters: natural logarithms of the Gaussian process hyperparameters,
-            or None to compute the most probable values.
+            or None to use the most probable values.
 
     Returns:
-        High-fidelity result at all samples, and the hyperparameters.
+        High-fidelity result at all samples, and logarithms of the hyperparameters.
     """
     count = len(high)
     scale = max(float(high.std()), 1e-300)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Table(NamedTuple):
-    """Table of a page.
+    """Table in an HTML page.
 
     Attributes:
         numbers: indices of right-aligned columns.
@@ -42,15 +42,15 @@ class Picture(NamedTuple):
 
 
 def render(template: str, **content: Any) -> str:
-    """Render a template of this package.
+    """Render an HTML template of this package.
 
-    Strings in `content` are escaped, and `Markup` is inserted unchanged.
+    Strings in `content` are HTML-escaped, and `Markup` objects are inserted unchanged.
     """
     return _environment().get_template(template).render(content, validated=VALIDATION)
 
 
 def notebook_output(summary: str, table: Table, plot: Picture | None = None) -> str:
-    """Return the HTML of a notebook output cell, headed by a summary."""
+    """Return a summary, a table and a plot as HTML for a notebook cell."""
     macros: Any = _environment().get_template("viewing/html/parts.html").module
     pictures = macros.pictures([plot]) if plot else ""
     return str(
@@ -81,13 +81,13 @@ def _clean(value: object) -> object:
 
 
 def colored(text: str, color: str) -> Markup:
-    """Format text with a CSS class of the page: "met", "missed" or "sub"."""
+    """Return text in an element with the CSS class "met", "missed" or "sub"."""
     return Markup('<span class="{}">{}</span>').format(color, text)
 
 
 def picture(figure: Figure, caption: str) -> Picture:
-    """Convert a figure to SVG. Equal figures yield identical bytes."""
-    # The import is slow and unnecessary for pages without figures.
+    """Convert a figure to an embedded SVG image."""
+    # Pages without figures do not need this slow import.
     from srs_twin.viewing.plots.style import own_settings
 
     buffer = io.BytesIO()
@@ -97,14 +97,14 @@ def picture(figure: Figure, caption: str) -> Picture:
 
 
 def image(content: bytes, kind: str, caption: str) -> Picture:
-    """Embed an image file in a page. The kind is "svg+xml" or "png"."""
+    """Return a picture with embedded image data of kind "svg+xml" or "png"."""
     return Picture(
         f"data:image/{kind};base64,{base64.b64encode(content).decode('ascii')}", caption
     )
 
 
 def cell(value: Any) -> str:
-    """Format a JSON value for a table cell. None becomes a dash."""
+    """Format a JSON value for a table cell, with a dash for None."""
     match value:
         case None:
             return "–"

@@ -1,4 +1,4 @@
-"""HTML report of a run: settings, metrics, expectations, attribution and plots."""
+"""HTML report of a run, with metrics, expectations, attribution, plots and settings."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ if TYPE_CHECKING:
     from srs_twin.scenario.expectation import ExpectationRow
 
 _ZERO = 5e-6
-"""Absolute value below which a difference (m, m/s, rad or rad/s) is printed as 0."""
+"""Threshold below which a difference is printed as 0, in m, m/s, rad or rad/s."""
 
 
 def write_report(
@@ -72,7 +72,7 @@ def write_report(
 ) -> None:
     """Write the report of one run as a self-contained HTML file.
 
-    If `attribution` is None, the section about the causes of differences is left out.
+    Without an `attribution`, the report has no section on the causes of differences.
     """
     trajectories = content.trajectories
     spec = content.spec
@@ -107,7 +107,7 @@ def notebook_run(
     trajectories: Mapping[str, Trajectory],
     spec: RobotSpec,
 ) -> str:
-    """Return headline, metrics and plan view of a run as HTML for a notebook."""
+    """Return the headline, metrics and plan view of a run as HTML for a notebook."""
     view = picture(plan_view(trajectories, spec), "Paths and bodies from above.")
     return notebook_output(
         f"{title}: {headline(metrics)}",
@@ -117,7 +117,7 @@ def notebook_run(
 
 
 def page_of_run(trajectory: Trajectory) -> str:
-    """Return a trajectory as HTML for a notebook."""
+    """Return the metrics and the path of a trajectory as HTML for a notebook."""
     plant = str(trajectory.metadata.get("plant", "run"))
     metrics = {"plants": {plant: plant_metrics(trajectory)}}
     lines = {
@@ -132,7 +132,7 @@ def page_of_run(trajectory: Trajectory) -> str:
 
 
 def page_of_comparison(comparison: Comparison) -> str:
-    """Return a comparison as HTML for a notebook."""
+    """Return the metrics of a comparison as HTML for a notebook."""
     rows = [
         [metric_title(name), COMPARISON_UNITS[name], cell(value)]
         for name, value in comparison.metrics.items()
@@ -304,7 +304,7 @@ def _events(trajectories: Mapping[str, Trajectory]) -> Table:
 
 
 def robot_table(spec: RobotSpec) -> Table:
-    """Return a table of robot parameters with units."""
+    """Return a table of all robot parameters with their units."""
     units = _robot_units()
     rows = [
         [name, units.get(name, ""), cell(value)]

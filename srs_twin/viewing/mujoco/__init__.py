@@ -1,1 +1,1 @@
-"""Images and videos of the twin, and keyboard control in MuJoCo's viewer."""
+"""Images, videos and interactive simulation of the twin in MuJoCo."""

@@ -21,13 +21,13 @@ MuJoCo's default shadow map of 4096 pixels slows down the rendering of small ima
 """
 
 _FONT_PIXELS = 180
-"""Image height per 50 % of MuJoCo's font scale, pixels."""
+"""Image height for each 50 % step of MuJoCo's font scale, pixels."""
 
 _LABEL_HEIGHT = 0.065
-"""Height of the labels as a fraction of the image height."""
+"""Height of a label as a fraction of the image height."""
 
 _MIN_LABELS_WIDTH = 480
-"""Minimum image width for more than one label, pixels."""
+"""Minimum width of an image with more than one label, pixels."""
 
 Decorate = Callable[[mujoco.MjvScene], None]
 
@@ -37,7 +37,7 @@ class Label(NamedTuple):
 
     Attributes:
         text: ASCII text, because MuJoCo's font has no other characters.
-        color: colour of the box, #rrggbb.
+        color: box colour, #rrggbb.
     """
 
     text: str
@@ -45,15 +45,15 @@ class Label(NamedTuple):
 
 
 class Canvas:
-    """Off-screen renderer of a model for images of a fixed size."""
+    """Off-screen renderer for images of a model with a fixed image size."""
 
     def __init__(
         self, model: mujoco.MjModel, width: int, height: int, *, opengl: str = ""
     ) -> None:
-        """Create the OpenGL context and buffers.
+        """Create the OpenGL context and the image buffers.
 
         Args:
-            model: MuJoCo model. The constructor changes the offscreen and shadow size.
+            model: MuJoCo model, whose buffer size and shadow map size are changed.
             width: image width, pixels.
             height: image height, pixels.
             opengl: OpenGL backend, named as in MUJOCO_GL, or an empty string to use the
@@ -93,7 +93,7 @@ class Canvas:
         decorate: Decorate | None = None,
         labels: Sequence[Label] = (),
     ) -> np.ndarray:
-        """Render an image, shape (height, width, 3), uint8."""
+        """Render an image of the model, shape (height, width, 3), uint8."""
         all_categories = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(
             self._model, data, self._option, None, camera, all_categories, self._scene

@@ -1,10 +1,10 @@
-"""Simulate the twin in real time in MuJoCo's viewer.
+"""Interactive simulation of the twin in MuJoCo's viewer.
 
-The twin is steered by a scenario's controller, until the user presses a steering key.
-The left and right arrow keys change the offset, the up and down arrow keys change the
-frequency, and the page keys change the supply pressure. The Home key resets the offset,
-the space bar pauses the simulation, and the backspace key restarts the run. The key
-codes are defined by GLFW.
+A scenario's controller steers the twin until the user presses a steering key. The arrow
+keys change the steering offset (left, right) and the gait frequency (up, down), and the
+page keys change the supply pressure. The Home key resets the offset, the space bar
+pauses the simulation, and the backspace key restarts the run. The key codes are those
+of GLFW.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ _KEY_STEPS = {
     PAGE_UP: ("pressure", 14),
     PAGE_DOWN: ("pressure", -14),
 }
-"""Command changed by each key, direction of the change, and number of steps.
+"""Gait parameter changed by each key, and signed number of steps in the full range.
 
-The steps divide the range of the command. One step is 0.05 (offset), 0.1 Hz (frequency)
-or about 1 kPa (pressure).
+One key press changes the offset by 0.05, the frequency by 0.1 Hz, or the pressure by
+about 1 kPa.
 """
 
 MAX_LAG_S = 0.25
@@ -62,8 +62,8 @@ class LiveSnake:
     """Twin steered by a scenario's controller or by keys.
 
     Attributes:
-        scenario: scenario to simulate, or None to steer a robot on an empty floor with
-            keys.
+        scenario: simulated scenario, or None for a robot on an empty floor that is
+            steered by keys.
         floor_lines: lines on the floor that show the scenario's goal and the
             controller's current plan.
     """
@@ -82,9 +82,9 @@ class LiveSnake:
         scenario: Scenario | None = None,
         modified: str = "",
     ) -> None:
-        """Create the twin from a robot or from a scenario.
+        """Create the twin of a robot or a scenario.
 
-        Without a scenario, each gait command starts in the middle of its range.
+        Without a scenario, all gait parameters start in the middle of their ranges.
         """
         self.scenario = scenario
         self._modified = modified
@@ -92,7 +92,7 @@ class LiveSnake:
         if scenario is not None:
             self.twin: Any = scenario.build_plant("twin")
             limits = GaitLimits.for_robot(self.twin.spec)
-            # The pneumatic model accepts no pressure above the scenario's supply.
+            # The pneumatic model cannot exceed the supply pressure of the scenario.
             low, high = (min(limit, scenario.supply_pa) for limit in limits.pressure)
             limits = replace(limits, pressure=(low, high))
             pressure = high
@@ -115,11 +115,11 @@ class LiveSnake:
         return self._controller is not None and self._controller.finished
 
     def press(self, key: int) -> None:
-        """Queue a key for the next control tick. This method is thread-safe."""
+        """Queue a key press for the next control tick. This method is thread-safe."""
         self._keys.append(key)
 
     def advance(self) -> SnakeState:
-        """Handle the queued keys, simulate one control tick and return the state."""
+        """Process the queued keys, simulate one control tick and return the state."""
         while self._keys:
             self._handle(self._keys.popleft())
         if self.paused or self.finished:
@@ -232,11 +232,11 @@ def steer(
     """Simulate and draw a snake in real time until the window is closed.
 
     If drawing is too slow, frames are skipped until the simulation has caught up with
-    real time. `clock` returns the current time (s), and `sleep` waits for a time (s).
+    real time. Both `clock` and `sleep` use seconds.
     """
     tick = snake.twin.tick
     due = clock()
-    undrawn = 0.0  # simulated time since the last drawing, s
+    undrawn = 0.0  # simulated time since the last drawn frame, s
     while window.is_open():
         snake.advance()
         due = max(due + tick, clock() - MAX_LAG_S)
@@ -250,20 +250,19 @@ def steer(
 
 
 _DISTANCE_LENGTHS = 4.0
-"""Camera distance in body lengths."""
+"""Camera distance, in body lengths."""
 
 _GOAL_LINE_M = 0.002
-"""Half the width of the line around the goal, m."""
+"""Half-width of the line around the goal, m."""
 
 _AZIMUTH_DEG = 90.0
 _ELEVATION_DEG = -35.0
 
 
 class MujocoWindow:
-    """MuJoCo viewer that shows a snake and forwards keys to it."""
+    """MuJoCo viewer window for displaying and steering a snake."""
 
     def __init__(self, snake: LiveSnake) -> None:
-        """Open the window."""
         require_display()
         import mujoco
         import mujoco.viewer
@@ -304,7 +303,7 @@ class MujocoWindow:
         return bool(self._viewer.is_running())
 
     def show(self, snake: LiveSnake) -> None:
-        """Draw the current state."""
+        """Draw the current state of a snake."""
         names, values = (
             "\n".join(column) for column in zip(*snake.status_lines(), strict=True)
         )
@@ -328,7 +327,7 @@ class MujocoWindow:
 
 
 def require_display() -> None:
-    """Check that a window can be opened."""
+    """Raise an `InputError` if no window can be opened."""
     if lacks_display():
         raise InputError(
             "no display was found: neither DISPLAY nor WAYLAND_DISPLAY is set; run"

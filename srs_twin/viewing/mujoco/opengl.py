@@ -1,9 +1,9 @@
-"""Select an OpenGL backend for off-screen rendering.
+"""Selection of an OpenGL backend for off-screen rendering.
 
 The backend is selected when the first image is drawn, because simulations without
-rendering set `MUJOCO_GL` to "disabled". Each candidate renders a small image in a
-separate process, because a faulty library may crash the process and PyOpenGL cannot
-change the backend within a process.
+rendering set `MUJOCO_GL` to "disabled". Each candidate backend renders a test image in
+a separate process. A faulty library may crash this process, and PyOpenGL cannot change
+the backend within a process.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from srs_twin.errors import InputError
 
 PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
-"""Debian and Ubuntu packages that provide each backend."""
+"""Debian and Ubuntu packages that provide each OpenGL backend."""
 
 _MODULES = {
     "egl": "mujoco.egl",
@@ -45,15 +45,15 @@ _UNSPECIFIED = (
 """Values of MUJOCO_GL that do not select a backend."""
 
 _TIMEOUT_S = 60.0
-"""Time limit for the test of a backend, s."""
+"""Time limit for testing a backend, s."""
 
 
 @lru_cache(maxsize=1)
 def usable_opengl() -> str:
     """Return the name of a working OpenGL backend and set `MUJOCO_GL` to this name.
 
-    If `MUJOCO_GL` selects no backend, the backends of the platform are tried in turn
-    (on Linux, egl and then osmesa).
+    If `MUJOCO_GL` does not select a backend, the backends of the platform are tried in
+    turn (first egl and then osmesa on Linux).
     """
     selected = os.environ.get("MUJOCO_GL", "").lower().strip()
     candidates: tuple[str, ...] = (selected,)
@@ -82,7 +82,7 @@ def usable_opengl() -> str:
 
 
 def new_context(name: str, width: int, height: int) -> Any:
-    """Create an OpenGL context with a given backend."""
+    """Create an OpenGL context with the given backend and image size."""
     return importlib.import_module(_MODULES[name]).GLContext(width, height)
 
 
@@ -113,15 +113,11 @@ def _test(name: str) -> str:
 
 
 def draw_box(name: str) -> None:
-    """Render a white box on a black background to test a backend.
-
-    This function must run in a child process, because a faulty library may crash the
-    process or raise any error.
-    """
+    """Render a white box on a black background to test a backend."""
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(
-        # Shadows and multisampling would dominate the time of software rendering.
+        # Software rendering would spend most time on shadows and multisampling.
         "<mujoco><visual><quality shadowsize='0'"
         " offsamples='0'/></visual><worldbody><geom type='box' size='.1 .1 .1' rgba='1"
         " 1 1 1'/></worldbody></mujoco>"

@@ -1,4 +1,4 @@
-"""Off-screen videos, images and stroboscopic figures of the twin, rendered by MuJoCo.
+"""Videos, images and stroboscopic figures of the twin, rendered off screen by MuJoCo.
 
 A stroboscopic figure is a plan view that shows the snake at several times of a run, as
 in Fig. 36 of the dissertation.
@@ -34,7 +34,7 @@ AddFrame = Callable[[np.ndarray], None]
 
 
 def encoder() -> Any:
-    """Return the module `av` (PyAV), which encodes videos."""
+    """Import and return the video encoder PyAV."""
     try:
         import av
     except ImportError as error:
@@ -51,7 +51,7 @@ def video_writer(
 ) -> Iterator[AddFrame]:
     """Open an MP4 file and yield a function that appends a frame.
 
-    A frame has shape (height, width, 3) and type uint8. Width and height must be even.
+    Frames have shape (height, width, 3) and type uint8, with even height and width.
     """
     av = encoder()
     with atomic_write(path) as temporary:
@@ -81,28 +81,26 @@ def video_writer(
 
 
 _SMOOTHING_S = 0.5
-"""Time over which the camera path is averaged in runs without a gait, s."""
+"""Averaging time for the camera path in runs without a gait, s."""
 
 _FORWARD_DEG = 25.0
-"""Angle by which the camera is turned towards the direction of motion, degrees.
-
-At 0 degrees the view is perpendicular to the direction of motion.
+"""Angle by which the camera is turned from a side view towards a rear view, degrees.
 """
 
 _DISTANCE_PER_SEPARATION = 0.7
-"""Additional camera distance per distance between the two plants, dimensionless."""
+"""Ratio of the additional camera distance to the distance between the plants."""
 
 _ELEVATION_DEG = {"bench": -60.0, "floor": -35.0}
 _DISTANCE_LENGTHS = {"bench": 2.6, "floor": 1.7}
-"""Camera distance, body lengths."""
+"""Camera distance, in body lengths."""
 
 
 class FollowCamera:
-    """Camera that follows the centre of mass and views the snake from its right side.
+    """Camera that follows the centre of mass of a snake and views it from the right.
 
-    The camera path is averaged over one gait period. If there is a ghost, the camera
-    follows the midpoint of the two bodies at a distance that keeps both bodies in view.
-    A snake on a bench is viewed from above by a fixed camera.
+    The path of the centre of mass is averaged over one gait period. If there is a
+    ghost, the camera follows the midpoint between twin and ghost and keeps both in
+    view. On a bench, a fixed camera views the snake obliquely from above.
     """
 
     def __init__(
@@ -113,7 +111,6 @@ class FollowCamera:
         bench: bool,
         ghost: Trajectory | None = None,
     ) -> None:
-        """Compute the camera path of a run."""
         setup = "bench" if bench else "floor"
         distance = _DISTANCE_LENGTHS[setup] * body_length
         if bench:
@@ -137,7 +134,7 @@ class FollowCamera:
         self._camera.distance = distance
 
     def at(self, row: int) -> mujoco.MjvCamera:
-        """Return the camera at a sample."""
+        """Return the camera for the sample with index `row`."""
         self._camera.lookat = [*self._target[row], 0.0]
         return self._camera
 
@@ -161,7 +158,7 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Size:
-    """Image size in pixels, even for video encoders."""
+    """Width and height of an image in pixels, which must be even for videos."""
 
     width: int = 1280
     height: int = 720
@@ -181,13 +178,13 @@ def write_video(
     """Write a video of a run and return the number of frames.
 
     Args:
-        path: MP4 file.
+        path: path of the MP4 file.
         scenario: simulated scenario.
         run: trajectory of the twin.
         size: frame size.
         fps: frame rate, Hz.
         speed: ratio of simulated time to playback time, less than 1 for slow motion.
-        ghost: name and trajectory of another plant, or None.
+        ghost: name and trajectory of a plant that is drawn translucent, or None.
         progress: callback that receives the completed fraction, from 0 to 1.
     """
     encoder()  # report a missing encoder before the frames are rendered
@@ -217,12 +214,12 @@ def write_image(
     """Write a PNG image of a run from the camera position used in videos.
 
     Args:
-        path: output file.
+        path: path of the PNG file.
         scenario: simulated scenario.
         run: trajectory of the twin.
-        time: time of the image, s. The image shows the sample nearest to this time.
+        time: time of the image, s, which is rounded to the nearest sample.
         size: image size.
-        ghost: name and trajectory of another plant, or None.
+        ghost: name and trajectory of a plant that is drawn translucent, or None.
     """
     stage, camera = _scene(scenario, run, ghost)
     first = float(run.time[0])
@@ -249,7 +246,7 @@ def _scene(
 
 @drawing
 def write_png(path: Path, pixels: np.ndarray) -> None:
-    """Write an image of shape (height, width, 3) and type uint8 as PNG."""
+    """Write an image, shape (height, width, 3), uint8, to a PNG file."""
     from matplotlib.image import imsave
 
     with atomic_write(path) as temporary:
@@ -264,22 +261,22 @@ _TOP = 0.35
 _BOTTOM = 0.85
 
 _MAX_ASPECT = 5.0
-"""Maximum ratio of width to height of the drawn floor."""
+"""Maximum width-to-height ratio of the drawn floor."""
 
 _MIN_ASPECT = 1.0
 _LINE_PIXELS = 3.0
 _MARGIN_LENGTHS = 0.35
-"""Margin around bodies and obstacles in body lengths."""
+"""Margin around bodies and obstacles, in body lengths."""
 
 
 @drawing
 def write_strobe(
     path: Path, scenario: Scenario, run: Trajectory, *, width: int = 1280
 ) -> None:
-    """Write a stroboscopic figure of a run as PNG. The width is in pixels.
+    """Write a stroboscopic figure of a run as a PNG file, `width` pixels wide.
 
-    The projection is orthographic, so that the axes (m) are valid everywhere on the
-    floor.
+    The projection is orthographic, so that positions on the floor can be read from the
+    axes (m).
     """
     stage = Stage(scenario, run)
     times = strobe_times({"twin": run}, scenario.robot.geometry)

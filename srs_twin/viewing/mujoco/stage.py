@@ -1,4 +1,4 @@
-"""MuJoCo scene of a finished run, drawn sample by sample."""
+"""MuJoCo scene that shows the samples of a finished run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from srs_twin.viewing.plots.style import (
 
 
 class Ghost(NamedTuple):
-    """Plant that is drawn translucent next to the twin."""
+    """Plant that is drawn translucent in the scene of the twin."""
 
     plant: str
     run: Trajectory
@@ -36,13 +36,13 @@ class Ghost(NamedTuple):
 
 _MAX_TRAIL_POINTS = 400
 _MAX_MARKS = 2000
-"""Maximum number of contact marks on the floor."""
+"""Approximate maximum number of contact marks on the floor."""
 _MARK_RATIO = 0.005
-"""Ratio of the radius of a contact mark to the body length."""
+"""Radius of a contact mark, in body lengths."""
 _OBSTACLE_ALPHA = 0.35
 _TEXT_COLOR = "#30333a"
 _GHOST_ALPHA = 0.13
-"""Opacity of the ghost's capsules, which is low because four or five capsules overlap.
+"""Opacity of each ghost capsule, which is low because four or five capsules overlap.
 """
 
 _GHOST_CHORDS = 6
@@ -50,11 +50,11 @@ _GHOST_CHORDS = 6
 
 _SCALE_BAR_M = 0.1
 _LINE_M = 0.001
-"""Thickness and half the width of lines on the floor, m."""
+"""Thickness of floor lines and half of their width, m."""
 
 
 class Stage:
-    """Scene of a run: robot and world of the scenario at the recorded positions.
+    """Scene of a run, with the robot and the world at recorded positions.
 
     Segments are coloured by pressure difference. The scene also contains the path of
     the centre of mass and the floor lines added by extensions.
@@ -69,7 +69,7 @@ class Stage:
         run: Trajectory,
         ghost: tuple[str, Trajectory] | None = None,
     ) -> None:
-        """Build the scene of a trajectory that has ``qpos`` columns."""
+        """Build the scene for a trajectory with ``qpos`` columns."""
         if not run.has("qpos") or not len(run):
             raise InputError(
                 "the run contains no positions of the twin (columns qpos_1…) to draw;"
@@ -117,7 +117,7 @@ class Stage:
         return int(np.abs(self.run.time - time).argmin())
 
     def show(self, row: int) -> None:
-        """Move the scene to the positions of a sample."""
+        """Set the positions and the segment colours to those of a sample."""
         self.data.qpos[:] = self._qpos[row]
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
@@ -140,9 +140,9 @@ class Stage:
     def add_lines(
         self, scene: mujoco.MjvScene, row: int, half_width: float = _LINE_M
     ) -> None:
-        """Add the floor lines and the path of the centre of mass up to a sample.
+        """Add the floor lines, and the centre-of-mass path up to a sample.
 
-        `half_width` is half the line width (m).
+        The line width is twice `half_width` (m).
         """
         if not self.bench:
             rows = np.append(self._trail_rows[self._trail_rows < row], row)
@@ -200,9 +200,9 @@ class Stage:
 
 
 def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return sample indices and points (m) of the floor contacts of a spatial snake.
+    """Return sample indices and points (m) at which a spatial snake touches the floor.
 
-    At most `_MAX_MARKS` contacts are returned.
+    Runs with more contacts are subsampled to about `_MAX_MARKS` contacts.
     """
     if not run.has("load"):
         return np.empty(0, dtype=int), np.empty((0, 2))
@@ -220,18 +220,19 @@ def add_line(
     half_width: float,
     level: int = 1,
 ) -> None:
-    """Add a floor line to a scene. The line is cut off if the scene has no free geoms.
+    """Add a line on the floor to a scene.
 
-    The line consists of flat boxes, because capsules would take longer to draw than the
-    rest of the scene. Each box is slightly higher than the previous box, because MuJoCo
-    lights coincident faces twice.
+    If the scene has no free geoms, the rest of the line is omitted. The line consists
+    of flat boxes, because capsules would take longer to draw than the rest of the
+    scene. Each box is slightly higher than the previous box, because MuJoCo lights
+    coincident faces twice.
 
     Args:
         scene: scene to which the line is added.
         points: points of the line, shape (n, 2), m.
-        color: colour, #rrggbb.
+        color: line colour, #rrggbb.
         half_width: half the line width, m.
-        level: layer of the line. Higher layers cover lower layers.
+        level: layer of the line, which covers the lines in lower layers.
     """
     box = mujoco.mjtGeom.mjGEOM_BOX
     rgba = np.array(unit_rgba(color), dtype=np.float32)
@@ -264,7 +265,7 @@ def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]
 
 
 def make_obstacles_translucent(model: mujoco.MjModel) -> None:
-    """Make obstacles translucent, because they may hide the snake."""
+    """Make obstacles translucent, so that they do not hide the snake."""
     for geom in range(model.ngeom):
         if re.match(r"(obstacle|polygon)_\d", model.geom(geom).name):
             model.geom_rgba[geom, 3] = _OBSTACLE_ALPHA
@@ -274,7 +275,7 @@ class Skins:
     """Visible geoms of the segments, coloured by pressure."""
 
     def __init__(self, model: mujoco.MjModel, segments: int) -> None:
-        """Find the geoms and dim the lights, so that colours are not overexposed."""
+        """Find the segment geoms, and dim the lights to avoid overexposed colours."""
         model.vis.headlight.ambient = [0.45] * 3
         model.vis.headlight.diffuse = [0.2] * 3
         model.light_diffuse[:] = 0.45
@@ -287,17 +288,17 @@ class Skins:
                 self.geoms[int(match[1]) - 1].append(geom)
 
     def paint(self, colors: np.ndarray) -> None:
-        """Set the colours of the segments as RGBA from 0 to 1, shape (segments, 4)."""
+        """Set the segment colours, RGBA from 0 to 1, shape (segments, 4)."""
         for geoms, color in zip(self.geoms, colors, strict=True):
             self._model.geom_rgba[geoms] = color
 
     def show(self, pressure: np.ndarray, full_scale: float) -> None:
-        """Colour the segments by the pressures of the + and − chambers.
+        """Colour the segments by the pressure difference between their chambers.
 
         Args:
-            pressure: pressures, shape (segments, 2).
-            full_scale: pressure difference drawn in the most saturated colour, in the
-                unit of `pressure`.
+            pressure: pressures of the + and − chambers, shape (segments, 2).
+            full_scale: pressure difference with the most saturated colour, in the unit
+                of `pressure`.
         """
         colors = pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale)
         self.paint(colors / np.float32(255))

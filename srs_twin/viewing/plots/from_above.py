@@ -1,4 +1,4 @@
-"""Paths and bodies in plan view."""
+"""Plan views of paths and bodies."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from srs_twin.viewing.plots.style import (
 )
 
 _MAX_BODIES = 6
-"""Maximum number of bodies in a plan view."""
+"""Maximum number of bodies drawn per run in a plan view."""
 
 _MIN_SPACING = 1.35
-"""Ratio of the minimum distance between drawn bodies to the body length."""
+"""Minimum distance between drawn bodies, in body lengths."""
 
 
 @drawing
 def plan_view(
     trajectories: Mapping[str, Trajectory], spec: RobotSpec, world: World | None = None
 ) -> Figure:
-    """Plot centre-of-mass paths with bodies at a few equally spaced times (Fig. 36).
+    """Plot centre-of-mass paths, and bodies at equally spaced times (Fig. 36).
 
-    Bodies of the twin are filled. Bodies of other plants are drawn as outlines.
+    The bodies of the twin are filled, and the bodies of other plants are outlined.
     """
     world = world or World()
     times = strobe_times(trajectories, spec.geometry)
@@ -82,19 +82,19 @@ def plan_view(
 def strobe_times(
     trajectories: Mapping[str, Trajectory], geometry: Geometry
 ) -> list[float]:
-    """Return up to six equally spaced times (s) at which the bodies do not overlap."""
+    """Return equally spaced times (s) for drawing bodies with little overlap."""
     run = next(iter(trajectories.values()))
     end = min(float(trajectory.time[-1]) for trajectory in trajectories.values())
     distance = np.hypot(*(run.com - run.com[0]).T)
     spacing = _MIN_SPACING * geometry.body_length
     count = int(np.interp(end, run.time, distance) / spacing + 1e-6) + 1
-    # If the snake hardly moved, only the start and the end are drawn.
+    # The start and the end are drawn even if the snake has hardly moved.
     times = np.linspace(float(run.time[0]), end, int(np.clip(count, 2, _MAX_BODIES)))
     return [float(time) for time in times]
 
 
 def samples_at(run: Trajectory, times: list[float]) -> list[Trajectory]:
-    """Return the samples at the given times (s) as trajectories of one sample each."""
+    """Return a trajectory with a single sample for each of the given times (s)."""
     rows = np.searchsorted(run.time, np.array(times) - 1e-9).clip(max=len(run) - 1)
     return [
         Trajectory({name: column[[row]] for name, column in run.columns.items()})
@@ -111,7 +111,7 @@ def draw_run(
     *,
     filled: bool,
 ) -> None:
-    """Draw the centre-of-mass path and the body at the given times (s)."""
+    """Draw the centre-of-mass path of a run, and the body at the given times (s)."""
     for sample in samples_at(run, times):
         draw_body(axes, sample, geometry, style, filled=filled)
     axes.plot(*run.com.T, **style.line)
@@ -121,7 +121,7 @@ def obstacle_patches(
     circles: Iterable[tuple[float, float, float]],
     polygons: Iterable[Iterable[tuple[float, float]]],
 ) -> list[Patch]:
-    """Return Matplotlib patches of circles (x, y and radius, m) and polygons (m)."""
+    """Return Matplotlib patches for circles (x, y, radius) and polygons, in m."""
     style: dict[str, Any] = {"facecolor": "0.35", "zorder": 1}
     return [
         *(Circle((x, y), radius, **style) for x, y, radius in circles),
@@ -132,9 +132,9 @@ def obstacle_patches(
 def object_outlines(
     run: Trajectory, times: list[float], world: World
 ) -> list[np.ndarray]:
-    """Return outlines of the movable objects at the given times (s), each (k, 2), m.
+    """Return the outlines of movable objects at the given times (s), each (k, 2), m.
 
-    The outline of a cylinder includes a radial line that shows the rotation.
+    The outline of a cylinder includes a radial line that shows the orientation.
     """
     if not run.has("object_x_1"):
         return []
@@ -162,7 +162,7 @@ def draw_body(
 ) -> None:
     """Draw the outline of a body and a dot at the head."""
     shape = LineString(body_line(sample, geometry)[0]).buffer(geometry.width / 2)
-    # If a body touches itself, the outline has holes.
+    # The outline of a body that touches itself has holes.
     rings = [np.asarray(ring.coords) for ring in (shape.exterior, *shape.interiors)]
     if filled:
         outline = Path.make_compound_path(*map(Path, rings))
@@ -178,7 +178,7 @@ def draw_body(
 def bounds(
     trajectories: Mapping[str, Trajectory], geometry: Geometry, times: list[float]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return opposite corners of a rectangle that contains all bodies, m."""
+    """Return two opposite corners of a rectangle around the drawn bodies, m."""
     bodies = [
         row.position[0]
         for run in trajectories.values()

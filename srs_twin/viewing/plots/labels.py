@@ -12,7 +12,7 @@ from srs_twin.comparison.sampling import split_unit as split_metric
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.file import with_extensions
 
-# Text that replaces each suffix of a metric name.
+# Texts that replace suffixes of metric names in labels.
 _SUFFIXES = {
     "_rel": ", relative difference",
     "_abs": ", size of difference",
@@ -44,19 +44,19 @@ _TITLES = {
     "wall_s": "time to compute",
     "plan_s": "time to plan",
 }
-"""Labels of metrics whose names make poor labels."""
+"""Labels of metrics whose names would be unclear as labels."""
 
 _SENTENCE_STARTS = ("What ", "Which ", "How ")
-"""Beginnings of schema titles that are full sentences and unsuitable as labels."""
+"""First words of schema titles that are unsuitable as labels."""
 
 _MAX_TITLE = 36
 """Maximum length of a schema title used as a label, in characters."""
 
 
 def field_label(path: str) -> str:
-    """Return the label of a field, for example 'gait frequency (Hz)'.
+    """Return the label of a scenario field, for example 'gait frequency (Hz)'.
 
-    The label is the schema title, or the key if the title is long.
+    The label is the title in the schema, or the key of the field if the title is long.
     """
     keys = path.split(".")
     name, unit = split_unit(keys[-1])
@@ -76,8 +76,8 @@ def field_label(path: str) -> str:
 def metric_label(metric: str) -> str:
     """Return the label of a metric, for example 'CoM speed (m/s)' for `com_speed_m_s`.
 
-    A number at the end of `metric` selects a list element, as in 'bend amplitude 2
-    (rad)'.
+    A number at the end of `metric` selects an element of a list-valued metric, as in
+    'bend amplitude 2 (rad)'.
     """
     units = all_units()
     stem, _, number = metric.rpartition("_")
@@ -131,7 +131,7 @@ def _schema() -> dict[str, Any]:
 
 
 def _options(node: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield a schema node and, recursively, the nodes it refers to or allows instead."""
+    """Yield a schema node and all nodes that it references or lists as options."""
     yield node
     if "$ref" in node:
         yield from _options(_schema()["$defs"][node["$ref"].rsplit("/", 1)[1]])

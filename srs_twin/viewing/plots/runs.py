@@ -1,7 +1,7 @@
 """Plots of runs and of the differences between plants.
 
-Lines differ in colour, dash pattern and width, so that colour-blind readers can
-distinguish them, also in greyscale.
+Lines differ in colour, dash pattern and width, so that they can be distinguished by
+colour-blind readers and in greyscale prints.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ if TYPE_CHECKING:
 Runs = Mapping[str, Trajectory]
 
 _MAX_ROWS = 8
-"""Maximum number of panels. For longer snakes, evenly spaced segments are plotted."""
+"""Maximum number of panels, each of which shows one segment."""
 
 _PERIODS_SHOWN = 4
-"""Number of gait periods in the plots of a long run."""
+"""Number of gait or reference periods shown for a long run."""
 
 _MAX_DOTS = 4000
-"""Maximum number of sensor measurements in a plot."""
+"""Maximum number of sensor readings drawn as dots for each run."""
 
-# Label of each difference from the measurement, and factor from SI to the plotted unit.
+# Axis label and unit conversion factor of each difference from the measured robot.
 _MEASURED_SIGNALS = {
     "shape_m": ("shape (mm)", 1e3),
     "path_m": ("CoM path (mm)", 1e3),
@@ -71,9 +71,10 @@ _MEASURED_SIGNALS = {
 
 @drawing
 def bend_plot(trajectories: Runs) -> Figure:
-    """Plot the bend of each segment over the last gait periods.
+    """Plot the bend of each segment.
 
-    A run without a gait is plotted from start to end.
+    For long runs of a gait, the plot shows the last gait periods, otherwise the whole
+    run.
     """
     return _by_segment(
         trajectories, lambda run: run.stack("bend"), "$q_{{{}}}$ (rad)", "Bends"
@@ -82,7 +83,7 @@ def bend_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def pressure_plot(trajectories: Runs) -> Figure:
-    """Plot p⁺ − p⁻ of each segment over the time range of `bend_plot`."""
+    """Plot the pressure difference p⁺ − p⁻ of each segment."""
     title = "Pressure differences $p^+ - p^-$ (kPa)"
     return _by_segment(
         trajectories, lambda run: 1e-3 * pressure_difference(run), "segment {}", title
@@ -91,7 +92,7 @@ def pressure_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def speed_plot(trajectories: Runs) -> Figure:
-    """Plot the instantaneous and period-averaged forward speed of the centre of mass."""
+    """Plot instantaneous and period-averaged forward speeds of the centre of mass."""
     figure, (axes,) = panels(3.0)
     for style, run in runs_with_styles(trajectories):
         period = gait_period(run)
@@ -120,7 +121,7 @@ def speed_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
-    """Plot shape and path differences in mm and in per cent of the body length."""
+    """Plot shape and path differences between plants, in mm and % of body length."""
     figure, (shape, path) = panels(4.0, 2, right=0.75)
     length = 1e3 * spec.geometry.body_length
     conversions = (
@@ -142,7 +143,7 @@ def error_plot(comparison: Comparison, spec: RobotSpec) -> Figure:
 
 
 def runs_with_styles(trajectories: Runs) -> list[tuple[Style, Trajectory]]:
-    """Return each run with its style."""
+    """Return the line style and the trajectory of each run."""
     return [
         (style_of(plant, index), run)
         for index, (plant, run) in enumerate(trajectories.items())
@@ -198,10 +199,7 @@ def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
 
 
 def _common_window(trajectories: Runs) -> _Window:
-    """Return the time range of the last gait periods that all runs contain.
-
-    For short runs, this is the whole time range.
-    """
+    """Return the time range of the last few gait periods that all runs contain."""
     first = min(float(run.time[0]) for run in trajectories.values())
     ends = [float(run.time[-1]) for run in trajectories.values()]
     period = max(gait_period(run) or 0.0 for run in trajectories.values())
@@ -216,11 +214,11 @@ def _common_window(trajectories: Runs) -> _Window:
 
 @drawing
 def learning_plot(trajectories: Runs) -> Figure:
-    """Plot bend amplitudes with targets and duty cycles, one row per module.
+    """Plot bend amplitudes and valve duty cycles, one row per module.
 
-    The left column shows the amplitudes, and the right column shows the valve duty
-    cycles. Colours distinguish the chambers, and dash patterns distinguish the plants.
-    Targets are thin dotted lines.
+    The left column shows the amplitudes with dotted targets, and the right column shows
+    the duty cycles. Colours distinguish the chambers, and dash patterns distinguish the
+    plants.
     """
     runs = [
         (style, PeriodAmplitudes.from_trajectory(run))
@@ -287,9 +285,8 @@ def tracking_plot(trajectories: Runs) -> Figure:
     """Plot reference, bend, sensor readings and valve states of the first segment.
 
     If the reference is periodic, the plot shows the last four periods, otherwise the
-    whole run. As in the dissertation, the valve state is 1 if the valves drive the bend
-    in the positive direction, −1 in the negative direction, and 0 if both valves hold
-    the pressure.
+    whole run. As in the dissertation, a valve state of 1 drives the bend in the
+    positive direction, and −1 in the negative direction.
     """
     count = len(trajectories)
     figure, (bends, *valves) = panels(
@@ -313,7 +310,7 @@ def tracking_plot(trajectories: Runs) -> Figure:
             bends.plot(time, measured_bend, color=style.color, linewidth=0.4, alpha=0.3)
         bends.plot(time, run["bend_1"][shown], **style.line, zorder=style.zorder)
         state = (run["valve_plus_1"] - run["valve_minus_1"])[shown] / 2
-        # A sample holds the valve states since the previous sample.
+        # A sample contains the valve states of the preceding interval.
         axes.step(time, state, where="pre", color=style.color, linewidth=0.8)
         axes.set(ylim=(-1.3, 1.3), yticks=[-1, 0, 1])
         finish(axes, f"{plant}\nvalves")
@@ -325,9 +322,9 @@ def tracking_plot(trajectories: Runs) -> Figure:
 
 @drawing
 def reading_plot(trajectories: Runs) -> Figure | None:
-    """Plot sensor readings, mean readings and mean errors against the bend.
+    """Plot readings and mean errors of the first segment's sensor against the bend.
 
-    Return None if all sensors are ideal.
+    If all sensors are ideal, the result is None.
     """
     curves = [
         (style, run, curve)
@@ -358,9 +355,9 @@ def reading_plot(trajectories: Runs) -> Figure | None:
 
 @drawing
 def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | None:
-    """Plot the RMS differences from the measured shape, path, heading and bends.
+    """Plot differences from the measured shape, path, heading and bends.
 
-    Return None if there are no measurements.
+    If there are no measurements, the result is None.
     """
     if not differences:
         return None
@@ -392,16 +389,16 @@ _REMAINDER_COLOR = "#8a8f98"
 _BAR_PITCH = 0.23
 """Spacing between the centres of neighbouring bars, inches."""
 _PANEL_GAP = 0.7
-"""Space for tick labels and a heading between two panels, inches."""
+"""Vertical gap between two panels for tick labels and a heading, inches."""
 
 
 @drawing
 def attribution_plot(attribution: Attribution) -> Figure:
-    """Plot the contributions of assumptions, sorted by size, one panel per measure.
+    """Plot the contribution of each assumption to the difference between the plants.
 
-    A contribution depends on the order in which assumptions are replaced, and a thin
-    line shows its range over all orders. The last two bars show the unexplained part
-    and the total difference, which is the sum of all other bars.
+    A contribution may depend on the order in which assumptions are replaced, and a thin
+    line shows the range over all orders. The last two bars show the unexplained
+    remainder and the total difference.
     """
     shares = _by_size(attribution.shares)
     names = [*(share.name for share in shares), "not explained", "twin − analytical"]
@@ -446,7 +443,7 @@ def attribution_plot(attribution: Attribution) -> Figure:
 
 
 def _by_size(shares: Sequence[AssumptionShare]) -> list[AssumptionShare]:
-    """Sort the contributions by the sum of their magnitudes, normalised per measure."""
+    """Sort assumptions by the sum of their normalised contributions."""
     value = np.abs([share.value for share in shares])
     size = (value / value.max(axis=0).clip(1e-12)).sum(axis=1)
     return [shares[i] for i in np.argsort(-size)]

@@ -1,4 +1,4 @@
-"""Signals computed from trajectories for plots."""
+"""Signals for plots, computed from trajectories."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from srs_twin.viewing.additions import added_to
 
 
 def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> Array:
-    """Return the centre line from head to tail, shape (samples, points, 2), m."""
+    """Return the body centre line, head to tail, shape (samples, points, 2), m."""
     lines = centre_lines(trajectory, geometry, chords)
     # Without a rigid gap, arc ends coincide with connectors and are omitted.
     unique = slice(0, -1) if geometry.rigid_gap else slice(1, -2)
@@ -25,7 +25,7 @@ def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> Ar
 
 
 def goal_ring(x: float, y: float, radius: float) -> Array:
-    """Return points on the circumference of a goal, shape (n, 2), m."""
+    """Return points on the boundary of a circular goal, shape (n, 2), m."""
     angle = np.linspace(0, 2 * np.pi, 49)
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     return np.array([x, y]) + radius * circle
@@ -38,9 +38,9 @@ def wheel_centres(trajectory: Trajectory, geometry: Geometry) -> Array:
 
 
 def wheel_turns(trajectory: Trajectory, geometry: Geometry) -> Array:
-    """Return the angles of wheels that roll without slip, shape (samples, N, 2), rad.
+    """Return wheel angles for rolling without slip, shape (samples, N, 2), rad.
 
-    The angle increases during forward motion.
+    Forward motion increases the angles.
     """
     centres = wheel_centres(trajectory, geometry)
     theta = trajectory.stack("connector_heading")
@@ -59,7 +59,7 @@ def pressure_difference(trajectory: Trajectory) -> Array:
 
 
 def kind_of(trajectories: Mapping[str, Trajectory]) -> str:
-    """Return the experiment kind: gait, bench, learning or a kind of an extension."""
+    """Return the kind of experiment, such as "gait", "bench" or "learning"."""
     runs = trajectories.values()
     for run in runs:
         if run.has("reference_1") or run.metadata.get("base") == "clamped":
@@ -77,9 +77,9 @@ def gait_period(trajectory: Trajectory) -> float | None:
 
 
 def reference_period(trajectory: Trajectory) -> float | None:
-    """Return the period of the first segment's reference, s.
+    """Return the period of the first segment's reference bend, s.
 
-    Return None if the reference is neither a sine wave nor a square wave.
+    The result is None unless the reference is a sine wave or a square wave.
     """
     if not trajectory.has("reference_1"):
         return None
@@ -95,7 +95,7 @@ def reference_period(trajectory: Trajectory) -> float | None:
 
 
 def forward_speed(trajectory: Trajectory) -> Array:
-    """Return the velocity of the centre of mass along the heading, m/s, (samples,)."""
+    """Return the centre-of-mass speed along the heading, shape (samples,), m/s."""
     if len(trajectory) < 2:
         return np.zeros(len(trajectory))
     velocity = np.gradient(trajectory.com, trajectory.time, axis=0)
@@ -104,11 +104,11 @@ def forward_speed(trajectory: Trajectory) -> Array:
 
 
 def period_speed(trajectory: Trajectory, period: float) -> tuple[Array, Array]:
-    """Return times (s) and the period-averaged speed at these times (m/s).
+    """Return times (s) and the period-averaged speeds at these times (m/s).
 
-    The speed is the displacement over one gait period centred at each time, divided by
-    the period. It is negative if the displacement is opposite to the heading. If the
-    run is shorter than a period, the arrays are empty.
+    Each speed is the displacement during one gait period, centred at the respective
+    time, divided by the period. The speeds of backward motion are negative. If the run
+    is shorter than one period, both arrays are empty.
     """
     time = trajectory.time
     heading = trajectory["heading"]

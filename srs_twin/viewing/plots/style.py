@@ -1,4 +1,4 @@
-"""Colours, line styles and margins of all plots, and export to image files.
+"""Colours, line styles and margins for all plots, and export to image files.
 
 All plots use Matplotlib's default settings, so that the user's `matplotlibrc` file and
 style sheets have no effect. Margins are fixed in inches, because Matplotlib's automatic
@@ -23,7 +23,7 @@ from srs_twin.io.files import atomic_write
 
 Alignment = Literal["left", "center"]
 _NO_PRESSURE = (225, 225, 222)
-"""Colour of a segment whose pressure difference is 0, RGB."""
+"""RGB colour of a segment without a pressure difference."""
 
 PLUS_COLOR = "#aa3377"
 """Colour of segments with p⁺ > p⁻."""
@@ -38,13 +38,13 @@ CONTACT_COLOR = "#55607a"
 
 
 def rgb(color: str) -> tuple[int, int, int]:
-    """Convert #rrggbb to bytes."""
+    """Convert a colour #rrggbb to RGB bytes."""
     red, green, blue = bytes.fromhex(color[1:])
     return red, green, blue
 
 
 def unit_rgba(color: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
-    """Return a colour #rrggbb as RGBA from 0 to 1, as MuJoCo expects."""
+    """Convert a colour #rrggbb to RGBA values from 0 to 1, as used by MuJoCo."""
     red, green, blue = rgb(color)
     return red / 255, green / 255, blue / 255, alpha
 
@@ -55,7 +55,7 @@ MINUS_RGB = rgb(MINUS_COLOR)
 
 @dataclass(frozen=True)
 class Style:
-    """Line style of a plant or another data source (palette of Okabe and Ito).
+    """Line style of a plant or another data source, with Okabe–Ito colours.
 
     Attributes:
         color: colour, #rrggbb.
@@ -76,7 +76,7 @@ class Style:
 
     @property
     def line(self) -> dict[str, Any]:
-        """Keyword arguments for `Axes.plot`."""
+        """Line style as keyword arguments for `Axes.plot`."""
         return {
             "color": self.color,
             "linestyle": self.dash,
@@ -86,7 +86,7 @@ class Style:
 
     @property
     def zorder(self) -> float:
-        """Drawing order. Dashed lines are drawn above solid lines."""
+        """Drawing order, in which dashed lines lie above solid lines."""
         if self.dash == "-":
             return 2.0
         return 2.1
@@ -118,14 +118,15 @@ def style_of(plant: str, index: int = 0) -> Style:
 def pressure_colors(
     difference: np.ndarray, full_scale: float | None = None
 ) -> np.ndarray:
-    """Return colours for pressure differences as RGBA bytes, shape (…, 4).
+    """Return RGBA colours for pressure differences, shape (…, 4), uint8.
 
-    Colours range from light grey to purple for p⁺ > p⁻ and to green for p⁺ < p⁻.
+    The colour changes from light grey at 0 to purple for p⁺ > p⁻ and to green for
+    p⁺ < p⁻.
 
     Args:
-        difference: p⁺ − p⁻. NaN is shown in grey.
-        full_scale: magnitude shown in the most saturated colour, or None for the
-            maximum magnitude.
+        difference: pressure difference p⁺ − p⁻, shape (…), or NaN.
+        full_scale: pressure difference with the most saturated colour, by default the
+            maximum magnitude of `difference`.
     """
     finite = np.nan_to_num(difference)
     if full_scale is None:
@@ -140,17 +141,14 @@ def pressure_colors(
 _SETTINGS = {
     name: value for name, value in rcParamsDefault.items() if name != "backend"
 }
-# A fixed salt makes SVG files reproducible. Text is stored as text, not as paths.
+# A fixed hash salt makes SVG files reproducible. Text is not converted to paths.
 _SETTINGS |= {"svg.hashsalt": "srs-twin", "svg.fonttype": "none"}
 
 
 @contextmanager
 def own_settings() -> Iterator[None]:
-    """Apply the Matplotlib settings of this package inside a `with` block.
-
-    The user's settings are restored at the end of the block.
-    """
-    # Setting all values would take a millisecond, so only different values are set.
+    """Apply the Matplotlib settings of this package inside a `with` block."""
+    # Only settings that differ are applied, because applying all settings takes 1 ms.
     with rc_context(
         {name: value for name, value in _SETTINGS.items() if rcParams[name] != value}
     ):
@@ -158,19 +156,15 @@ def own_settings() -> Iterator[None]:
 
 
 drawing = own_settings()
-"""Decorator for functions that draw a figure."""
+"""Decorator for drawing functions that applies `own_settings`."""
 
 _WIDTH = 9.0
 """Width of all figures, inches."""
 
+# Default margins for the title and the axis labels, inches.
 _LEFT = 0.75
-"""Default margin for the labels of the y axis, inches."""
-
 _TOP = 0.42
-"""Default margin for the title, inches."""
-
 _BOTTOM = 0.5
-"""Default margin for the labels of the x axis, inches."""
 
 
 def panels(
@@ -188,7 +182,7 @@ def panels(
         rows: number of panels.
         right: right margin, inches.
         share_y: whether the panels also share the y axis.
-        heights: relative panel heights.
+        heights: relative panel heights, from top to bottom.
     """
     figure, grid = side_by_side(
         height,
@@ -215,18 +209,16 @@ def side_by_side(
     space: float = 0.08,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:
-    """Create a figure with a grid of panels of shape (rows, columns).
+    """Create a figure and a grid of panels, shape (rows, columns).
 
     Args:
         height: figure height, inches.
-        columns: number of columns.
-        rows: number of rows.
         left: left margin, inches.
         right: right margin, inches.
         top: top margin, inches.
         bottom: bottom margin, inches.
         space: gap between panels as a fraction of the panel size.
-        options: arguments of `Figure.subplots`.
+        options: additional arguments of `Figure.subplots`.
     """
     figure = Figure(figsize=(_WIDTH, height))
     margins = {
@@ -258,7 +250,7 @@ def finish(
     title: str = "",
     loc: Alignment = "center",
 ) -> None:
-    """Add axis labels, title and grid to a panel."""
+    """Add axis labels, a title and a grid to a panel."""
     axes.set_ylabel(label, fontsize=9)
     if x_label:
         axes.set_xlabel(x_label)
@@ -273,7 +265,7 @@ FORMATS = (".png", ".svg")
 
 @drawing
 def save(figure: Figure, path: str | Path, dpi: float = 130) -> None:
-    """Atomically write a figure as PNG (with `dpi` pixels per inch) or SVG.
+    """Atomically write a figure as SVG, or as PNG with `dpi` pixels per inch.
 
     Equal figures yield identical files.
     """

@@ -1,1 +1,1 @@
-"""Rerun recordings of runs, and the Rerun viewer."""
+"""Recordings of runs in Rerun's format, and the Rerun viewer."""

@@ -1,4 +1,4 @@
-"""Initial layout of a recording: scene on the left, plots on the right."""
+"""Initial layout of a recording, with the scene on the left and plots on the right."""
 
 from __future__ import annotations
 
@@ -13,33 +13,32 @@ import rerun.blueprint as rrb
 from srs_twin.viewing.additions import FollowedSignal
 
 TIMELINE = "sim_time"
-"""Name of the timeline of simulated time (s)."""
+"""Name of the timeline for the simulated time (s)."""
 
 _PERIODS_SHOWN = 4
-"""Number of gait periods around the time cursor in the plots."""
+"""Number of gait periods that plots show around the time cursor."""
 
 Rows = list[rrb.Container | rrb.View]
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Parameters of the layout of a recording.
+    """Parameters for the viewer layout of one run.
 
     Attributes:
         camera_target: entity inside `world/` that the camera follows.
-        start: start position, m, shape (2,).
+        start: mean start position of the plants, m, shape (2,).
         heading: initial heading, rad.
         body_length: body length, m.
-        separation: maximum distance between two centres of mass, m.
-        period: gait period, s. Plots show a few periods around the time cursor, or the
-            whole run if the period is None.
-        compared: whether plants are compared.
-        signals: signals plotted above the other signals.
+        separation: twice the maximum distance of a plant from the mean position, m.
+        period: gait period, s, or None if plots show the whole run instead of a few
+            periods around the time cursor.
+        compared: whether to plot the differences between the plants.
+        signals: signals that are plotted above all other signals.
         speeds: limits of the speed axis, m/s, or None for automatic limits.
         events: whether the run has events.
-        root: parent entity of the run, used if a recording contains several runs.
-        measured: quantities compared with a measured robot, out of shape, path and
-            bend.
+        root: parent entity of the run in a recording of several runs.
+        measured: quantities compared with a measured robot ("shape", "path", "bend").
     """
 
     plants: Sequence[str]
@@ -60,18 +59,18 @@ class Layout:
 
     @property
     def world(self) -> str:
-        """Entity of the scene."""
+        """Entity that contains the scene."""
         if self.root:
             return f"{self.root}/world"
         return "world"
 
 
 def run_blueprint(layout: Layout) -> rrb.Blueprint:
-    """Return the layout of one run. The plots depend on the kind of experiment."""
+    """Return the layout of one run, with plots that suit the kind of experiment."""
     rows = _plots(layout)
     shares = [2] * (len(rows) - 1) + [3]
     if layout.events:
-        # The plant column is omitted because the colour of an event shows the plant.
+        # There is no plant column, because the colour of an event shows the plant.
         columns = rrb.TextLogColumns(
             timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]
         )
@@ -84,7 +83,7 @@ def run_blueprint(layout: Layout) -> rrb.Blueprint:
 
 
 def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
-    """Return the layout of several runs with at most three runs per row."""
+    """Return a layout that shows several runs, at most three in a row."""
     columns = []
     for name, layout in layouts.items():
         body = rrb.Tabs(
@@ -164,9 +163,9 @@ def _measured_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
 
 
 def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs:
-    """Return one tab per module.
+    """Return tabs with one plot per module.
 
-    The middle tab is active, because differences are small in the first module.
+    The middle tab is active, because plants differ little in the first module.
     """
     views = [
         _plot(f"module/{j}{signal}", name.format(j), **options)
@@ -177,7 +176,7 @@ def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs
 
 
 def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
-    """Return the 3-D view, whose camera follows the snakes on the right side."""
+    """Return a 3-D view with a camera that follows the snakes from the right."""
     if not name:
         name = "Both plants, grid 0.1 m" if len(layout.plants) > 1 else "Grid 0.1 m"
     right = np.array([np.sin(layout.heading), -np.cos(layout.heading)])

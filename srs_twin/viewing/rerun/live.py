@@ -1,13 +1,14 @@
 """Live view of a robot in Rerun.
 
-The view shows the estimated state with uncertainty, the prediction, the innovations and
-the detected faults. The timeline is `sim_time`, in seconds since the start. Entities:
+The view shows the estimated state with its uncertainty, the predicted motion, the
+innovations and the detected faults. The timeline `sim_time` counts seconds since the
+start. The following entities are logged:
 
 - `world/floor`
 - `world/robot/{body, connectors, spread, trail}`: estimate
 - `world/next/{path, fan}`: prediction
 - `lamps`: text with the detected faults
-- `bend/segment_j`
+- `bend/segment_j`: estimated bends, rad
 - `off/{bends, poses, pressures}`: innovations in standard deviations
 """
 
@@ -42,7 +43,7 @@ from srs_twin.viewing.rerun.viewer import (
 
 _BODY_HEIGHT_M = 0.02
 _FLOOR_HEIGHT_M = 0.003
-"""Height of lines and discs above the floor to prevent flicker, m."""
+"""Height above the floor at which lines do not flicker, m."""
 
 _MAX_TRAIL_POINTS = 300
 _PREDICTION_COLOR = (242, 142, 43)
@@ -51,11 +52,11 @@ _LOST_COLOR = (208, 32, 32)
 """Colour of the body if the estimate is unreliable."""
 
 _Z95 = 1.96
-"""Half width of the 95 % interval of the standard normal distribution."""
+"""Half-width of the 95 % interval in a standard normal distribution."""
 
 
 class LiveEstimate(Protocol):
-    """Current state estimate of a robot, such as `live.estimate.Estimate`."""
+    """Interface of a state estimate, such as `live.estimate.Estimate`."""
 
     @property
     def time(self) -> float:
@@ -63,7 +64,7 @@ class LiveEstimate(Protocol):
 
     @property
     def connectors(self) -> np.ndarray:
-        """Poses of the connectors, shape (N, 3), m, m, rad."""
+        """Connector poses (x, y, heading), shape (N, 3), m, m, rad."""
 
     @property
     def bend(self) -> np.ndarray:
@@ -71,19 +72,19 @@ class LiveEstimate(Protocol):
 
     @property
     def pose(self) -> np.ndarray:
-        """Pose, shape (3,), m, m, rad."""
+        """Centre of mass (x, y) and mean heading, shape (3,), m, m, rad."""
 
     @property
     def pose_sd(self) -> np.ndarray:
-        """Standard deviations of the pose, shape (3,)."""
+        """Standard deviations of the pose, shape (3,), m, m, rad."""
 
     @property
     def lost(self) -> str | None:
-        """Reason why the estimate is unreliable, or None."""
+        """Reason why the estimate is unreliable, else None or an empty string."""
 
     @property
     def off(self) -> Mapping[str, float]:
-        """Innovations in standard deviations for each kind of measurement."""
+        """Innovation of each kind of measurement, in standard deviations."""
 
     @property
     def faults(self) -> tuple[tuple[str, str, float], ...]:
@@ -91,22 +92,21 @@ class LiveEstimate(Protocol):
 
 
 class LiveForecast(Protocol):
-    """Predicted poses of a robot, such as `live.estimate.Prediction`."""
+    """Interface of a predicted motion, such as `live.estimate.Prediction`."""
 
     @property
     def pose(self) -> np.ndarray:
-        """Poses, shape (times, 3), m, m, rad."""
+        """Predicted poses, shape (times, 3), m, m, rad."""
 
     @property
     def pose_sd(self) -> np.ndarray:
-        """Standard deviations of the poses, shape (times, 3)."""
+        """Standard deviations of the poses, shape (times, 3), m, m, rad."""
 
 
 class LiveView:
-    """Logger that sends estimates and predictions to a Rerun viewer."""
+    """Logger that sends estimates and predictions to a Rerun stream."""
 
     def __init__(self, spec: RobotSpec, log: rr.RecordingStream) -> None:
-        """Send the layout to a stream."""
         self._log = log
         self._spec = spec
         self._start = math.nan
@@ -196,7 +196,7 @@ def _fault_text(estimate: LiveEstimate) -> str:
 def live_view(
     spec: RobotSpec, *, recording: Path | None, window: bool, web: bool
 ) -> Iterator[tuple[LiveView, str]]:
-    """Stream to viewers and to a file during a `with` block.
+    """Stream a live view to viewers and to a file during a `with` block.
 
     The context manager yields the view and the URL of the web page. Without a web page,
     the URL is an empty string.

@@ -1,18 +1,18 @@
-"""Rerun recordings of finished runs, written in columns after the simulation.
+"""Rerun recordings of finished runs.
 
-Entities:
+A recording contains the following entities:
 
 - `world/floor`, `world/eye` (target of the camera), `world/obstacles`,
   `world/plan/{path, edges, goal}`
-- `world/<plant>/{body/segment_j, connectors, wheels, spokes, trail, com, contact}`
-- `module/<j>/{bend, pressure, valve, measured_bend, duty}/<plant>`
+- `world/<plant>/{body, connectors, wheels, spokes, trail, com, contact}`
+- `module/<j>/{bend, pressure, valve, sensed, duty}/<plant>`
 - `body/{speed, heading}/<plant>`, `follow/{cross_track, offset}/<plant>`
 - `comparison/{shape, path}`, `measured/{shape, path, bend}/<plant>`
 - `events/<plant>`: text of controller events and contacts with obstacles
 
-The timeline is `sim_time`, the simulated time in seconds. Values have SI units, except
-for pressures in kPa and distances between plants in mm. A recording of several runs has
-one parent entity per run and shows the runs side by side.
+The timeline is `sim_time`, the simulated time in seconds. Plotted pressures are in kPa,
+plotted distances are in mm, and all other values have SI units. A recording of several
+runs has one parent entity per run.
 """
 
 from __future__ import annotations
@@ -71,7 +71,10 @@ if TYPE_CHECKING:
 
 APPLICATION = "srs_twin"
 SCENE_HZ = 50.0
-"""Maximum sample rate of shapes, Hz. Signals keep all samples."""
+"""Approximate maximum sample rate of moving shapes, Hz.
+
+Plotted signals keep all samples.
+"""
 
 _CAMERA_TARGET = "eye"
 _WARNINGS = ("saturation", "fault", "reading_lost", "no_new_plan", "contact", "ended")
@@ -81,14 +84,14 @@ _READING_WIDTH = 0.6
 """Line width of sensor readings, points."""
 
 _CHAMBER_COLORS = {"plus": PLUS_COLOR, "minus": MINUS_COLOR}
-# Unlike black, grey is visible on both dark and light backgrounds.
+# Unlike black, grey is visible on dark and light backgrounds.
 _REFERENCE = replace(REFERENCE, color="#8a8a8a")
 
 
 def write_recording(path: str | Path, content: RunContent, *, title: str = "") -> None:
-    """Write a recording of a run with a scene and signal plots.
+    """Write a Rerun recording of a run.
 
-    By default, `title` is the title of the robot.
+    The default `title` is the title of the robot.
     """
     trajectories = content.trajectories
     residuals = {
@@ -164,10 +167,10 @@ def _residuals(difference: MeasuredDifference) -> dict[str, np.ndarray]:
 
 
 def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
-    """Send a blueprint like `log.send_blueprint`, but close the auxiliary stream.
+    """Send a blueprint like `log.send_blueprint`, but without a resource leak.
 
-    Rerun 0.41 leaves this stream open, so that each recording would leak two threads
-    and 2 MB of memory.
+    Rerun 0.41 leaves an auxiliary stream open, which costs two threads and 2 MB of
+    memory for each recording.
     """
     carrier = rr.RecordingStream._from_native(  # noqa: SLF001
         bindings.new_blueprint(
@@ -180,14 +183,14 @@ def send_blueprint(log: rr.RecordingStream, blueprint: Blueprint) -> None:
     carrier.set_time("blueprint", sequence=0)
     blueprint._log_to_stream(carrier)  # noqa: SLF001
     content = carrier.memory_recording()
-    # The blueprint becomes the active and the default layout. Otherwise, the viewer
-    # would reuse the layout of another robot.
+    # The blueprint becomes the active layout and the default layout. Otherwise, the
+    # viewer would reuse the layout of another robot.
     bindings.send_blueprint(content.storage, True, True, recording=log.to_native())
     carrier.disconnect()
 
 
 def subsample(trajectory: Trajectory, rate_hz: float) -> Trajectory:
-    """Keep every n-th sample, so that the sample rate is about `rate_hz`."""
+    """Return a trajectory with the sample rate reduced to about `rate_hz`."""
     steps = np.diff(trajectory.time[:2])
     stride = 1
     if len(steps) and steps[0] > 0:
@@ -213,7 +216,7 @@ def _layout(
     spec = content.spec
     followed = trajectories.get("twin") or next(iter(trajectories.values()))
     _, coms = _coms(trajectories)
-    # The axis includes zero, because a truncated axis exaggerates differences.
+    # The speed axis includes zero, because a truncated axis exaggerates differences.
     speeds = np.concatenate(
         [[0.0, 1e-3], *(_speed(run)[1] for run in trajectories.values())]
     )
@@ -248,7 +251,6 @@ def _coms(trajectories: Mapping[str, Trajectory]) -> tuple[np.ndarray, np.ndarra
 
 
 def _separation(coms: np.ndarray) -> float:
-    """Return twice the maximum distance of a plant from the mean of all plants."""
     return 2 * float(np.linalg.norm(coms - coms.mean(axis=0), axis=-1).max())
 
 
@@ -285,12 +287,7 @@ def _send_floor(
 
 
 def _send_modules(to: Entities, plant: str, run: Trajectory, style: Style) -> None:
-    """Log bends, pressures, valve states, sensor readings and duty cycles.
-
-    The valve state of a module is 1 if the valves drive the bend in the positive
-    direction, −1 in the negative direction, and 0 if both valves have equal states.
-    Readings of an ideal sensor are omitted.
-    """
+    """Log the signals of all modules, without the readings of ideal sensors."""
 
     def send(name: str, values: np.ndarray, style: Style, steps: bool = False) -> None:
         for j, value in enumerate(values.T, start=1):
@@ -361,14 +358,14 @@ class _StoredRun:
 
     @property
     def snakes(self) -> list[str]:
-        """Names of the plants, which are the entities with a centre of mass."""
+        """Names of the plants, recognised by their centre-of-mass entities."""
         paths = (chunk.entity_path.split("/") for chunk in self.chunks)
         return list(
             dict.fromkeys(path[2] for path in paths if path[1::2] == ["world", "com"])
         )
 
     def points(self, entity: str, component: str, rows: int | None = 1) -> np.ndarray:
-        """Return rows of a point component (all if `rows` is None), shape (n, 3)."""
+        """Return points of the first `rows` samples (None for all), shape (n, 3), m."""
         for chunk in self.chunks:
             if chunk.entity_path == entity and not chunk.is_static:
                 batch = chunk.to_record_batch()
@@ -414,7 +411,7 @@ class _StoredRun:
 
 
 def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None:
-    """Write one recording that shows several runs, each with a floor and plots."""
+    """Write a recording that shows several recorded runs side by side."""
     from rerun.chunk import RrdReader
 
     runs = []
@@ -422,7 +419,7 @@ def write_side_by_side(path: str | Path, recordings: Mapping[str, Path]) -> None
         verify_recording(recording)
         reader = RrdReader(recording)
         stored, *_ = reader.recordings()
-        # Entities whose names begin with `__` are properties of the file.
+        # Entities whose names begin with `__` contain properties of the file.
         chunks = reader.stream(store=stored).to_chunks()
         kept = (chunk for chunk in chunks if not chunk.entity_path.startswith("/__"))
         runs.append(_StoredRun(name, tuple(kept)))

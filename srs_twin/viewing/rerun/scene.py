@@ -1,4 +1,4 @@
-"""Scene of a recording: snakes, obstacles, contact forces and floor lines."""
+"""Scene of a recording, with snakes, obstacles, contact forces and floor lines."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from srs_twin.viewing.plots.style import OBJECT_COLOR, Style, pressure_colors, r
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 
 METRES_PER_NEWTON = 0.05
-"""Length of force arrows per newton, m/N. The weight of light robots is about 2 N."""
+"""Length of force arrows per newton, m/N."""
 
 FORCE_COLOR = "#d02020"
 _FORCE_RADIUS_M = 0.002
@@ -40,7 +40,7 @@ _OBSTACLE_HEIGHT_M = 0.06
 
 @dataclass(frozen=True)
 class Entities:
-    """Writer of entities that share sample times.
+    """Writer of Rerun entities that share sample times.
 
     Attributes:
         time: sample times, s.
@@ -58,7 +58,7 @@ class Entities:
     def send(
         self, name: str, columns: rr.ComponentColumnList, count: int | np.ndarray = 1
     ) -> None:
-        """Send columns with `count` values per sample."""
+        """Log columns that have `count` values per sample."""
         rows = columns.partition(np.broadcast_to(count, len(self.time)))
         self.log.send_columns(
             f"{self.root}{name}", [rr.TimeColumn(TIMELINE, duration=self.time)], rows
@@ -67,16 +67,17 @@ class Entities:
     def line(
         self, name: str, values: np.ndarray, style: Style, *, steps: bool = False
     ) -> None:
-        """Send a signal as a line.
+        """Log a signal as a line.
 
-        If `steps` is true, only changes of the value and the last sample are sent.
+        If `steps` is true, the signal is a step function, of which only changes and the
+        last sample are logged.
         """
         entities = self
         mode = None
         if steps:
             changed = np.flatnonzero(np.append(True, values[1:] != values[:-1]))
             changes = np.append(changed, len(values) - 1)
-            # A sample holds the value since the previous sample.
+            # A sample contains the value of the preceding interval.
             begins = np.append(np.maximum(changed - 1, 0), changes[-1])
             entities = replace(self, time=self.time[begins])
             values = values[changes]
@@ -92,7 +93,7 @@ class Entities:
 
 
 def send_obstacles(to: Entities, world: World) -> None:
-    """Log the obstacles as `obstacles/round` and `obstacles/straight`."""
+    """Log circles as `obstacles/round`, and polygons as `obstacles/straight`."""
     if circles := world.obstacles:
         upright = rr.Cylinders3D(
             centers=[(c.x, c.y, _OBSTACLE_HEIGHT_M / 2) for c in circles],
@@ -132,11 +133,12 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
 
 
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
-    """Log the forces that obstacles exert on a snake as arrows at a height in m.
+    """Log the forces that obstacles exert on a snake, as arrows.
 
-    An arrow starts at the centre of a connector. It shows the force on the connector
-    and on the adjacent halves of the neighbouring segments. All samples are logged,
-    because a contact may be shorter than the sample interval of the shapes.
+    Each arrow starts at the centre of a connector, `height` (m) above the floor. The
+    arrow shows the force on the connector and on the adjacent half segments. All
+    samples are logged, because a contact may be shorter than the sample interval of the
+    scene.
     """
     if not run.has("obstacle_force_x"):
         return
@@ -160,10 +162,10 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
 
 
 _LINE_HEIGHT_M = 0.001
-"""Height of lines above the floor to prevent flicker, m."""
+"""Height above the floor at which lines do not flicker, m."""
 
 CHORDS = 6
-"""Number of capsules per arc.
+"""Number of capsules along the arc of a segment.
 
 At a bend of 90°, each capsule covers 15°, and the round capsule ends hide the corners.
 """
@@ -171,7 +173,7 @@ At a bend of 90°, each capsule covers 15°, and the round capsule ends hide the
 Rgba = tuple[int, int, int, int]
 _GHOST_ALPHA = 120
 _MAX_TRACKS = 20_000
-"""Maximum number of points drawn where a spatial snake touched the floor."""
+"""Maximum number of points that mark floor contacts of a spatial snake."""
 _CONNECTOR_COLOR: Rgba = (70, 74, 82, 255)
 _WHEEL_COLOR: Rgba = (28, 30, 34, 255)
 _SPOKE_COLOR: Rgba = (200, 202, 206, 255)
@@ -180,9 +182,10 @@ _SPOKE_COLOR: Rgba = (200, 202, 206, 255)
 def send_snake(
     to: Entities, snake: Trajectory, spec: RobotSpec, style: Style, *, ghost: bool
 ) -> None:
-    """Log a snake.
+    """Log a snake and its path.
 
-    A ghost is drawn in the colour of its plant. Other snakes are coloured by pressure.
+    A ghost is drawn in the colour of its plant. Other snakes are coloured by pressure
+    difference.
     """
     geometry = spec.geometry
     wheeled = spec.skin is None
@@ -220,7 +223,7 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
         name = f"body/segment_{j + 1}"
         line = lines[:, j]
         step = np.diff(line, axis=1)
-        # Chord lengths are static, because they vary by only 0.3 % for bends up to 90°.
+        # Chord lengths are logged once, as they vary by only 0.3 % for bends up to 90°.
         lengths = np.linalg.norm(step[0], axis=-1)
         tube = rr.Capsules3D.from_fields(
             lengths=lengths, radii=[geometry.width / 2], fill_mode="solid"
@@ -237,10 +240,10 @@ def _send_tubes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
 def _send_body_mesh(
     to: Entities, snake: Trajectory, geometry: Geometry, color: Rgba
 ) -> None:
-    """Log the body as a single hexagonal tube, because overlapping capsules look opaque."""
+    """Log the body as one hexagonal tube, because overlapping capsules look opaque."""
     lines = spatial_centre_lines(snake, geometry, CHORDS)
-    # Duplicate points are omitted: neighbouring segments share an end, and without a
-    # rigid gap, arc ends coincide with connectors.
+    # Duplicate points are omitted. Neighbouring segments share an end, and arc ends
+    # coincide with connectors if there is no rigid gap.
     unique = slice(1, -2)
     if geometry.rigid_gap or snake.has("z"):
         unique = slice(0, -1)
@@ -251,7 +254,7 @@ def _send_body_mesh(
     left = np.cross([0.0, 0.0, 1.0], tangent)
     left /= np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-9)
     up = np.cross(tangent, left)
-    # Coincident surfaces would flicker, so the tube is thinner than the other body.
+    # Coincident surfaces would flicker, so the ghost is thinner than the other snake.
     radius = 0.46 * geometry.width
     angle = np.arange(6)[:, None] * np.pi / 3
     around = np.cos(angle) * left[:, :, None] + np.sin(angle) * up[:, :, None]
@@ -266,7 +269,7 @@ def _send_body_mesh(
 
 
 def _tube_triangles(rings: int) -> np.ndarray:
-    """Return triangles between hexagonal rings, counter-clockwise from outside."""
+    """Return outward-facing triangles between hexagonal rings."""
     ring, corner = np.meshgrid(np.arange(rings - 1), np.arange(6), indexing="ij")
     first = 6 * ring + corner
     second = 6 * ring + (corner + 1) % 6
@@ -296,7 +299,6 @@ def _send_wheels(
 
 
 def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
-    """Log a bar on each wheel that shows the rotation."""
     radius = geometry.wheel_radius
     half = [0.85 * radius, 0.22 * radius, 0.13 * radius]
     yaw = snake.stack("connector_heading")[:, :, None] / 2
@@ -319,7 +321,6 @@ def _send_solids(
     rotations: np.ndarray,
     **appearance: Any,
 ) -> None:
-    """Log solids whose number is the same in all samples."""
     to.static(name, shape.from_fields(fill_mode="solid", **appearance))
     poses = shape.columns(
         centers=centres, quaternions=rotations.reshape(-1, 4).astype(np.float32)
@@ -352,8 +353,8 @@ def _at_height(points: np.ndarray, height: float) -> np.ndarray:
 
 
 def _along(steps: np.ndarray) -> np.ndarray:
-    """Return quaternions xyzw, shape (n, 4), that align Rerun capsules (z) with steps."""
-    # Without a rigid gap, the first and last step of a segment have length 0.
+    """Return quaternions xyzw, shape (n, 4), that rotate the z axis onto each step."""
+    # Without a rigid gap, the first and last steps of a segment have length 0.
     length = np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-12)
     x, y, z = np.moveaxis(steps / length, -1, 0)
     turn = np.stack([-y, x, 0.0 * x, 1.0 + z], axis=-1)
@@ -362,7 +363,7 @@ def _along(steps: np.ndarray) -> np.ndarray:
 
 
 def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
-    """Return quaternions xyzw, shape (n, 4), that turn the z axis to a yaw angle."""
+    """Return quaternions xyzw, shape (n, 4), that lay the z axis flat at each yaw."""
     s = np.sin(yaw / 2)
     c = np.cos(yaw / 2)
     turns: np.ndarray = np.sqrt(0.5) * np.stack([-s, c, s, c], axis=-1)
@@ -370,5 +371,5 @@ def _yaw_quaternions(yaw: np.ndarray) -> np.ndarray:
 
 
 def _packed(rgba: np.ndarray) -> np.ndarray:
-    """Pack bytes (n, 4) into integers 0xRRGGBBAA, which Rerun does not copy."""
+    """Pack RGBA bytes, shape (n, 4), into integers 0xRRGGBBAA, shape (n,)."""
     return np.ascontiguousarray(rgba).view(">u4").reshape(-1).astype(np.uint32)

@@ -1,8 +1,8 @@
-"""Run the Rerun viewer in a child process or a browser, and verify recordings.
+"""Rerun viewer in a window or a browser, and verification of recordings.
 
-The viewer accepts connections from this machine only. Rerun's web page loads fonts from
-the internet, which discloses that the page is used, or delays it if there is no network.
-A proxy server therefore removes the links to the fonts. It also adds a
+Only this machine can connect to the viewer. Rerun's web page would load fonts from the
+internet, which discloses the use of the page and causes a delay without a network. A
+proxy server therefore removes the links to the fonts. The proxy server also adds a
 Content-Security-Policy, so that the browser blocks all requests to other hosts.
 """
 
@@ -33,7 +33,7 @@ _INSTALL = "pip install 'rerun-sdk>=0.41,<0.42'"
 
 
 def has_rerun() -> bool:
-    """Return whether Rerun is installed. Without Rerun, runs are not recorded."""
+    """Return whether Rerun is installed."""
     return find_spec("rerun") is not None
 
 
@@ -48,7 +48,7 @@ def require_rerun() -> None:
 
 
 def rerun_executable() -> Path:
-    """Return the path of `rerun` in the environment of the Python interpreter."""
+    """Return the path of the program `rerun` in the Python environment."""
     program = Path(sys.executable).parent / (
         "rerun.exe" if os.name == "nt" else "rerun"
     )
@@ -58,13 +58,13 @@ def rerun_executable() -> Path:
 
 
 def lacks_display() -> bool:
-    """Return whether the machine has no display for a window."""
+    """Return whether this is a Linux machine without a display."""
     display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
     return sys.platform.startswith("linux") and not display
 
 
 def open_recording(path: str | Path) -> None:
-    """Open a recording in the native viewer and wait until the viewer is closed."""
+    """Open a recording in a viewer window and wait until the window is closed."""
     recording = _recording(path)
     program = rerun_executable()
     if lacks_display():
@@ -90,8 +90,7 @@ def verify_recording(path: str | Path) -> None:
     recording = _recording(path)
     command = [str(rerun_executable()), "rrd", "verify", str(recording)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
-    # If the file is no recording, the exit code is 0 and the output says "0 files
-    # verified".
+    # If the file is no recording, `rerun` exits with 0 and prints "0 files verified".
     if "1 file verified" not in done.stdout + done.stderr:
         lines = (done.stderr or done.stdout).strip().splitlines()
         raise InputError(
@@ -111,21 +110,21 @@ def _recording(path: str | Path) -> Path:
 
 
 HOST = "127.0.0.1"
-"""Address on which the viewer accepts connections."""
+"""Address at which the viewer accepts connections."""
 
 _STOP_TIMEOUT_S = 10.0
-"""Time between SIGTERM and SIGKILL for the viewer, s."""
+"""Time between SIGTERM and SIGKILL when the viewer is stopped, s."""
 
 Rerun = subprocess.Popen[bytes]
 
 
 @contextmanager
 def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
-    """Run Rerun and yield the process and its output file."""
+    """Run Rerun in a `with` block and yield the process and its output file."""
     command = [str(rerun_executable()), "--bind", HOST, *arguments]
     with tempfile.TemporaryFile() as output:
         # The script `rerun` starts the actual program in a child process. A process
-        # group allows both to be stopped together.
+        # group allows both processes to be stopped together.
         rerun = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
@@ -140,14 +139,14 @@ def running_rerun(*arguments: str) -> Iterator[tuple[Rerun, IO[bytes]]]:
 
 
 def free_port() -> int:
-    """Return a free TCP port of this machine."""
+    """Return the number of a free TCP port on this machine."""
     with socket.socket() as probe:
         probe.bind((HOST, 0))
         return int(probe.getsockname()[1])
 
 
 def output_lines(output: IO[bytes]) -> list[str]:
-    """Return the lines that Rerun has printed, or "no output" as the only line."""
+    """Return the lines printed by Rerun, or the single line "no output"."""
     output.seek(0)
     return output.read().decode(errors="replace").strip().splitlines() or ["no output"]
 
@@ -187,7 +186,7 @@ def serve_recordings(
     """Serve recordings in the web viewer on 127.0.0.1.
 
     The context manager yields the URL of the page and a function that serves requests
-    until an interrupt.
+    until it is interrupted.
 
     Args:
         recordings: paths of the recordings.
@@ -254,18 +253,18 @@ class _ProxyHandler(BaseHTTPRequestHandler):
             self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Log nothing."""
+        """Suppress log messages."""
 
 
 def _opener() -> urllib.request.OpenerDirector:
-    """Return a URL opener without proxies, for requests to this machine."""
+    """Return a URL opener that connects to this machine without a proxy."""
     return urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
 def is_served(
     server: subprocess.Popen[bytes], addresses: Sequence[str], timeout_s: float
 ) -> bool:
-    """Wait for answers from all addresses and return whether all of them answered."""
+    """Wait for all addresses to respond, and return whether they did in time."""
     deadline = time.monotonic() + timeout_s
     while server.poll() is None and time.monotonic() < deadline:
         try:

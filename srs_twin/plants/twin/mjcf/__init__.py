@@ -1,1 +1,1 @@
-"""MJCF models of robots and their surroundings, and export of the models."""
+"""MJCF models of robots and their surroundings, and export of these models."""

@@ -1,12 +1,12 @@
 """Bodies and contact points of a robot with skin and distributed mass.
 
-Hinges divide the body into rods. A rod is either a connector with the adjoining ends of
-its segments, or a link between two hinges of a segment. A rod has the mass of its part
-of the body and the inertia of a block that is as wide as the body and twice as high as
-the centre of mass.
+The hinges divide the body into rigid rods. A rod is either a connector with the
+adjoining ends of its segments, or a link between two hinges of a segment. Each rod has
+the mass of its part of the body. Its inertia is that of a cuboid with the width of the
+body and twice the height of the centre of mass.
 
-A rod is divided into equally long patches. Two contact points are side by side in the
-middle of each patch. The contact geoms are frictionless spheres centred at the height
+Each rod is divided into patches, with two contact points side by side in the middle of
+each patch. The contact geoms are frictionless spheres with their centres at the height
 of the centre of mass. Friction is computed from the contact forces (`contact_loaded`).
 """
 
@@ -21,17 +21,17 @@ from srs_twin.plants.twin.mjcf.numerics import ModelSettings, hinge_stations
 from srs_twin.robot.spec import RobotSpec
 
 _MIN_LENGTH = 1e-9
-"""Length relative to the pitch below which a rod part is a rounding error."""
+"""Length as a fraction of the pitch, below which a rod part is a rounding error."""
 
 
 class Rod(NamedTuple):
-    """Rigid part of the body, with distances from the head of the straight snake.
+    """Rigid part of the body, described by distances from the head of a straight snake.
 
     Attributes:
-        name: name of the rod's MuJoCo body.
+        name: name of the MuJoCo body.
         origin: distance of the body frame from the head, m.
-        front: distance of the rod's front end from the head, m.
-        back: distance of the rod's rear end from the head, m.
+        front: distance of the front end from the head, m.
+        back: distance of the rear end from the head, m.
     """
 
     name: str
@@ -62,10 +62,10 @@ def rods(spec: RobotSpec, settings: ModelSettings) -> list[Rod]:
 
 
 class Patch(NamedTuple):
-    """Part of a rod within one segment, with contact points in the middle.
+    """Part of a rod within one segment, with two contact points in the middle.
 
     Attributes:
-        place: distance of the patch's middle from the head, m.
+        place: distance of the middle of the patch from the head, m.
         length: length of the patch, m.
         mass: mass of the patch, kg.
     """
@@ -77,7 +77,10 @@ class Patch(NamedTuple):
 
 
 def patches(spec: RobotSpec, settings: ModelSettings) -> list[Patch]:
-    """Return the equally long patches of each rod of a robot with skin, head first."""
+    """Return the patches of a robot with skin, head first.
+
+    The patches of a rod have equal lengths within each segment.
+    """
     assert spec.skin is not None, "wheels have no patches"
     assert spec.mass.segments is not None, "a robot with skin has masses of segments"
     pitch = spec.geometry.pitch
@@ -98,7 +101,7 @@ def patches(spec: RobotSpec, settings: ModelSettings) -> list[Patch]:
 
 
 def add_belly(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -> None:
-    """Set the masses of all bodies, and add contact points if there is a floor."""
+    """Set the inertia of each body, and add contact points if the snake is free."""
     all_patches = patches(spec, settings)
     for rod in rods(spec, settings):
         _set_inertia(
@@ -137,11 +140,11 @@ def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> N
 
 
 def root_connector(spec: RobotSpec) -> int:
-    """Return the number of the middle connector, which has the free joint.
+    """Return the number of the middle connector, which is the root of the free snake.
 
-    With the root in the middle, no contact is more than half of the chain away from the
-    root, and a step takes a third less time than with the head as root. The integrator
-    evaluates inertia at the beginning of a step. The resulting error of the mean speed
-    is a fifth of the error with the head as root.
+    Compared with the head as root, the computation of a time step takes a third less
+    time, because the root is closer to the contacts. The integrator evaluates the
+    inertia at the beginning of a step. The resulting error of the mean speed is a fifth
+    of the error with the head as root.
     """
     return (spec.geometry.connectors + 1) // 2

@@ -1,8 +1,4 @@
-"""Default classes of the MJCF, with common properties of joints, geoms and actuators.
-
-Elements state only their class, name and position, and values that depend on the mass
-of a connector, such as axle friction and preload.
-"""
+"""MJCF default classes with common properties of joints, geoms and actuators."""
 
 from __future__ import annotations
 
@@ -19,14 +15,14 @@ from srs_twin.plants.twin.mjcf.numerics import (
 from srs_twin.robot.spec import RobotSpec
 
 ROOT = "snake"
-"""Name of the class from which all classes of a robot inherit."""
+"""Name of the default class from which all other classes of a robot inherit."""
 
 # Colours, RGBA.
 _SILICONE = [0.93, 0.66, 0.42, 1]
 _PLASTIC = [0.2, 0.23, 0.28, 1]
 _RUBBER = [0.07, 0.07, 0.08, 1]
 
-# Groups of geoms and sites. Viewers show the groups 0 to 2.
+# Groups of geoms and sites. By default, viewers show groups 0 to 2.
 _VISUAL_GROUP = 2
 _COLLISION_GROUP = 3
 _HIDDEN_GROUP = 5
@@ -72,8 +68,8 @@ def add_classes(
         drag.gear = [1, 0, 0, 0, 0, 0]
         drag.biastype = mujoco.mjtBias.mjBIAS_AFFINE
         drag.gainprm[0] = 0.0
-        # Up to the slip speed the drag is proportional to the speed and is integrated
-        # implicitly. Above the slip speed the drag is constant.
+        # Up to the slip speed, the drag is proportional to the speed and is integrated
+        # implicitly. Above the slip speed, the drag is constant.
         drag.biasprm[2] = -limit / stated(settings.contact.slip_speed)
         drag.forcelimited = True
         drag.forcerange = [-limit, limit]
@@ -87,12 +83,12 @@ def foot_radius(spec: RobotSpec, contact: Contact) -> float:
 
 
 def drawn_radius(spec: RobotSpec) -> float:
-    """Return the radius of the drawn body, m."""
+    """Return the radius with which viewers draw the body, m."""
     return spec.geometry.width / 2.5
 
 
 def drawn_height(spec: RobotSpec) -> float:
-    """Return the height of the drawn body above the centres of mass, m."""
+    """Return the height at which viewers draw the body above the centres of mass, m."""
     unit = spec.scale.length
     height = (
         drawn_radius(spec) * _FLANGE_RATIO
@@ -105,8 +101,9 @@ def drawn_height(spec: RobotSpec) -> float:
 def _add_joints(
     mj: mujoco.MjSpec, root: mujoco.MjsDefault, spec: RobotSpec, settings: ModelSettings
 ) -> None:
-    # The integrator evaluates a spring with stiffness k at the end of a step h, which
-    # adds the damping h k. The dampers are therefore reduced by h k.
+    # The integrator evaluates a spring with stiffness k at the end of a step of length
+    # h, which acts as additional damping h k. The damping coefficients are therefore
+    # reduced by h k.
     bending = spec.bending
     n = settings.hinges_per_segment
     joints: list[tuple[str, list[float], float, float]] = [

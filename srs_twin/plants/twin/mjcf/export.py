@@ -1,20 +1,20 @@
-"""Export of robots as MJCF files in the layout of MuJoCo Menagerie.
+"""Export of robots to MJCF files with the layout of MuJoCo Menagerie.
 
 The file ``<robot>.xml`` contains the robot. The file ``scene.xml`` includes the robot
-and adds floor, light, contact pairs and floor-force sensors. Numbers are written in
-full precision, so that the files compile to a model that is bit-identical to the twin's
-model. The file ``scene_mjx.xml`` omits the features that MJX and MuJoCo Warp do not
-support.
+file and adds a floor, a light, contact pairs and sensors for the floor forces. The file
+``scene_mjx.xml`` omits the features that MJX and MuJoCo Warp do not support. All
+numbers have full precision, so that ``scene.xml`` compiles to a model that is
+bit-identical to the twin with preloaded contact.
 
-The controls are pressures. If the damping time c/k of the segments differs from the
-time constant τ₂ of the bending mode, each chamber has two actuators. In segment 1, for
-example, the control of `plus_1` is the pressure, and the control of `plus_1_lag` is the
-mean pressure over the time step.
+The controls are chamber pressures. If the damping time c/k of the segments differs from
+the time constant τ₂ of the bending mode, each chamber has two actuators. In segment 1,
+for example, the control of `plus_1` is the pressure, and the control of `plus_1_lag` is
+the mean pressure during the time step.
 
-MuJoCo's actuators are linear in the pressures, so the export limits the moments instead
-of the bends. A robot with a dead zone is rejected unless the user converts the
-pressures before they are applied as controls (`equivalent_linear_pressure` of
-`pneumatics.chambers`).
+The actuators are linear in the pressures, so a bend limit is exported as a limit on the
+moment. A robot with a dead zone is rejected by default. Users can request a linear
+model and convert the pressures with `pneumatics.chambers.equivalent_linear_pressure`
+before they apply the pressures as controls.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ _DEPARTURES = {
     "modules.sensor_gain_spread": _SENSORS,
     "modules.sensor_bias_spread_rad": _SENSORS,
 }
-"""How the exported model departs from the twin, by key of a robot file."""
+"""Differences between exported models and the twin, for keys of a robot file."""
 
 
 def describe_departures(robot: RobotFile) -> Iterator[str]:
-    """Yield a line for each property that the export omits or approximates."""
+    """Yield a line of text for each property that the export omits or approximates."""
     on_bench = robot.geometry.connectors.value == 2
     for path, record in robot.records().items():
         departure = _DEPARTURES.get(path)
@@ -90,12 +90,10 @@ def export_robot(spec: RobotSpec, folder: Path) -> list[Path]:
 
 
 def write_files(files: dict[str, str], folder: Path) -> list[Path]:
-    """Write files into a folder, which is created if necessary, and return their paths.
+    """Write files into a folder and return their paths.
 
-    Args:
-        files: mapping from file name to text. Included files must precede the files
-            that include them.
-        folder: path of the folder.
+    The folder is created if necessary. Included files must precede the files that
+    include them.
 
     Raises:
         InputError: the folder cannot be written.
@@ -113,13 +111,13 @@ def robot_files(
 
     Args:
         spec: robot to export.
-        supply_pa: upper limit of the controls, Pa, unless the limits of the robot are
-            higher.
-        linear: whether to omit the dead zone of a robot instead of rejecting the robot.
+        supply_pa: upper limit of the pressure controls, unless the robot has higher
+            pressure limits, Pa.
+        linear: whether to omit the dead zone of a robot instead of raising an error.
 
     Raises:
-        InputError: the robot has a skin, or its tail has two axles, or it has a dead
-            zone and `linear` is false.
+        InputError: the robot has a skin or a tail with two axles, or it has a dead zone
+            and `linear` is false.
     """
     if spec.skin is not None:
         raise InputError(
@@ -134,7 +132,7 @@ def robot_files(
             " linear, so the exported model would move as if it had no dead zone."
             " Export it with --linear if you convert its controls (models/README.md)"
         )
-    # A single segment cannot crawl, so the exported segment is clamped.
+    # A robot with a single segment cannot crawl, so it is exported with a clamped head.
     bench = spec.segments == 1
     timestep = ModelSettings.timestep * spec.scale.time
     base = "clamped" if bench else "free"
@@ -165,11 +163,11 @@ def robot_files(
 def _add_lags(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
     """Give each chamber a second actuator that lags behind the pressure.
 
-    The compressed air in a nominal segment exerts the moment k x + c ẋ, with the
-    stiffness k and the damping c. The free bend x obeys τ₂ ẋ = G (p⁺ − p⁻) − x, where
-    τ₂ is the time constant, G the gain, and p⁺, p⁻ are the chamber pressures. With T =
-    c/k the moment is (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻). No second actuator is
-    needed if T = τ₂.
+    The compressed air in a segment exerts the moment k x + c ẋ, with free bend x,
+    stiffness k and damping c. The free bend obeys τ₂ ẋ = G (p⁺ − p⁻) − x, with time
+    constant τ₂, gain G and chamber pressures p⁺ and p⁻. With T = c/k, the moment is
+    therefore (1 − T/τ₂) k x + (T/τ₂) k G (p⁺ − p⁻). If T = τ₂, no second actuator is
+    needed.
     """
     fraction = spec.bending.damping_time / spec.actuator.tau_mode
     if math.isclose(fraction, 1.0, rel_tol=1e-9):
@@ -198,8 +196,8 @@ def _limit_moments(mj: mujoco.MjSpec, spec: RobotSpec) -> None:
 
 
 def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
-    # The integrator of MJX and MuJoCo Warp adds no damping to the springs, so the
-    # dampers have their full coefficients.
+    # The integrator of MJX and MuJoCo Warp adds no damping to springs, so the damping
+    # coefficients are not reduced.
     for sensor in mj.sensors:
         mj.delete(sensor)
     mj.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -210,7 +208,7 @@ def _adapt_to_mjx(mj: mujoco.MjSpec) -> None:
 
 
 def _comment(*lines: str) -> str:
-    # XML comments must not contain two consecutive hyphens, but titles may.
+    # XML comments must not contain two consecutive hyphens, but titles of robots may.
     return "\n       ".join(lines).replace("--", "- -")
 
 
@@ -222,7 +220,8 @@ def _text(mj: mujoco.MjSpec) -> str:
 
 
 def _include_robot(name: str, robot: str, scene: str) -> str:
-    # MuJoCo writes neither an `include` element nor contact pairs without their geoms.
+    # MuJoCo cannot write an `include` element, or contact pairs whose geoms are
+    # missing.
     document = minidom.parseString(scene)
     top = document.documentElement
     robot_top = minidom.parseString(robot).documentElement

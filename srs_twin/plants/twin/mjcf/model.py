@@ -1,27 +1,30 @@
-"""MuJoCo model of a robot: a chain of connectors and segments on a floor.
+"""MuJoCo model of a robot, which is a chain of connectors and segments.
 
-The robot is a free-floating chain in three dimensions, built in both directions from
-its middle connector. A connector is a body with two feet on the floor (`wheels`). A
-robot with skin lies on the floor with its whole body (`belly`).
+The chain has a free joint and is built in both directions from its middle connector. A
+connector is a body with two feet on the floor (`wheels`). A robot with skin lies on the
+floor with its whole body (`belly`).
 
 A segment with stiffness k and damping c is a chain of n equal bending hinges, each with
-stiffness n k and damping n c. One pitch hinge and one roll hinge in the middle of the
-segment distribute the floor load. The controls are the chamber pressures p⁺ and p⁻ in
-Pa. The actuators ``plus_j`` and ``minus_j`` exert the moment k G (p⁺ − p⁻), where G is
-the gain, on the tendon ``bend_j``, whose length is the bend q_j of the segment.
+stiffness n k and damping n c. A pitch hinge and a roll hinge in the middle of the
+segment distribute the floor load among the connectors. The controls are the chamber
+pressures p⁺ and p⁻, in Pa. The actuators ``plus_j`` and ``minus_j`` act on the tendon
+``bend_j``, whose length is the bend q_j of segment j. Together they exert the moment k
+G (p⁺ − p⁻) with the gain G.
 
-A spatial robot has no pitch hinge. Each bending hinge is paired with a tilt hinge,
-which rotates the head end upwards. Two successive rotations about different axes
-produce a twist. To cancel the twist, the order of the two hinges alternates along the
-segment. The actuators ``air_left_j`` and ``air_up_j`` act on the tendons ``bend_j`` and
-``tilt_j``. The control of these actuators is the free bend, and they exert k times the
-free bend. If the robot has an `Actuator.extension`, the link in the middle of a segment
-has a slide joint ``stretch_j`` with the axial stiffness of a solid round section. The
-actuator ``air_along_j`` exerts this axial stiffness times the free extension.
+A spatial robot has tilt hinges instead of pitch hinges. Each bending hinge is paired
+with a tilt hinge, which rotates the front of the segment upwards. The order of the two
+hinges alternates along the segment, so that the twists due to successive rotations
+about different axes cancel. The actuators ``air_left_j`` and ``air_up_j`` act on the
+tendons ``bend_j`` and ``tilt_j``. Their controls are the free bends, and their moments
+are the free bends times the bending stiffnesses. If the robot has an
+`Actuator.extension`, the middle of each segment has a slide joint ``stretch_j`` with
+the axial stiffness of a solid round section. The actuator ``air_along_j`` exerts this
+stiffness times the free extension.
 
-With a clamped base (`ModelSettings.base`) the head is fixed to the world. The model
-then has no floor, wheels or preload. A clamped model also has no pitch and roll hinges,
-because the chain bends in the horizontal plane, in which gravity does no work.
+With a clamped base (`ModelSettings.base`), the head is fixed to the world. The model
+then has no wheels, floor contacts or preload. A clamped planar robot has no pitch and
+roll hinges either, because it bends in the horizontal plane, in which gravity does no
+work.
 """
 
 from __future__ import annotations
@@ -68,16 +71,16 @@ def robot_mjcf(
     supply_pa: float | None = None,
     obstacle_friction: float | None = None,
 ) -> MjSpec:
-    """Build the robot without floor: bodies, joints, tendons and actuators.
+    """Build the bodies, joints, tendons and actuators of a robot, without the floor.
 
     Args:
         spec: robot to build.
         settings: time step, discretisation and contact.
-        supply_pa: upper limit of the controls, Pa, unless the limits of the robot are
-            higher.
+        supply_pa: upper limit of the pressure controls, unless the robot has higher
+            pressure limits, Pa.
         obstacle_friction: friction coefficient of the collision geoms that touch
-            obstacles (`surroundings`), dimensionless. Without this argument the body
-            has no collision geoms.
+            obstacles (`surroundings`), dimensionless. By default, the body has no
+            collision geoms.
 
     Raises:
         InputError: the twin does not support the robot with these settings (`rules`).
@@ -118,19 +121,19 @@ def scene_mjcf(
     supply_pa: float | None = None,
     world: World | None = None,
 ) -> MjSpec:
-    """Build the robot on a floor with obstacles, objects, contact pairs and sensors.
+    """Build a robot on a floor, with obstacles, objects, contact pairs and sensors.
 
-    The sensors measure forces in the world frame, N.
+    All force sensors report the force in the world frame, N.
 
     Args:
         spec: robot to build.
         settings: time step, discretisation and contact.
-        supply_pa: upper limit of the controls, Pa, as in `robot_mjcf`.
-        world: floor and obstacles. Without `world`, the floor is level and has no
+        supply_pa: upper limit of the pressure controls, as in `robot_mjcf`, Pa.
+        world: floor, obstacles and objects. The default is a level floor without
             obstacles.
 
     Raises:
-        InputError: the twin does not support the combination (`rules`).
+        InputError: the twin does not support the combination of arguments (`rules`).
     """
     world = world or World()
     check(spec, settings, world)
@@ -158,27 +161,26 @@ def _set_options(mj: MjSpec, settings: ModelSettings) -> None:
     option.iterations = 50
     option.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if settings.loaded:
-        # There are few normal forces, so the engine may choose between a dense and a
-        # sparse Jacobian. A strict tolerance is needed, because errors of 1e-7 in the
-        # normal forces would push stopping wheels sideways, in a direction that depends
-        # on the CPU.
+        # The engine may choose between a dense and a sparse Jacobian, because the
+        # number of constraints is small. The tolerance is strict, because errors of
+        # 1e-7 in the normal forces would push stopping wheels sideways, in a direction
+        # that depends on the CPU.
         option.jacobian = mujoco.mjtJacobian.mjJAC_AUTO
         option.tolerance = 1e-12
     else:
-        # A dense Jacobian is slow with the constraint rows of friction. A tolerance of
-        # 1e-7 changes gait speeds by 2e-7 and leaves less than 1e-5 m/s at rest.
+        # A dense Jacobian would be slow, because friction adds many constraints. A
+        # tolerance of 1e-7 changes gait speeds by 2e-7 and leaves a residual speed of
+        # less than 1e-5 m/s at rest.
         option.jacobian = mujoco.mjtJacobian.mjJAC_SPARSE
         option.tolerance = 1e-7
 
 
 @dataclass(frozen=True)
 class _Chain:
-    """Chain of connectors and segments that is added to a model.
+    """Builder of the chain of connectors and segments in a model.
 
-    A station is the distance of a point along a straight segment from the connector at
-    which the segment is attached. `ahead` is the direction of a segment along the x
-    axis, −1 behind the root and 1 in front of the root. Numbers in names are counted
-    from the head.
+    The argument `ahead` is the building direction along the x axis, 1 in front of the
+    root and −1 behind it. Connectors, segments and hinges are numbered from the head.
     """
 
     mj: MjSpec
@@ -224,11 +226,7 @@ class _Chain:
             add_wheels(self.mj, body, spec, i, self.settings)
 
     def _add_segment(self, body: MjsBody, near: int, far: int) -> MjsBody:
-        """Add the segment between two neighbouring connectors and return the far one.
-
-        Each hinge is the parent of the next hinge, and the last one is the parent of
-        the far connector.
-        """
+        """Add the segment between two connectors and return the far connector."""
         spec = self.spec
         g = spec.geometry
         n = self.settings.hinges_per_segment
@@ -249,8 +247,8 @@ class _Chain:
             anchor = ahead * (hinges[k] - origins[k])
             in_middle = k == n // 2
             if in_middle and spec.actuator.extension:
-                # The slide joint precedes the hinges, so that it acts along the link in
-                # front.
+                # The slide joint precedes the hinges, so that it acts along the parent
+                # link.
                 self._add_joint(body, "stretch", f"stretch_{j}", anchor, ahead)
             self._add_hinges(body, j, k, anchor, ahead)
             if in_middle:
@@ -293,8 +291,8 @@ class _Chain:
     ) -> MjsJoint:
         """Add a joint at position x (m).
 
-        In front of the root the axis of the joint is reversed, so that the sign of the
-        angle is independent of the building direction.
+        In front of the root, the joint axis is reversed, so that the angle has the same
+        sign in both building directions.
         """
         joint = body.add_joint(self.mj.find_default(kind), name=name, pos=[x, 0, 0])
         if ahead > 0:

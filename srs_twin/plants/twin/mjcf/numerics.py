@@ -12,33 +12,33 @@ from srs_twin.errors import InputError, check_choice
 from srs_twin.robot.spec import RobotSpec
 
 TIMESTEP_S = 0.001
-"""Default time step at a time unit of 1 (`robot.scale`), s."""
+"""Default time step for a robot with a time unit of 1 (`robot.scale`), s."""
 
 MAX_STEP_RATIO = 1.5
 """Maximum ratio of the time step to the damping time of the segments.
 
-The springs diverge if the ratio is 2 or more.
+The simulation diverges if the ratio is 2 or more.
 """
 
 SLIP_SPEED_M_S = 0.001
-"""Default slip speed at a time unit of 1, m/s."""
+"""Default slip speed for a robot with a time unit of 1, m/s."""
 
 SLIP_TIME_S = 0.0003
-"""Default slip time of a preloaded contact at a time unit of 1, s."""
+"""Default slip time of preloaded contact for a robot with a time unit of 1, s."""
 
 AXLE_TIME_S = 0.002
-"""Default axle time of a preloaded contact at a time unit of 1, s."""
+"""Default axle time of preloaded contact for a robot with a time unit of 1, s."""
 
 LawOnLoads = Literal["wheel", "ellipse", "axis", "cosine"]
 LAWS_ON_LOADS: tuple[LawOnLoads, ...] = get_args(LawOnLoads)
-"""Friction laws for loaded contact."""
+"""Friction laws that are available with loaded contact."""
 
 LOADS = ("instantaneous", "across", "static")
-"""Values of `LoadedContact.load`, which select the wheel load of the friction law.
+"""Values of `LoadedContact.load`, which selects the wheel load in the friction law.
 
 - instantaneous: the instantaneous normal force.
-- across: the weight of the connector, divided in the ratio of the normal forces on its
-  two wheels, as in the analytical model.
+- across: the weight of the connector, distributed in proportion to the normal forces on
+  its two wheels, as in the analytical model.
 - static: half of the weight of the connector.
 """
 
@@ -48,12 +48,12 @@ WHEELS: tuple[Wheels, ...] = get_args(Wheels)
 FRICTION_LAW_OF: dict[Wheels, LawOnLoads] = {"rolling": "wheel", "skid": "ellipse"}
 
 PRELOAD = {"rolling": 39.0, "skid": 99.0}
-"""Preload κ of a wheel and of a skid, dimensionless.
+"""Default preload κ of wheels and skids, dimensionless.
 
-A skid slides in both directions, so its contact opens more easily than the contact of a
-wheel. With κ = 19, connectors rocked from one skid to the opposite one, and the
-amplitude of the loads was as large as the mean load. With κ = 59, only the loads of the
-tail oscillated so strongly.
+A skid slides in both directions, so its contact opens more easily than that of a wheel.
+With κ = 19, connectors rock from one skid to the other, and the loads oscillate with an
+amplitude as large as the mean load. With κ = 59, such strong oscillations occur only at
+the tail.
 """
 
 
@@ -63,13 +63,13 @@ class LoadedContact:
 
     Attributes:
         law: friction law, "wheel", "ellipse", "axis" or "cosine" (docs/friction.md). A
-            robot with skin has the friction law of the skin instead.
-        load: load of a wheel in the friction law, one of `LOADS`. The values other than
-            the default "instantaneous" are only for comparison.
+            robot with skin uses the friction law of the skin instead.
+        load: wheel load in the friction law, one of `LOADS`. Values other than
+            "instantaneous" are intended for comparisons.
         slip_speed: slip speed ε, m/s. The default is `SLIP_SPEED_M_S` times the time
-            unit of the robot (`robot.scale`). Below the friction limit μN, the force
-            changes in each step by μN/ε times the velocity, so that a resting contact
-            does not creep (`stick_slip`).
+            unit of the robot (`robot.scale`). Below its limit μN, friction changes by
+            μN/ε times the slip velocity in each step, so that a resting contact does
+            not creep (`stick_slip`).
     """
 
     name: ClassVar[Literal["loaded"]] = "loaded"
@@ -91,15 +91,15 @@ class LoadedContact:
 
 @dataclass(frozen=True)
 class PreloadedContact:
-    """Floor contact with MuJoCo's own friction, on wheels or skids with a preload.
+    """Floor contact with MuJoCo's own friction, for wheels or skids with a preload.
 
     Friction acts as if each wheel carried its static load, as in the analytical model.
 
     Attributes:
         wheels: kind of feet, "rolling" (wheels on hinges) or "skid" (runners).
         preload: preload κ, the ratio of the additional normal force on each wheel to
-            the static load, dimensionless. `PRELOAD` contains the defaults.
-        slip_time: time constant with which contact friction stops a slip
+            its static load, dimensionless. The defaults are in `PRELOAD`.
+        slip_time: time constant with which contact friction stops slipping
             (`solreffriction`), s. The default is `SLIP_TIME_S` times the time unit of
             the robot (`robot.scale`).
         axle_time: time constant with which axle friction stops the rotation of a wheel,
@@ -141,7 +141,7 @@ class PreloadedContact:
 
     @property
     def preload_ratio(self) -> float:
-        """Preload κ (dimensionless), by default the value in `PRELOAD`."""
+        """Preload κ, by default the value in `PRELOAD`, dimensionless."""
         if self.preload is None:
             return PRELOAD[self.wheels]
         return self.preload
@@ -163,7 +163,10 @@ def _scaled(value: float | None, default: float, spec: RobotSpec) -> float:
 
 
 def stated(setting: float | None) -> float:
-    """Return a contact setting, which `for_robot` must have set if it was None."""
+    """Return a contact setting that is not None.
+
+    The method `for_robot` replaces settings that are None.
+    """
     assert setting is not None
     return setting
 
@@ -171,7 +174,7 @@ def stated(setting: float | None) -> float:
 Contact = LoadedContact | PreloadedContact
 ContactName = Literal["loaded", "preloaded"]
 UNSTATED_CONTACT: ContactName = "preloaded"
-"""Contact assumed for stored results that do not name their contact."""
+"""Contact that is assumed for stored results that do not name their contact."""
 
 
 def as_contact(contact: Contact | str) -> Contact:
@@ -191,14 +194,14 @@ class Numerics:
     """Settings that only studies of the twin itself change.
 
     Attributes:
-        link_fraction: fraction of the lightest connector's mass that is placed between
-            the hinges of a segment, dimensionless. In the dissertation the connectors
-            have all the mass.
-        wheel_spin: factor on the wheels' moment of inertia about their axles,
-            dimensionless.
+        link_fraction: mass of the links between the hinges of a segment as a fraction
+            of the lightest connector's mass, dimensionless. In the dissertation, the
+            links have no mass.
+        wheel_spin: factor that multiplies the moment of inertia of each wheel about its
+            axle, dimensionless.
         constant_curvature: whether the hinges of a segment are constrained to equal
             angles, as in the analytical model. Without this constraint, a loaded
-            segment can also bend into an S.
+            segment can also bend into an S shape.
     """
 
     link_fraction: float = 0.02
@@ -213,9 +216,8 @@ class ModelSettings:
     Attributes:
         timestep: time step, s.
         hinges_per_segment: number of bending hinges per segment, 1 or more.
-        base: support of the chain, "free" or "clamped". A chain with a clamped head
-            hangs in the air and bends only in the horizontal plane.
-        numerics: settings that only studies of the twin itself change.
+        base: support of the chain, either "free" on the floor or "clamped" in the air
+            at its head. A clamped planar robot bends only in the horizontal plane.
     """
 
     timestep: float = TIMESTEP_S
@@ -226,7 +228,7 @@ class ModelSettings:
 
     @property
     def loaded(self) -> bool:
-        """Whether the loaded contact is used, which requires a robot on the floor."""
+        """Whether the robot is on the floor and has loaded contact."""
         return isinstance(self.contact, LoadedContact) and self.base == "free"
 
     def for_robot(self, spec: RobotSpec) -> ModelSettings:
@@ -241,10 +243,10 @@ class ModelSettings:
     def contact_time(self, spec: RobotSpec) -> float:
         """Return the time constant of the normal contact, s.
 
-        Under loaded contact, the time constant is two time steps, because the normal
-        forces oscillate with a single time step. Under a preload, the time constant is
-        a fraction of the damping time of the pitch and roll joints, which distribute
-        the load.
+        With loaded contact, the time constant is two time steps, because the normal
+        forces would oscillate with a time constant of one step. With preloaded contact,
+        the time constant is a fraction of the damping time of the pitch and roll
+        joints, which distribute the load.
         """
         if self.loaded:
             return 2 * self.timestep
@@ -252,7 +254,7 @@ class ModelSettings:
 
 
 _CONTACT_RATIO = 10.0
-"""Ratio of the damping time of pitch and roll to the contact time under a preload."""
+"""Ratio of the out-of-plane damping time to the preloaded contact's time constant."""
 
 Preset = Literal["reference", "fast"]
 PRESETS: dict[str, dict[str, float]] = {
@@ -261,8 +263,8 @@ PRESETS: dict[str, dict[str, float]] = {
 }
 """Arguments of `TwinSnake` for each preset.
 
-The script benchmarks/presets.py measures the errors of each preset. A step of 2 ms is
-the longest round step below the damping time of the segments.
+The script benchmarks/presets.py measures the errors of each preset. A time step of 2 ms
+is the longest round value below the damping time of the segments.
 """
 
 
@@ -277,7 +279,7 @@ def preset_of(settings: ModelSettings) -> str | None:
 
 
 def bend_joints(spec: RobotSpec) -> tuple[str, ...]:
-    """Return the kinds of joints that bend a segment."""
+    """Return the names of the joint classes that bend a segment."""
     if spec.is_spatial:
         return ("hinge", "tilt")
     return ("hinge",)
@@ -286,10 +288,10 @@ def bend_joints(spec: RobotSpec) -> tuple[str, ...]:
 def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
     """Return the distances of the hinges from the front connector, shape (n,), m.
 
-    The first and the last of n ≥ 2 hinges are at 1/(2(n+1)) of the length from the
-    ends, and the remaining hinges are evenly spaced between them. If the hinges have
-    equal angles, the chord agrees with the chord l sin(q/2)/(q/2) of the arc through
-    order q², where q is the bend.
+    If n ≥ 2, the outer hinges are at a distance of l/(2(n+1)) from the ends of the
+    bending part. The other hinges are evenly spaced between them. With equal hinge
+    angles, the chord then equals that of an arc with bend q, l sin(q/2)/(q/2), up to
+    order q².
 
     Args:
         hinges: number of hinges n.
@@ -308,8 +310,8 @@ def hinge_stations(hinges: int, length: float, gap: float) -> np.ndarray:
 
 
 def stable_step(step: float, damping_time: float) -> float:
-    """Return the longest stable step that divides the time step, s.
+    """Return the longest stable time step that divides a given step, s.
 
-    `damping_time` is the damping time of the segments, s.
+    The damping time of the segments (s) limits the time step.
     """
     return step / math.floor(step / (MAX_STEP_RATIO * damping_time) + 1)

@@ -16,12 +16,12 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 
 ROUNDING = 1 + 1e-9
-"""Factor that allows for rounding when two times are compared."""
+"""Factor that allows for rounding errors when two times are compared."""
 
 LEAST_INERTIA = 1e-15
 """Minimum moment of inertia that MuJoCo accepts (mjMINVAL), kg·m².
 
-The value is copied, so that scenarios can be checked without an import of MuJoCo.
+The value is defined here, so that scenarios can be checked without importing MuJoCo.
 """
 
 
@@ -39,7 +39,11 @@ def check(spec: RobotSpec, settings: ModelSettings, world: World) -> None:
 def violations(
     spec: RobotSpec, settings: ModelSettings, world: World
 ) -> Iterator[Violation]:
-    """Yield all violations. Their parameters are argument names of `TwinSnake`."""
+    """Yield all violations of the twin's rules.
+
+    The `parameter` of a violation is an argument of `TwinSnake` or a section of the
+    world.
+    """
     if world.objects and settings.base != "free":
         yield Violation(
             "objects",

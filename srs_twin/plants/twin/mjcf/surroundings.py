@@ -1,24 +1,23 @@
 """Surroundings of a snake: floor, sky, light, obstacles and movable objects.
 
 **Obstacles** consist of capsules. A circle is represented by an upright capsule with
-the radius of the circle. A polygon has a capsule of 1 mm radius along each side, which
-enlarges the polygon by 1 mm. Obstacles touch only the collision geoms of the body.
-These are copies of the skin capsules, with the width of the robot, at the height of the
-centres of mass. MuJoCo therefore computes the contact between collision geom and
-obstacle in closed form, in the plane. Only worlds with obstacles or objects have
-collision geoms.
+the radius of the circle. A polygon has a capsule with a radius of 1 mm along each side,
+which enlarges the polygon by 1 mm. Obstacles touch only the collision geoms of the
+body. A collision geom is a horizontal capsule with the width of the robot, at the
+height of the centres of mass. MuJoCo can therefore compute these contacts in closed
+form and in the horizontal plane. The body has collision geoms only in worlds with
+obstacles or objects.
 
 **An object** is a cylinder or a box that slides and rotates on the floor but does not
-tip. The MuJoCo body of an object has two slide joints and a hinge about z. The entries
-of an object in `qpos` are therefore x, y and heading in the world frame. Four support
-points carry the object's weight and its friction on the floor
-(`MovableObject.supports`).
+tip over. The MuJoCo body of an object has two slide joints and a hinge about the z
+axis. Four support points transmit the weight and the friction of the object to the
+floor (`MovableObject.supports`).
 
-The module `friction_solve` computes the friction at the support points and between
-objects and body. MuJoCo computes the normal forces, and the friction between objects
-and between objects and obstacles. In a world with objects, the collision geoms of the
-body can also touch each other. Without these contacts, a tail around an object could
-pass through the undulating part of the body.
+The module `object_contacts` computes the friction of objects on the floor and on the
+body. MuJoCo computes the normal forces, and the friction of objects on other objects
+and on obstacles. In worlds with objects, the collision geoms of the body can also touch
+each other. Without these contacts, a tail wrapped around an object could pass through
+the rest of the body.
 """
 
 from __future__ import annotations
@@ -36,19 +35,18 @@ from srs_twin.plants.twin.mjcf.wheels import add_force_sensor, add_velocity_sens
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import WALL_M, FloorStep, MovableObject, World
 
-# MuJoCo's `contype` of obstacles and `conaffinity` of collision geoms. Floor and wheels
-# have explicit contact pairs instead.
+# Bit in the `contype` of obstacles and the `conaffinity` of collision geoms.
 CONTACT_BIT = 2
-HEIGHT_RATIO = 2.0  # Half height of a round obstacle, relative to the body's width.
-_MIN_CONTACT_STEPS = 2.0  # Minimum ratio of contact time to time step in MuJoCo.
+HEIGHT_RATIO = 2.0  # Half height of a round obstacle divided by the body width.
+_MIN_CONTACT_STEPS = 2.0  # Minimum ratio of contact time constant to time step.
 _LEVEL_EXTENT = (
     100.0  # minimum length of the floor beyond the outer steps at a length unit of 1, m
 )
-# MuJoCo's impedance of an obstacle at zero and at full depth, dimensionless. With 0.95
-# and 0.99, an obstacle would sink into the light rods of a segment by a quarter of a
-# millimetre per newton.
+# MuJoCo's impedance of an obstacle contact at zero depth and at full depth,
+# dimensionless. With values of 0.95 and 0.99, obstacles would sink into the light links
+# of a segment by a quarter of a millimetre per newton.
 _IMPEDANCE = 0.99, 0.999
-# Depth over which a contact reaches its full stiffness, at a length unit of 1, m.
+# Depth at which a contact reaches its full stiffness, at a length unit of 1, m.
 _TRANSITION_DEPTH = 0.0005
 _GREY = [0.45, 0.47, 0.5, 1]  # RGBA.
 _COLLISION_GROUP = 4  # Geom group, which viewers do not show.
@@ -59,7 +57,7 @@ _CHECKER = mujoco.mjtBuiltin.mjBUILTIN_CHECKER
 def add_collision_class(
     mj: mujoco.MjSpec, spec: RobotSpec, settings: ModelSettings, friction: float
 ) -> None:
-    """Add the class ``collision_geom`` for geoms that touch obstacles."""
+    """Add the default class ``collision`` for geoms that touch obstacles."""
     depth = _TRANSITION_DEPTH * spec.scale.length
     collision_geom = mj.add_default("collision", mj.find_default(ROOT)).geom
     collision_geom.type = mjtGeom.mjGEOM_CAPSULE
@@ -67,7 +65,7 @@ def add_collision_class(
     collision_geom.conaffinity = CONTACT_BIT
     collision_geom.group = _COLLISION_GROUP
     collision_geom.priority = 1
-    # Under loaded contact MuJoCo computes only the normal forces.
+    # With loaded contact, MuJoCo computes only the normal forces.
     collision_geom.condim = 1 if settings.loaded else 3
     collision_geom.friction = [friction, 0.005, 0.0001]
     collision_geom.solref = [_MIN_CONTACT_STEPS * settings.timestep, 1]
@@ -77,9 +75,8 @@ def add_collision_class(
 def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
     """Add the obstacles of a world, and sensors on each collision geom.
 
-    The sensors measure the force exerted by all obstacles on the collision geom (N),
-    the point of application of this force (m), and the velocity of the collision geom's
-    centre (m/s), all in the world frame.
+    The sensors measure the total obstacle force (N), its point of application (m) and
+    the velocity of the geom's centre (m/s) in the world frame.
     """
     solid = mj.add_default("obstacle", mj.default).geom
     solid.type = mjtGeom.mjGEOM_CAPSULE
@@ -117,11 +114,11 @@ def add_obstacles(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
 def add_steps(
     mj: mujoco.MjSpec, steps: tuple[FloorStep, ...], spec: RobotSpec
 ) -> list[str]:
-    """Lower the floor, add boxes for raised levels, and return the names of the boxes.
+    """Lower the floor, add boxes for raised levels, and return the box names.
 
-    The floor before the step with the smallest x is at height 0. The extent of the
-    model is set to the length of the robot, because the boxes would otherwise move the
-    cameras away.
+    Up to the step with the smallest x, the floor is at height 0. The extent of the
+    model is set to the length of the robot, because the large boxes would otherwise
+    move the cameras away.
     """
     if not steps:
         return []
@@ -160,7 +157,7 @@ def _add_capsule(
 
 
 def collision_geoms(mj: mujoco.MjSpec | mujoco.MjModel) -> list[str]:
-    """Return the names of the body's geoms that touch obstacles."""
+    """Return the names of the collision geoms, which can touch obstacles."""
     if isinstance(mj, mujoco.MjSpec):
         geoms = mj.geoms
     else:
@@ -179,13 +176,9 @@ def friction_of(model: mujoco.MjModel) -> float:
 def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     """Add the floor ``floor``, the sky, the light ``sun`` and the camera ``track``.
 
-    Light and camera move with the snake. The floor has no general collisions, because
-    wheels and floor have explicit contact pairs.
-
-    Args:
-        mj: model, changed in place.
-        body_length: length of the snake, which determines the distance of the camera,
-            m.
+    The light and the camera follow the snake, and the distance of the camera depends on
+    the body length (m). The general collisions of the floor are disabled, because feet
+    and floor have explicit contact pairs.
     """
     visual = mj.visual
     visual.headlight.ambient = [0.3, 0.3, 0.3]
@@ -219,7 +212,7 @@ def add_surroundings(mj: mujoco.MjSpec, body_length: float) -> None:
     floor.conaffinity = 0
     floor.material = "floor"
     follow = mujoco.mjtCamLight.mjCAMLIGHT_TRACKCOM
-    # The light comes from directly above, because an oblique directional light draws
+    # The light comes from directly above, because an oblique directional light causes
     # shadow artefacts on an infinite floor.
     sun = mj.worldbody.add_light(name="sun", pos=[0, 0, 1], dir=[0, 0, -1], mode=follow)
     sun.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
@@ -233,17 +226,16 @@ _COLOR = [0.86, 0.56, 0.22, 1]  # RGBA
 
 
 def add_objects(mj: mujoco.MjSpec, spec: RobotSpec, world: World) -> None:
-    """Add a world's objects after the robot, and their poses to keyframe ``home``.
+    """Add the objects of a world, and add their poses to the keyframe ``home``.
 
-    Sensors measure the force exerted by each object on each collision geom, the point
-    of application of the force, and the velocity and angular velocity of each object,
-    all in the world frame.
+    Sensors measure the force of each object on each collision geom (N) and its point of
+    application (m) in the world frame.
     """
     default = mj.add_default("object", mj.default)
     collision_geom = mj.find_default("collision").geom
     solid = default.geom
-    # Collision geoms have a higher priority than objects, so the engine computes only
-    # normal forces between collision geoms and objects.
+    # Collision geoms have a higher priority than objects. The engine therefore computes
+    # only normal forces between collision geoms and objects.
     solid.contype = solid.conaffinity = CONTACT_BIT
     solid.condim = 3
     solid.friction = [world.friction, 0.005, 0.0001]
@@ -310,7 +302,7 @@ def _add_object(
         )
     else:
         # The geom is a capsule, because MuJoCo computes contacts between capsules in
-        # closed form in the plane.
+        # closed form.
         ends = [0, 0, -height, 0, 0, height]
         geom = body.add_geom(
             default, name=f"{name}_solid", type=mjtGeom.mjGEOM_CAPSULE, fromto=ends
@@ -323,7 +315,7 @@ def _names(count: int) -> list[str]:
 
 
 def object_names(model: mujoco.MjModel) -> list[str]:
-    """Return the body names of all objects, in the order of their numbers."""
+    """Return the body names of all objects in numerical order."""
     return _names(
         sum(model.body(k).name.startswith("object_") for k in range(model.nbody))
     )

@@ -1,33 +1,29 @@
-"""Wheels and skids of the connectors, their contacts with the floor, and their preload.
+"""Wheels and skids of connectors, their contacts with the floor, and their preload.
 
-A connector touches the floor at two points directly below its frame, at half the track
-to the left and right.
+Each connector touches the floor at two points, half the track to the left and half the
+track to the right of its centre.
 
 **Loaded contact.** The wheels are frictionless spheres, and friction is computed from
 their contact forces (`contact_loaded`).
 
 **Preloaded contact.**
 
-- ``rolling``: the feet are wheels on hinges. Each wheel is a sphere with the isotropic
-  friction coefficient μ_n. The `frictionloss` of an axle is μ_t × load × radius, which
+- ``rolling``: The feet are wheels on hinges. Each wheel is a sphere with an isotropic
+  friction coefficient of μ_n. The `frictionloss` of its axle is μ_t × load × radius and
   brakes the wheel along its heading.
-- ``skid``: the feet are runners fixed to the connector. The friction coefficient of a
-  runner is μ_t along and μ_n across the connector. MuJoCo aligns a contact frame with a
-  geom only for a plane and a capsule, along the axis of the capsule. A horizontal
-  capsule would touch the floor at both ends. Runners therefore rise to the front like
-  the tip of a ski, and only the rear end touches the floor.
+- ``skid``: The feet are runners that are fixed to the connector. The friction
+  coefficient of a runner is μ_t along the connector and μ_n across it. Each runner is a
+  capsule, because MuJoCo aligns the contact frame with a geom only between a plane and
+  a capsule. Runners are raised at the front like skis, because a horizontal capsule
+  would touch the floor at both ends.
 
-MuJoCo's convex friction model lifts a sliding contact off the floor. Without preload,
-the wheels of a snake would be in the air for more than half of the time, and the snake
-would be up to a tenth too fast. The actuator ``press_i`` exerts a constant force. It
-therefore presses connector i down with κ times its static load. The friction
-coefficients of the contact pairs are the robot's coefficients divided by 1 + κ. The
-contacts then stay closed, and friction equals friction under the static load, as in the
-analytical model. The floor forces minus the preload equal the true loads within 2 % at
-rest. The page docs/twin.md describes the drawbacks of a preload.
-
-Contacts are explicit pairs that include the floor, so they belong to the scene and not
-to the robot.
+MuJoCo's convex friction model lifts a sliding contact off the floor. Without a preload,
+wheels would be in the air for more than half of the time, and snakes would be up to 12
+% too fast. The actuator ``press_i`` therefore presses connector i down with a constant
+force of κ times its static load. The friction coefficients of the contact pairs are the
+friction coefficients of the robot divided by 1 + κ. The contacts then stay closed, and
+the friction is that under the static load, as in the analytical model. At rest, the
+floor forces minus the preload equal the true loads within 2 %.
 """
 
 from __future__ import annotations
@@ -49,14 +45,15 @@ from srs_twin.plants.twin.mjcf.numerics import (
 )
 from srs_twin.robot.spec import GRAVITY, RobotSpec
 
-_NET_FORCE = 3  # Reduction of a contact sensor: sum over all contacts.
+_NET_FORCE = 3  # Reduction mode of a contact sensor, sum over all contacts.
 _SIDES = {"left": 1, "right": -1}  # Sign of y.
 _RUNNER_SLOPE = (
     0.6  # slope of a runner towards the front, far above any connector's pitch angle
 )
 
-# The following lengths apply at a length unit of 1 (`robot.scale`), m. The initial
-# depth of runners in the floor ensures that the first step detects their contacts.
+# The following lengths are in m, for a robot with a length unit of 1 (`robot.scale`).
+# Runners start slightly below the floor surface, so that the first step detects their
+# contacts.
 _RUNNER_DEPTH = 1e-6
 _REFERENCE_DEPTH = (
     5e-5  # depth of all feet in the floor at which regularisations are evaluated
@@ -87,7 +84,10 @@ def axle_masses(spec: RobotSpec, settings: ModelSettings) -> list[float]:
 
 
 def treads(spec: RobotSpec, settings: ModelSettings = ModelSettings()) -> list[str]:  # noqa: B008
-    """Return the names of the geoms on the floor, head first and left before right."""
+    """Return the names of the geoms that touch the floor, from head to tail.
+
+    On each axle, the left geom precedes the right geom.
+    """
     return [
         f"tread_{side}_{i + 1}"
         for i in range(len(axle_masses(spec, settings)))
@@ -114,7 +114,7 @@ def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
 def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     """Return the attributes of contact pairs between the floor and wheels or skids.
 
-    In `friction`, the coefficient along the heading precedes that across the heading.
+    In `friction`, the coefficient along the heading precedes the coefficient across it.
     """
     mu_t = spec.friction.mu_t
     mu_n = spec.friction.mu_n
@@ -149,12 +149,11 @@ class FixedInertia(NamedTuple):
 
 
 def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> FixedInertia:
-    """Return the inertia of skids or wheels fixed to a connector.
+    """Return the inertia of the skids or wheels that are fixed to a connector.
 
-    Skids have the mass of the wheels that they replace. With the preloaded contact,
-    wheels are separate bodies, so the result is zero. Without a floor, the wheels are
-    fixed and do not rotate. With the loaded contact, the friction law includes the spin
-    of the wheels.
+    Skids have the mass of the wheels that they replace. With preloaded contact, wheels
+    are separate bodies, so the result is zero. Without a floor, the wheels do not
+    rotate. With loaded contact, the friction law includes the spin of the wheels.
     """
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
@@ -229,10 +228,10 @@ def _add_wheel(
 
 
 def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
-    """Press each connector down with a constant force along the world's z axis.
+    """Add constant forces that press the connectors down along the world's z axis.
 
-    The foot of a tilted connector rolls on the floor about the centre of the foot. The
-    force acts at the height of this centre, so it exerts no moment on the connector.
+    When a connector tilts, its round foot rolls on the floor. The force acts at the
+    height of the centre of the foot and therefore exerts no moment on the connector.
     """
     mj.worldbody.add_site(mj.find_default(ROOT), name="origin")
     height = foot_radius(spec, contact) - spec.geometry.com_height
@@ -250,7 +249,7 @@ def add_preload(mj: MjSpec, spec: RobotSpec, contact: PreloadedContact) -> None:
 
 
 def add_drag(mj: MjSpec, spec: RobotSpec) -> None:
-    """Add an equal fraction of the axial drag to each connector, along its heading."""
+    """Distribute the axial drag equally among the connectors, along their headings."""
     for i in range(1, spec.geometry.connectors + 1):
         mj.body(f"connector_{i}").add_site(mj.find_default(ROOT), name=f"drag_{i}")
         actuator = mj.add_actuator(
@@ -279,11 +278,11 @@ def add_feet(mj: MjSpec, spec: RobotSpec) -> None:
 def add_contacts(
     mj: MjSpec, spec: RobotSpec, settings: ModelSettings, levels: list[str]
 ) -> None:
-    """Add the contact pairs of wheels or skids with the floor, and force sensors.
+    """Add contact pairs between feet and floor, and sensors for their forces.
 
-    The sensors measure the force exerted by the floor on each wheel in the world frame
-    (N). Under a preloaded contact, further sensors measure the velocity of each foot in
-    the world frame (m/s). `levels` contains the names of raised levels of the floor.
+    Each sensor measures the floor force on one foot in the world frame (N). With
+    preloaded contact, additional sensors measure the velocity of each foot in the world
+    frame (m/s). The list `levels` contains the names of the raised floor levels.
     """
     if settings.contact.rolling:
         name = "wheel_on_floor"
@@ -309,7 +308,8 @@ def add_contacts(
         pairs, itertools.cycle(_contact_time_factors(mj, spec, settings)), strict=False
     ):
         # The time constant is rounded to 0.1 µs, so that exported files are readable.
-        # The unit of time makes the rounding independent of the robot's scale.
+        # It is rounded in the time unit of the robot, so that the rounding does not
+        # depend on the scale of the robot.
         pair.solref = [round(settings.contact_time(spec) * factor / unit, 7) * unit, 1]
     for tread in treads(spec, settings):
         if levels:
@@ -325,7 +325,7 @@ def add_contacts(
 
 
 def add_velocity_sensor(mj: MjSpec, name: str, kind: mjtObj, target: str) -> None:
-    """Add a sensor for the velocity of a site or geom centre, world frame, m/s."""
+    """Add a sensor for the world-frame velocity of a site or geom centre, m/s."""
     mj.add_sensor(
         name=name, type=mjtSensor.mjSENS_FRAMELINVEL, objtype=kind, objname=target
     )
@@ -336,14 +336,9 @@ def add_force_sensor(
 ) -> None:
     """Add a sensor for the contact force on a geom in the world frame, N.
 
-    Args:
-        mj: model, changed in place.
-        name: name of the new sensor.
-        kind: type of `source`, a geom or a body.
-        source: name of the geom or body that exerts the force. A body includes all its
-            geoms.
-        on: name of the geom on which the force acts.
-        position: whether a further sensor measures the point of application (m).
+    The force on the geom `on` is exerted by `source`, which is a geom or a body with
+    all its geoms. If `position` is true, the sensor also measures the point of
+    application, m.
     """
     sensor = mj.add_sensor(
         name=name, type=mjtSensor.mjSENS_CONTACT, objtype=kind, objname=source
@@ -358,12 +353,12 @@ def add_force_sensor(
 def _contact_time_factors(
     mj: MjSpec, spec: RobotSpec, settings: ModelSettings
 ) -> np.ndarray:
-    """Return factors on the contact time constant that make all wheels sink equally.
+    """Return factors for the contact time constants that make all wheels sink equally.
 
-    MuJoCo computes the regularisation R of a contact from the body tree. For gen 2, R
-    is 1.25 times as large at the root as at the ends. Without these factors, contacts
-    with a larger R would sink deeper and transfer part of their load to neighbouring
-    contacts. The factors are 1 or more.
+    MuJoCo computes the regularisation R of a contact from the kinematic tree. For
+    generation 2, R is 1.25 times as large at the root as at the ends. Without these
+    factors, contacts with a larger R would sink deeper and transfer part of their load
+    to adjacent contacts.
     """
     depth = contact_regularisation(mj.compile(), spec, settings)
     depth *= static_loads(spec, settings).ravel()
@@ -374,7 +369,7 @@ def _contact_time_factors(
 def contact_regularisation(
     model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
 ) -> np.ndarray:
-    """Return the regularisation R of each normal contact in `treads`, 1/kg."""
+    """Return the regularisation R of the normal force on each of the `treads`, 1/kg."""
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     data.qpos[2] -= _REFERENCE_DEPTH * spec.scale.length
