@@ -213,6 +213,8 @@ def side_by_side(
 
     Args:
         height: figure height, inches.
+        columns: number of columns.
+        rows: number of rows.
         left: left margin, inches.
         right: right margin, inches.
         top: top margin, inches.
