@@ -57,7 +57,7 @@ def list_(
     kind: Annotated[str | None, argument("KIND")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """List shipped scenarios, robots, sweeps, studies and controllers.
+    """List scenarios, robots, sweeps, studies and controllers.
 
     The list begins with six scenarios for new users.
 
