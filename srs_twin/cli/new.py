@@ -75,8 +75,8 @@ class NewRobotOptions:
         --pressure KPA: Supply pressure (gauge) in kPa. [default: 48.3]
         --bend RAD: Bend of one segment at the supply pressure, or maximum angle of a
             servo joint, in rad. [default: 1.57, or 0.6 with --servo]
-        --skin: Write a robot that slides on its belly instead of rolling on wheels.
-        --servo: Write a robot with rigid links and servo joints instead of air
+        --skin: Describe a robot that slides on its belly instead of rolling on wheels.
+        --servo: Describe a robot with rigid links and servo joints instead of air
             chambers.
     """
 

@@ -149,7 +149,7 @@ class _Reader:
         rest = bytes(self._data[self.at : self.at + _NAME + 1])
         end = rest.find(b"\0")
         if end < 0:
-            raise BadMessageError("a name in the packet has no end")
+            raise BadMessageError("a name in the packet is not terminated")
         self.at += end + 1
         return rest[:end].decode("utf-8", "replace")
 

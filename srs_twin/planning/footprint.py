@@ -198,7 +198,7 @@ class Footprint:
         high = self.curvatures[-1]
         if not low - CURVATURE_TOLERANCE <= curvature <= high + CURVATURE_TOLERANCE:
             raise InputError(
-                f"the curvature {curvature:g} 1/m is not allowed; the footprint has"
+                f"the curvature {curvature:g} 1/m is not allowed; the footprint covers"
                 f" curvatures between {low:g} and {high:g} 1/m"
             )
         columns = (self.offsets, self.speeds, self.left, self.right)

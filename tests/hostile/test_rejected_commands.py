@@ -119,7 +119,7 @@ each_command = pytest.mark.parametrize(
 TOO_LONG = "File name too long"
 FOLDER = "a folder has the name of an output file"
 TURNS = (
-    "turns.yaml: the curvature -8 1/m is not allowed; the footprint has curvatures"
+    "turns.yaml: the curvature -8 1/m is not allowed; the footprint covers curvatures"
     " between -5.23599 and 5.23599 1/m"
 )
 BYTES = "this name cannot be used (it is not valid UTF-8); rename it"

@@ -102,7 +102,7 @@ def test_copied_physics_steps_and_contacts_alone_are_rejected():
     for method in METHODS.values():
         with pytest.raises(
             InputError,
-            match=r"contact.* neither copied nor pickled alone; .*`save\(\)`",
+            match=r"contact.* neither copied nor pickled on its own; .*`save\(\)`",
         ):
             method(twin.physics.stepper)
 

@@ -82,7 +82,7 @@ def test_the_box_shifts_outward():
 def test_curvature_beyond_the_table_is_rejected():
     with pytest.raises(
         InputError,
-        match="the curvature 6 1/m is not allowed; the footprint has curvatures"
+        match="the curvature 6 1/m is not allowed; the footprint covers curvatures"
         " between -5.23599 and 5.23599",
     ):
         BOX.at(6.0)

@@ -243,7 +243,7 @@ def test_sweep_and_run_agree_on_recorded_pressures(perfect):
         ({"robot": "gen4_module"}, r"recording.valves: .*gen4_module has 1 segments"),
         (
             {"bench": True, "plants": {"analytical": {}}},
-            "recording.motion: .*it must be clamped on a bench",
+            "recording.motion: .*a bench requires a clamped head",
         ),
         ({"valves": {"layout": "in_out"}}, None),
     ],

@@ -201,7 +201,7 @@ class LoadedStepper(Stateful):
             InputError: always.
         """
         raise InputError(
-            "a contact can be neither copied nor pickled alone; copy the `TwinSnake`,"
+            "a contact can be neither copied nor pickled on its own; copy the `TwinSnake`,"
             " or use `save()`"
         )
 

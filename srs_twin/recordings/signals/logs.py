@@ -412,7 +412,7 @@ def on_bench(recording: Recording, spec: RobotSpec) -> Recording:
     if shift > _MAX_CLAMP_SHIFT * pitch or turn > _MAX_CLAMP_TURN:
         raise InputError(
             f"{recording.summary.source}: the head moves by {1e3 * shift:.0f} mm and"
-            f" turns by {np.degrees(turn):.2g}°, but it must be clamped on a bench; if"
+            f" turns by {np.degrees(turn):.2g}°, but a bench requires a clamped head; if"
             " the other end is clamped, give --head"
         )
     mass = spec.mass.array()
