@@ -89,29 +89,44 @@ def is_interrupt(error: BaseException | None) -> bool:
 @contextmanager
 def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
     """On Ctrl-C or SIGTERM, print a message and exit with code `INTERRUPTED`."""
-    # CI pipelines cancel jobs with SIGTERM. SIGTERM remains ignored if the parent
-    # process ignores it.
-    handled = threading.current_thread() is threading.main_thread()
-    handled = handled and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
-    if handled:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+    interrupted = False
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal interrupted
+        interrupted = True
+        signal.default_int_handler(number, frame)
+
+    # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
+    # remains ignored.
+    defaults: dict[int, Any] = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+    }
+    handled = [
+        number
+        for number, default in defaults.items()
+        if threading.current_thread() is threading.main_thread()
+        and signal.getsignal(number) == default
+    ]
+    for number in handled:
+        signal.signal(number, interrupt)
     try:
         yield
-    except (KeyboardInterrupt, Exception) as interrupt:
-        if isinstance(interrupt, SrsError) or not is_interrupt(interrupt):
+    except (KeyboardInterrupt, Exception) as error:
+        # An interrupted C extension may raise a different error.
+        caused = not isinstance(error, SrsError) and is_interrupt(error)
+        if not (interrupted or caused):
             raise
         text = message if isinstance(message, str) else message()
         say(
             "; ".join(
-                filter(
-                    None, ["interrupted", text, *getattr(interrupt, "__notes__", ())]
-                )
+                filter(None, ["interrupted", text, *getattr(error, "__notes__", ())])
             )
         )
         raise SystemExit(INTERRUPTED) from None
     finally:
-        if handled:
-            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        for number in handled:
+            signal.signal(number, defaults[number])
 
 
 def console() -> Console:

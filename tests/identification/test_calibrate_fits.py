@@ -337,7 +337,7 @@ def test_an_interrupted_fit_leaves_no_files(tmp_path):
     time.sleep(1.0)
     os.kill(started.pid, signal.SIGINT)
     _, errors = started.communicate(timeout=300)
-    assert started.returncode == 130, lines
+    assert started.returncode == 130, (lines, errors)
     assert "interrupted; nothing was written" in errors and "Traceback" not in errors
     assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
 
@@ -366,6 +366,21 @@ def test_a_command_interrupted_during_an_import_says_what_was_written(capsys):
             raise ImportError("initialization failed") from error
     assert end.value.code == 130
     assert capsys.readouterr().err == "interrupted; nothing was written\n"
+
+
+@pytest.mark.usefixtures("interruptible")
+def test_an_error_after_a_lost_interrupt_is_an_interrupt(capsys):
+    """Compiled code may lose the interrupt and then fail in another way."""
+    with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1.0)
+        except KeyboardInterrupt:
+            pass
+        raise RuntimeError("a compiled function failed")
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "interrupted; nothing was written\n"
+    assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
 
 
 # Inputs of fits and replays from recordings
