@@ -211,11 +211,13 @@ def test_the_baseline_has_exactly_the_rows_of_the_claims():
     }
 
 
-def test_ci_runs_every_row():
-    commands = re.findall(
-        r"srs-twin reproduce(.*)", (ROOT / ".ci/run").read_text("utf-8")
-    )
-    assert commands == [' --out "$room"']
+@pytest.mark.parametrize(
+    ("script", "options"),
+    [("run", '--quick --out "$room"'), ("nightly", '--out "$room/claims"')],
+)
+def test_ci_judges_quick_rows_and_every_row_at_night(script, options):
+    text = (ROOT / ".ci" / script).read_text("utf-8")
+    assert re.findall(r"srs-twin reproduce (.*)", text) == [options]
 
 
 def test_all_laws_are_met():
