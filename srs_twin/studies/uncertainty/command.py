@@ -156,8 +156,8 @@ def _print_result(result: Propagation) -> None:
     for name, (low, high) in (result.segments or {}).items():
         varied = name.replace("_", " ")
         print(
-            f"varying only {varied} within 95 % intervals, the twin crawls at {low:.3g}"
-            f" to {high:.3g} m/s"
+            f"with {varied} at the file's values and at the ends of the 95 % intervals,"
+            f" the twin crawls at {low:.3g} to {high:.3g} m/s"
         )
     plant, metric = result.target
     measurements = result.measure_next()
