@@ -75,7 +75,7 @@ def run(name: str) -> None:
     start = time.monotonic()
     # Texts of the result must not depend on the folder of the checkout or of the user.
     output = output_of(name, study.arguments).replace(f"{BENCHMARKS.parent}/", "")
-    output = output.replace(str(Path.home()), "~")
+    output = output.replace(f"{Path.home()}/", "~/")
     tables, text = parse_output(output)
     minutes = (time.monotonic() - start) / 60
     if not tables:

@@ -117,6 +117,8 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
         caused = not isinstance(error, SrsError) and is_interrupt(error)
         if not (interrupted or caused):
             raise
+        if isinstance(error, Exception):
+            show_traceback(error)
         text = message if isinstance(message, str) else message()
         say(
             "; ".join(
