@@ -383,6 +383,17 @@ def test_an_error_after_a_lost_interrupt_is_an_interrupt(capsys):
     assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
 
 
+@pytest.mark.usefixtures("interruptible")
+def test_a_full_disk_after_an_interrupt_is_reported():
+    """Before, only "interrupted; nothing was written" was printed."""
+    with pytest.raises(InputError, match="no space"), interruptible("nothing"):
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1.0)
+        except KeyboardInterrupt:
+            raise InputError("no space left on the disk") from None
+
+
 # Inputs of fits and replays from recordings
 
 
