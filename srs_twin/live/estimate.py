@@ -207,6 +207,10 @@ class IntervalCalibration:
     Here r is the adaptation rate. The prediction x̂ has the standard deviation σ̂, and
     the later estimate x has the standard deviation σ_x. The mean squared error is not
     used, because a few very large errors due to lost commands would dominate it.
+
+    While a group of values is not measured, its standard deviation grows. No comparison
+    has shown that the added variance is too large, so a scale below 1 does not reduce
+    it.
     """
 
     def __init__(self, groups: Sequence[int]) -> None:
@@ -215,12 +219,20 @@ class IntervalCalibration:
         self._counts = np.array(groups)
         self._square = np.ones(len(groups))
         self._compared = np.full(len(groups), -np.inf)
+        self._compared_variance = np.full(sum(groups), np.inf)
         self._open: deque[_PredictedState] = deque(maxlen=200)
 
     @property
     def scale(self) -> np.ndarray:
-        """Factor by which the standard deviation of each value is multiplied."""
+        """Scale s of each value."""
         return np.repeat(np.sqrt(self._square), self._counts)
+
+    def calibrated(self, sd: np.ndarray) -> np.ndarray:
+        """Return calibrated standard deviations for those of a prediction."""
+        square = np.repeat(self._square, self._counts)
+        compared = np.minimum(sd**2, self._compared_variance)
+        added = sd**2 - compared
+        return np.asarray(np.sqrt(square * compared + np.maximum(square, 1.0) * added))
 
     def predict(self, time: float, state: Estimates) -> None:
         """Store the unscaled prediction of the state at a time (s)."""
@@ -241,13 +253,17 @@ class IntervalCalibration:
         after = self._open[1]
         weight = (time - before.time) / (after.time - before.time)
         predicted = before.value + weight * (after.value - before.value)
-        limit = 1.96 * self.scale * (before.sd + weight * (after.sd - before.sd))
+        sd = before.sd + weight * (after.sd - before.sd)
+        limit = 1.96 * self.calibrated(sd)
         outside = (predicted - estimate.value) ** 2 + estimate.sd**2 > limit**2
         fraction = np.add.reduceat(outside.astype(float), self._starts) / self._counts
         dt = np.where(
             measured, np.minimum(time - self._compared, _LONGEST_COMPARED_S), 0.0
         )
         self._compared = np.where(measured, time, self._compared)
+        self._compared_variance = np.where(
+            np.repeat(measured, self._counts), sd**2, self._compared_variance
+        )
         square = self._square * np.exp(_ADAPTATION_RATE * dt * (fraction - 0.05))
         self._square = np.clip(square, _LEAST_SQUARE, _LARGEST_SQUARE)
 

@@ -441,7 +441,7 @@ class Shadow:
         n = self.spec.segments
         bend = state.value[:n]
         pose = state.value[n:]
-        sd = state.sd * self._intervals.scale
+        sd = self._intervals.calibrated(state.sd)
         pose_sd = sd[n:]
         # The ensemble does not represent constant errors of sensors and transport
         # delays, so their variances are added.

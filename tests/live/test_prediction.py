@@ -100,10 +100,28 @@ def test_intervals_are_calibrated_for_errors_with_heavy_tails(rate):
         time = k / rate
         error = 0.015 * rng.standard_t(4, size=6)
         calibration.predict(time, Estimates(error, np.full(6, 0.01)))
-        inside.append(np.abs(error) < 1.96 * 0.01 * calibration.scale)
+        inside.append(np.abs(error) < 1.96 * calibration.calibrated(np.full(6, 0.01)))
         exact = Estimates(np.zeros(6), np.full(6, 1e-3))
         calibration.update((k - 1) / rate, exact, [True, False])
     assert np.mean(inside[len(inside) // 2 :], axis=0)[:4].mean() == pytest.approx(
         0.95, abs=0.02
     )
     assert calibration.scale[4:] == pytest.approx(1.0)
+
+
+def test_variance_added_since_the_last_measurement_is_not_scaled_down():
+    """While only a tenth of the stated errors occurs, the scale sinks to its limit."""
+    calibration = IntervalCalibration([2])
+    values = np.zeros(2)
+    for k in range(3000):
+        calibration.predict(0.02 * k, Estimates(values, np.full(2, 0.03)))
+        exact = Estimates(values, np.full(2, 1e-4))
+        calibration.update(0.02 * (k - 1), exact, [True])
+    scale = calibration.scale
+    assert (scale < 0.4).all()
+    assert calibration.calibrated(np.full(2, 0.03)) == pytest.approx(0.03 * scale)
+    for k in range(3000, 3100):
+        calibration.predict(0.02 * k, Estimates(values, np.full(2, 0.05)))
+        calibration.update(0.02 * (k - 1), exact, [False])
+    blind = np.hypot(0.03 * scale, 0.04)
+    assert calibration.calibrated(np.full(2, 0.05)) == pytest.approx(blind)
