@@ -293,7 +293,7 @@ def test_tables_of_constant_pressures_need_no_log():
         srs.calibrate_actuator([EXAMPLES / "held.csv"], "gen2", valves=["log.csv"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_actuator_fit_is_that_of_the_command(command, place, capsys):
     held = EXAMPLES / "held.csv"
     found = srs.calibrate_actuator([held], srs.load_robot("gen2"))

@@ -45,7 +45,7 @@ def walked_through(tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_hidden_parameters_are_in_the_intervals(walked_through):
     seen = set()
     for name in ("my_friction", "my_gains", "my_levels", "my_lags", "my_body"):

@@ -147,7 +147,7 @@ def hits(fit: FitEstimate, truth: dict[str, float]) -> int:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_modules_are_recovered_from_bend_logs(tmp_path):
     """60 intervals with 95 %: fewer than 51 hits have a probability below 1 in 1,000."""
     total = 0

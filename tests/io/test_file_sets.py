@@ -102,11 +102,13 @@ def kill():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("end", [pytest.param(interrupt, marks=pytest.mark.slow), kill])
+@pytest.mark.parametrize("end", [interrupt, kill])
 @pytest.mark.parametrize(
     "pair",
     [
-        name if name == "both complete" else pytest.param(name, marks=pytest.mark.slow)
+        name
+        if name == "both complete"
+        else pytest.param(name, marks=pytest.mark.nightly)
         for name in PAIRS
     ],
 )

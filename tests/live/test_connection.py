@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from live_runs import Run, followed_estimate
+from subsets import first_by_default
 
 from srs_twin import load_robot
 from srs_twin.live.odometry import LocalConnection
@@ -92,7 +93,9 @@ def test_a_robot_is_known_in_the_bends_in_which_it_was_seen():
     assert unsure(other) > 3 * unsure(seen)
 
 
-@pytest.mark.parametrize("robot, frequency", [("gen4", 1.5), ("gen2", 2.0)])
+@pytest.mark.parametrize(
+    "robot, frequency", first_by_default(1, [("gen2", 2.0), ("gen4", 1.5)])
+)
 @pytest.mark.slow
 def test_bends_tell_for_ten_seconds_where_a_robot_goes(robot, frequency):
     found = followed_estimate(

@@ -478,7 +478,7 @@ def test_the_newest_of_many_commands_is_obeyed(tmp_path, monkeypatch):
 
 
 @needs_broker
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_chambers_vent_in_time_after_sixty_kills_and_twenty_losses():
     done = run_script(
         "tools/firmware_kills.py", "--kills", "60", "--losses", "20", "--seed", "1"

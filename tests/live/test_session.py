@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brokers import broker, free_port, needs_broker, wait
+from subsets import first_by_default
 
 from srs_twin.live.emulate_command import interruption
 from srs_twin.live.journal import journal_messages
@@ -216,7 +217,8 @@ def hears(lab: Path, known: set[Path]) -> bool:
 
 @needs_broker
 @pytest.mark.slow
-def test_twenty_kills(tmp_path):
+@pytest.mark.parametrize("kills", first_by_default(1, [5, 20]))
+def test_a_session_survives_kills(tmp_path, kills):
     port = free_port()
     capture = free_port()
     draw = random.Random(4)
@@ -228,7 +230,7 @@ def test_twenty_kills(tmp_path):
     twin = shadow(port, capture, tmp_path)
     gait = MqttLink("gen4", 4, BrokerAccess(port=port), kinds=(BENDS,))
     try:
-        for k in range(20):
+        for k in range(kills):
             end = time.monotonic() + 3.0
             while time.monotonic() < end:
                 gait.send(

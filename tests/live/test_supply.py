@@ -14,6 +14,7 @@ from live_runs import (
     shadowed,
     steered,
 )
+from subsets import first_by_default
 
 from srs_twin.live.air_balance import LARGEST_SD, PRIOR_SD, WALK, SupplyFilter
 from srs_twin.live.messages import SUPPLY, BadMessageError, decode, encode
@@ -114,7 +115,9 @@ def test_loss_of_the_supply_is_not_a_leak(seed):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("supply", ["droop:0.97", "droop:0.85", "wander"])
+@pytest.mark.parametrize(
+    "supply", first_by_default(1, ["wander", "droop:0.97", "droop:0.85"])
+)
 def test_drooping_supply_is_followed_and_is_not_a_fault(supply):
     assert alarms((104, 20.0, supply)) == []
     run = conditioned(supply, 104, 20.0)

@@ -210,7 +210,7 @@ def test_errors_of_indices_cover_their_sampling_error():
     assert np.mean(held) >= 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sensitivities_of_the_complete_model_by_brute_force(tmp_path):
     """Jansen's estimators (1999), from two sample matrices and their mixtures."""
     file = robot(
