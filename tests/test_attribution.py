@@ -116,6 +116,16 @@ def test_plot_has_bars_sorted_by_size_that_add_up():
     assert yaw.texts[2].get_text() == "0"
 
 
+def printed_lines(shares):
+    """Return the words of each line of the table of contributions."""
+    attribution = Attribution(
+        (1.0,) * 4, (0.51, 2.0, 0, 0), (0,) * 4, (0,) * 4, (), shares
+    )
+    console = Console(width=80, file=StringIO())
+    console.print(_attribution_table(attribution.document()))
+    return [line.split() for line in console.file.getvalue().splitlines()]
+
+
 def test_table_states_the_range_over_the_orders():
     shares = (
         AssumptionShare(
@@ -130,12 +140,7 @@ def test_table_states_the_range_over_the_orders():
             "averaged",
         ),
     )
-    attribution = Attribution(
-        (1.0,) * 4, (0.51, 2.0, 0, 0), (0,) * 4, (0,) * 4, (), shares
-    )
-    console = Console(width=80, file=StringIO())
-    console.print(_attribution_table(attribution.document()))
-    lines = [line.split() for line in console.file.getvalue().splitlines()]
+    lines = printed_lines(shares)
     ranges = [
         line[-4:]
         for line in lines
@@ -148,6 +153,15 @@ def test_table_states_the_range_over_the_orders():
         "+0.0500 +3.0000 0 0",
     ]
     assert [" ".join(line) for line in ranges] == expected
+
+
+def test_contributions_that_round_to_zero_have_no_sign():
+    value = (4.9e-5, -4.9e-5, 5.1e-5, -5.1e-5)
+    lines = printed_lines(
+        (AssumptionShare("alone", "", value, value, value, "refined"),)
+    )
+    (printed,) = (line[-4:] for line in lines if line[:1] == ["alone"])
+    assert printed == ["0", "0", "+0.0001", "-0.0001"]
 
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])

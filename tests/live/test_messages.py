@@ -120,7 +120,6 @@ def test_what_is_no_command_is_refused(payload, why):
     assert len(b"[" * 60_000) < LARGEST_BYTES
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("kind", "low", "high"),
     [

@@ -346,7 +346,7 @@ def test_set_points_of_signals_hold_until_their_next_message(tmp_path):
 )
 def test_the_start_pose_is_the_mean_before_the_first_valve_opens(kind, still, driven):
     time = np.arange(0, 4, 0.01)
-    wobble = 0.001 * np.sin(200 * time)
+    wobble = 0.01 * np.cos(200 * time)
     moved = np.maximum(time - 2.0, 0.0)
     columns = {"time": time, "com_x": moved + wobble, "com_y": -moved}
     columns["heading"] = 0.5 + moved

@@ -41,7 +41,7 @@ from srs_twin.viewing.plots.signals import (
 )
 from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
 from srs_twin.viewing.rerun import viewer
-from srs_twin.viewing.rerun.blueprint import Layout, scene_view
+from srs_twin.viewing.rerun.blueprint import Layout, run_blueprint, scene_view
 from srs_twin.viewing.rerun.recording import (
     subsample,
     write_recording,
@@ -268,6 +268,14 @@ def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_pictu
             distance * np.tan(np.radians(27.5))
             > (apart + spec.geometry.body_length) / 2
         )
+
+
+@pytest.mark.parametrize("kind", ["gait", "learning", "bench"])
+def test_plots_of_the_middle_module_are_shown_first(spec, kind):
+    layout = replace(layout_of(spec, 0.0), segments=7, kind=kind)
+    _, plots = run_blueprint(layout).root_container.contents
+    shown = [tabs.contents[tabs.active_tab] for tabs in plots.contents[:2]]
+    assert [view.origin.split("/")[:2] for view in shown] == [["module", "4"]] * 2
 
 
 def layout_of(spec, apart):
