@@ -73,6 +73,7 @@ def test_unknown_name_is_an_attribute_error():
         _ = srs.rolout
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.fast
 @pytest.mark.parametrize(
     "first", ["import srs_twin.rollout", "import srs_twin.experiment", ""]

@@ -138,6 +138,7 @@ def test_a_sweep_can_be_changed_by_name_but_not_when_loaded(place):
         srs.sweep(loaded, set={"duration_s": 3})
 
 
+@pytest.mark.slow
 def test_uncertainty_gives_the_document_of_the_command(command, place, capsys):
     options = {
         "plants": ["analytical"],
@@ -162,6 +163,7 @@ def test_uncertainty_gives_the_document_of_the_command(command, place, capsys):
         found.keep()
 
 
+@pytest.mark.slow
 def test_claims_have_the_verdicts_of_the_command(command, place, capsys):
     seen = []
     found = srs.reproduce(
@@ -181,6 +183,7 @@ def test_claims_have_the_verdicts_of_the_command(command, place, capsys):
     assert list(found.changes) == printed["changed_from_baseline"]
 
 
+@pytest.mark.slow
 def test_a_plan_is_that_of_the_command(command, place, capsys):
     found = srs.plan_scenario("follow_fig57", set={"seed": 3})
     assert files(place) == {"small.yaml"} and capsys.readouterr() == ("", "")
@@ -194,6 +197,7 @@ def test_a_plan_is_that_of_the_command(command, place, capsys):
         srs.plan_scenario("gen2_straight")
 
 
+@pytest.mark.slow
 def test_a_run_has_the_metrics_of_the_command(command, place, capsys):
     found = srs.run_scenario("gen2_turn", set={"duration_s": 2}, plants=["analytical"])
     assert files(place) == {"small.yaml"} and capsys.readouterr() == ("", "")
@@ -217,6 +221,7 @@ def command_diff(place):
     return out.getvalue()
 
 
+@pytest.mark.slow
 def test_a_replay_is_that_of_the_command(command, place, capsys):
     notes = []
     motion = EXAMPLES / "walk_left.csv"

@@ -88,6 +88,7 @@ def test_completion_belongs_to_the_installed_program(srs_twin, tmp_path, monkeyp
     assert "uv run" not in done.stdout + done.stderr
 
 
+@pytest.mark.slow
 def test_every_command_in_a_message_is_in_backticks():
     names = "|".join(command().commands)
     bare = re.compile(rf"(?<!`)\bsrs-twin (?:{names})\b")
@@ -151,7 +152,7 @@ def test_every_page_can_be_shown(srs_twin, tmp_path):
         assert srs_twin("show", f"docs/{page.name}", cwd=tmp_path).returncode == 0, page
 
 
-@pytest.mark.default_cases(at=[0, 1, 4])
+@pytest.mark.default_cases(at=[4])
 @pytest.mark.parametrize(
     "words",
     [

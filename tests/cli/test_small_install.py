@@ -38,6 +38,7 @@ def without_rerun(tmp_path_factory, srs_twin_process):
     return lambda *words, cwd: srs_twin_process(*words, cwd=cwd, PYTHONPATH=path)
 
 
+@pytest.mark.slow
 def test_compare_works_without_rerun_and_says_so(without_rerun, tmp_path):
     done = without_rerun(
         "compare", "gen2_straight", "--duration", "2", "--out", "out", cwd=tmp_path

@@ -53,6 +53,7 @@ def test_exported_model_crawls_without_srs_twin(tmp_path):
     assert "import srs_twin" not in (FOLDER / "mujoco_model.py").read_text()
 
 
+@pytest.mark.slow
 def test_fit_recovers_the_friction_of_the_simulated_pulls(tmp_path):
     text = run(tmp_path, "fit_from_csv")
     for name, true in (("mu_t", 0.05), ("mu_n", 0.45)):
@@ -64,6 +65,7 @@ def test_fit_recovers_the_friction_of_the_simulated_pulls(tmp_path):
     assert "than the model" in text
 
 
+@pytest.mark.slow
 def test_own_robot_runs_with_two_stiffnesses(tmp_path):
     text = run(tmp_path, "own_robot")
     assert "5 segments, 0.20 kg" in text
@@ -74,6 +76,7 @@ def test_own_robot_runs_with_two_stiffnesses(tmp_path):
     assert len(set(numbers(text, r"against (0\.\d+) m/s"))) == 1
 
 
+@pytest.mark.slow
 def test_own_controller_turns_less_than_a_gait(tmp_path):
     text = run(tmp_path, "own_controller")
     for plant in ("analytical", "twin"):

@@ -23,6 +23,7 @@ except InputError as error:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.fast
 def test_only_the_dm_env_interface_needs_dm_control():
     done = subprocess.run(

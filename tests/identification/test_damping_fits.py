@@ -106,6 +106,7 @@ def test_motion_is_that_of_an_independent_equation(closed):
     assert small.loss_factor == pytest.approx(wanted["loss_factor"], rel=1e-5)
 
 
+@pytest.mark.slow
 def test_small_and_large_swings_give_one_material(tmp_path):
     truth = known_swing()
     paths = [
@@ -146,6 +147,7 @@ def test_small_and_large_swings_give_one_material(tmp_path):
     assert "fit damping (damping), 95 %" in text and "status: calibrated" in text
 
 
+@pytest.mark.slow
 def test_closed_valves_raise_frequency_and_keep_the_stiffness(tmp_path):
     fits = {}
     for valves in ("open", "closed"):
@@ -174,6 +176,7 @@ def test_closed_valves_raise_frequency_and_keep_the_stiffness(tmp_path):
     assert fits["closed"].held["air_stiffness_nm_per_rad"] > 1.0
 
 
+@pytest.mark.slow
 def test_measured_pressures_replace_the_model_of_the_air(tmp_path):
     # Without a leak the amount of air is that of the vented segment at rest.
     tight = known_swing(closed=True, dead=1e-4, leak=0.0)
@@ -197,6 +200,7 @@ def test_measured_pressures_replace_the_model_of_the_air(tmp_path):
         srs.calibrate_damping([path], "gen2", **settings)
 
 
+@pytest.mark.slow
 def test_stiffness_is_proportional_to_the_mass_that_is_given():
     """The weight, whose share of k is a tenth here, scales with the mass as well."""
     decay = free_swing("decay", "0" * 64, *record(known_swing()))
@@ -276,6 +280,7 @@ def test_short_and_incomplete_files_are_refused(tmp_path):
         read_decay(path)
 
 
+@pytest.mark.slow
 def test_free_swing_may_start_at_a_given_time():
     time, bend = record(known_swing())
     decay = free_swing("decay", "0" * 64, time, bend, start=1.2)
@@ -333,6 +338,7 @@ def test_command_prints_the_fit_with_its_loss_factor(tmp_path, monkeypatch, caps
     assert (tmp_path / "calibration/fits/gen2_damping.html").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damping_law", DAMPING_LAWS)
 def test_other_laws_of_the_material_are_within_the_model_error(damping_law):
     each = draw(2000, damping_law, closed=True)

@@ -129,6 +129,7 @@ def test_the_tail_mass_is_identified_if_the_other_masses_are_known():
     )
 
 
+@pytest.mark.slow
 def test_a_common_factor_of_mass_stiffness_and_damping_cancels():
     truth = {"bending.stiffness_nm_per_rad": 0.41, "bending.damping_time_s": 0.0025}
     data = runs(COMPLIANT, truth, [(2.0, 0.1)], seconds=0.7)

@@ -479,7 +479,7 @@ def burdened(found, seconds, monkeypatch):
     found.shadow._use = slow
 
 
-@pytest.mark.default_cases(at=[0, 1])
+@pytest.mark.default_cases(at=[1])
 @pytest.mark.parametrize("overload", [2, 5])
 def test_a_machine_that_is_too_slow_still_obeys_and_keeps_its_files(
     tmp_path, monkeypatch, overload
@@ -529,6 +529,7 @@ def test_every_message_of_a_journal_is_used_at_any_speed(tmp_path, monkeypatch, 
     assert told["messages"] == {BENDS: count, "over": 1}
 
 
+@pytest.mark.slow
 def test_a_steered_robot_is_given_up_if_messages_are_skipped_for_long(
     watched, monkeypatch
 ):

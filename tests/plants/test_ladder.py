@@ -353,6 +353,7 @@ def refusal(**changes) -> list[str]:
     return [line.removeprefix("scenario: ") for line in error.value.lines]
 
 
+@pytest.mark.slow
 def test_scenario_can_request_the_gap_factor(tmp_path):
     scenario = parse_scenario(
         SCENARIO | {"plants": {"analytical": {"gaps": False}, "twin": {}}}

@@ -227,6 +227,7 @@ def test_a_plugin_in_compare_and_its_run_without_it(plugin, srs_twin, tmp_path):
     assert srs_twin("compare", str(resolved), "-q", cwd=tmp_path).returncode == 2
 
 
+@pytest.mark.slow
 def test_a_sweep_with_two_workers_knows_the_plugin(plugin, tmp_path):
     path = plugin(CONTROLLER, METRICS)
     (tmp_path / "mine.yaml").write_text(SCENARIO.replace("KIND", f"{path.stem}:Damped"))

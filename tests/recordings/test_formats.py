@@ -506,6 +506,7 @@ def test_c3d_with_integers_and_with_many_points(tmp_path):
         read_markers(written(tmp_path, c3d_file(unit="mile")))
 
 
+@pytest.mark.slow
 def test_a_motion_is_the_same_in_another_format(tmp_path):
     path = tmp_path / "take.csv"
     write_motive(motion(), Take(layout="head", noise=0.0, up="z"), path)

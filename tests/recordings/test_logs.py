@@ -60,6 +60,7 @@ def test_error_of_the_motion_is_that_of_the_noise(tmp_path, layout):
     assert np.sqrt((heading**2).mean()) < 0.02
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("seed", first_by_default(1, range(4)))
 def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
@@ -76,6 +77,7 @@ def test_identity_is_kept_through_swaps_gaps_and_spikes(tmp_path, layout, seed):
     assert 0 < (~measured).mean() < 0.15
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("seed", first_by_default(1, range(3)))
 def test_markers_that_come_back_in_other_columns_are_tracked(tmp_path, layout, seed):
@@ -100,6 +102,7 @@ def test_markers_in_shuffled_columns_are_tracked(tmp_path, layout):
     assert place[measured].max() < 8 * NOISE
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("layout", ["head", "pair"])
 def test_curvature_is_continuous(tmp_path, layout):
     """No bend changes by more than the motion and the noise between frames, also in filled gaps."""

@@ -83,7 +83,7 @@ def drawn(figures: dict[str, Callable[[], Figure]], folder: Path) -> Iterator[by
     yield (folder / "pixels.png").read_bytes()
 
 
-@pytest.mark.default_cases(2)
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("name", SETTINGS)
 def test_settings_of_the_user_change_no_byte_and_remain(name, figures, tmp_path):
     plain = list(drawn(figures, tmp_path))

@@ -288,6 +288,7 @@ def test_distant_start_moves_like_one_at_the_origin():
     assert np.abs(batch.state.com).max() < 0.5
 
 
+@pytest.mark.slow
 def test_distant_start_with_obstacles_raises():
     batch = TwinBatch(
         [GEN2], world=World((Circle(1.0, 0.0, 0.1),)), contact="loaded", **ON

@@ -517,6 +517,7 @@ def test_invalid_studies_are_refused_with_their_location(tmp_path, old, new, mes
     assert message in str(error.value) and f"{path.name}:" in str(error.value)
 
 
+@pytest.mark.slow
 def test_the_best_scenario_of_the_command_can_be_run(srs_twin, tmp_path):
     path = tmp_path / "question.yaml"
     path.write_text(

@@ -165,6 +165,7 @@ def test_an_edited_source_is_reported_and_its_rows_are_repeated(tmp_path):
     assert again.returncode == 0 and "2 of 2 rows exist already" in again.stderr
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("name", first_by_default(2, READ_BY_A_RUN))
 def test_all_files_and_sources_of_a_run_are_in_its_key(name):
     """Opened files and sources of called functions are observed during the run."""
