@@ -102,7 +102,7 @@ class CsvTable:
         if row is None:
             line = self.file.header_lines or 1
         else:
-            line = self.file.header_lines + 1 + row
+            line = self.file.line_of_row(row, self.file.header_lines)
         return self.file.error(problem, line, column.place + 1)
 
     def clock(self, missing: str) -> CsvColumn:
@@ -132,7 +132,7 @@ class CsvTable:
                 raise self.file.error(
                     f"the column '{name}_{segment}' is missing; {robot} has"
                     f" {segments} segments",
-                    1,
+                    self.file.header_lines or 1,
                 )
         for key, column in by_key.items():
             if key not in required:
@@ -255,13 +255,17 @@ def _own_column(
     if name not in known or name == "time":
         return None
     units = known[name]
-    stated = trailing or bracket
-    unit = symbol(stated, units)
-    if stated and not unit:
-        raise InputError(
-            f"{text}: unknown unit '{stated}'; allowed units:"
-            f" {', '.join(units) or 'none'}"
-        )
+    unit = ""
+    for stated in filter(None, (trailing, bracket)):
+        found = symbol(stated, units)
+        if not found:
+            raise InputError(
+                f"{text}: unknown unit '{stated}'; allowed units:"
+                f" {', '.join(units) or 'none'}"
+            )
+        if unit and found != unit:
+            raise InputError(f"{text}: two units, {unit} and {found}; remove one")
+        unit = found
     factor = units.get(unit, 1.0)
     return CsvColumn(place, name, int(number or 0), unit, factor, text)
 

@@ -65,6 +65,7 @@ from srs_twin.recordings.signals.gaps import (
     at_frames,
     frame_grid,
     runs,
+    time_order,
 )
 from srs_twin.recordings.signals.units import (
     ANGLES,
@@ -425,6 +426,10 @@ def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFa
     facts.notes = [f"a log of {len(signals)} signals, {unit}", *file.notes]
     if times is not None:
         facts.notes += times.notes
+        try:
+            facts.notes += time_order(times.time)[1]
+        except InputError as error:
+            facts.notes.append(str(error))
         if facts.starts_s is not None:
             facts.starts_s += (times.epoch_ns or 0) / 1e9
     return facts

@@ -211,6 +211,15 @@ class RecordedFile:
             start = self.raw.find(b"\n", start) + 1 or len(self.raw)
         return start
 
+    def line_of_row(self, row: int, header_lines: int) -> int:
+        """Return the line of a row below a header, in a file that may have blank lines.
+
+        `row` is counted from 0.
+        """
+        below = self.raw[self.offset_of(header_lines) :].split(b"\n")
+        numbered = enumerate(below, start=header_lines + 1)
+        return [number for number, line in numbered if line.strip(b"\r")][row]
+
     def rows(
         self,
         header_lines: int,
@@ -306,7 +315,7 @@ class RecordedFile:
 
     def _check_times(self, missing: list[bool], clock: int) -> None:
         if any(missing):
-            line = self.header_lines + 1 + missing.index(True)
+            line = self.line_of_row(missing.index(True), self.header_lines)
             raise self.error("the row has no time", line, clock + 1)
 
     def _parsed(
@@ -357,14 +366,12 @@ class RecordedFile:
         except (pa.ArrowException, OSError) as error:
             if uneven:
                 cells = uneven[0].actual_columns
-                line = header_lines + (uneven[0].number or 0)
+                line = self.line_of_row((uneven[0].number or 1) - 1, header_lines)
                 problem = f"the row has {cells} cells, but the header has {width}"
                 raise self.error(problem, line) from error
-            raise self._not_a_number(bytes(cut), header_lines, str(error)) from error
+            raise self._not_a_number(header_lines, str(error)) from error
 
-    def _not_a_number(
-        self, rows: bytes, header_lines: int, reported: str
-    ) -> InputError:
+    def _not_a_number(self, header_lines: int, reported: str) -> InputError:
         """Return an error that points to the cell reported by Arrow.
 
         The row number that Arrow reports does not include empty lines.
@@ -375,15 +382,14 @@ class RecordedFile:
                 f"the file has no rows of numbers ({' '.join(reported.split())[:200]})"
             )
             return self.error(problem, header_lines + 1)
-        lines = enumerate(rows.split(b"\n"), start=header_lines + 1)
-        filled = [number for number, line in lines if line.strip(b"\r")]
         # A quotation mark may join several lines into one cell.
         text = escape_unprintable(cell["text"].strip()[:60])
         problem = f"'{text}' is not a number; give a number or leave the cell empty"
         if re.search(r"\d,\d", cell["text"]):
             problem += ", or use --decimal ',' for decimal commas"
         column = int(cell["column"]) + 1
-        return self.error(problem, filled[int(cell["row"]) - 1], column)
+        line = self.line_of_row(int(cell["row"]) - 1, header_lines)
+        return self.error(problem, line, column)
 
 
 def recording_file(path: StrPath) -> Path:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings, strategies as st
 
-from srs_twin.recordings.signals.gaps import longest_complete, outliers
+from srs_twin import InputError
+from srs_twin.recordings.signals.gaps import longest_complete, outliers, time_order
 
 pytestmark = pytest.mark.fast
 
@@ -48,3 +50,39 @@ def test_only_the_outlier_among_missing_samples_is_detected(seed):
     points[places] += [0.03, -0.04]
     found = np.flatnonzero(outliers(points, 1e-3)[:, 0])
     assert found.tolist() == places[1:-1].tolist()
+
+
+FRAMES_S = np.arange(201) / 100
+
+
+@given(
+    st.integers(20, 180),
+    st.floats(0.035, 0.5),
+    st.floats(0.0, 1e-3),
+    st.integers(0, 2**31),
+)
+@settings(max_examples=50)
+def test_a_clock_that_is_set_back_is_refused(row, back_s, noise_s, seed):
+    time = FRAMES_S + np.random.default_rng(seed).normal(size=201) * noise_s
+    time[row:] -= back_s
+    with pytest.raises(
+        InputError, match=rf"after row {row}, so the clock was probably"
+    ):
+        time_order(time)
+
+
+def test_a_counter_of_microseconds_that_overflows_is_refused():
+    time = (4_294_000_000 + 10_000 * np.arange(201)) % 2**32 / 1e6
+    with pytest.raises(InputError, match=r"go back from 4294.96 s to 0.002704 s"):
+        time_order(time)
+
+
+@given(st.integers(0, 2**31), st.sampled_from([0.0, 0.002, 0.005, 0.01, 0.04]))
+@settings(max_examples=50)
+def test_late_and_shuffled_rows_are_sorted(seed, jitter_s):
+    rng = np.random.default_rng(seed)
+    time = FRAMES_S + rng.normal(size=201) * jitter_s
+    blocks = np.concatenate([time[100:], time[:100]])
+    for rows in (time, time[::-1], rng.permutation(time), blocks):
+        order, _ = time_order(rows)
+        assert (np.diff(rows[order]) >= 0).all()

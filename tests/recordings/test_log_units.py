@@ -338,7 +338,6 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
     assert found.trajectory["bend_1"] == pytest.approx(factor * raw, abs=1e-12)
 
 
-@pytest.mark.default_cases(6)
 @pytest.mark.parametrize(
     ("name", "units", "unit"),
     [
@@ -354,6 +353,12 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
         ("PressureBar", PRESSURES, "bar"),
         ("Mpa_1", PRESSURES, None),
         ("P1 (Kilopascals)", PRESSURES, "kPa"),
+        ("P0_kPa (bar)", PRESSURES, None),
+        ("P0 bar [bar]", PRESSURES, "bar"),
+        ("Pa (kPa)", PRESSURES, "kPa"),
+        ("P0 kPa abs", PRESSURES, None),
+        ("P0 kPa (abs)", PRESSURES, None),
+        ("time_ms (s)", TIMES, None),
     ],
 )
 def test_units_in_column_names(name, units, unit):

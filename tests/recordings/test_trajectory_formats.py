@@ -126,6 +126,17 @@ def test_tum_poses_are_read(tmp_path, head, origin, space):
     assert found.time[0] == (0.0 if origin > 1e8 else origin)
 
 
+def test_a_comment_states_the_order_of_a_quaternion(tmp_path):
+    turns = Rotation.from_rotvec(np.linspace(0, [0, 0, 2], FRAMES)).as_quat()
+    time = np.arange(FRAMES) / RATE
+    rows = np.column_stack([time, walk(1)[:, 0], turns[:, [3, 0, 1, 2]]])
+    text = "".join(" ".join(f"{value:.9f}" for value in row) + "\n" for row in rows)
+    head = "# timestamp tx ty tz qw qx qy qz\n"
+    (tmp_path / "head.tum").write_text(head + text)
+    found = read_markers(tmp_path / "head.tum")
+    assert found.rotations[:, 0] == pytest.approx(turns, abs=1e-8)
+
+
 def test_eight_numbers_without_a_unit_quaternion_are_refused(tmp_path):
     (tmp_path / "a.txt").write_text("0.1 1 2 3 4 5 6 7\n" * 5)
     with pytest.raises(

@@ -133,7 +133,8 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
 
     A column name ends or begins with the axis, for example ``base_x``, ``Tip X (mm)``
     or ``x_LED1``. Markers without x or y and columns of other quantities, such as
-    rotations (``c1_rot_x``), are excluded.
+    rotations (``c1_rot_x``), are excluded. The unit of a column with two units is, for
+    example, "cm and mm".
     """
     markers: dict[str, dict[str, CsvColumn]] = {}
     for index, cell in enumerate(cells):
@@ -147,7 +148,8 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
         words = re.findall(r"[A-Z]*[a-z]+|[A-Z]+", match["name"]) if match else []
         if match and not any(map(_NOT_A_POSITION.fullmatch, words)):
             axis = match["axis"].lower()
-            unit = unit or symbol(match["unit"] or "", LENGTHS)
+            stated = {unit, symbol(match["unit"] or "", LENGTHS)} - {""}
+            unit = " and ".join(sorted(stated))
             markers.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
                 axis, CsvColumn(index, axis, 0, unit, LENGTHS.get(unit, 1.0), cell)
             )
@@ -243,7 +245,7 @@ def marker_rows(
             missing_name = "time"
         else:
             missing_name = "frame number"
-        line = header_lines + 1 + int(missing.argmax())
+        line = file.line_of_row(int(missing.argmax()), header_lines)
         raise file.error(f"the row has no {missing_name}", line, clock[-1] + 1)
     if rate is not None:
         if count > 1:

@@ -90,7 +90,8 @@ _MAX_NORM_ERROR = 0.01
 class Tum(Format):
     """Trajectory of one body in the TUM format of SLAM tools, in s and m.
 
-    Each line contains ``timestamp tx ty tz qx qy qz qw``.
+    Each line contains ``timestamp tx ty tz qx qy qz qw``. A comment with these names
+    may state another order of the quaternion.
     """
 
     name = "TUM trajectory"
@@ -103,7 +104,7 @@ class Tum(Format):
         """Read the poses of one body."""
         file = laid_out(file, _TUM_POSE)
         _, points, quaternions, notes = marker_rows(
-            file, file.header_lines, 8, [1], others=range(4, 8)
+            file, file.header_lines, 8, [1], others=_quaternion_columns(file)
         )
         times = file.times(0, "s")
         if (np.abs(np.linalg.norm(quaternions, axis=-1) - 1) > _MAX_NORM_ERROR).any():
@@ -121,6 +122,18 @@ class Tum(Format):
             rotations=quaternions[:, None],
         )
         return replace(table, epoch_ns=times.epoch_ns)
+
+
+def _quaternion_columns(file: RecordedFile) -> list[int]:
+    """Return the columns of qx, qy, qz and qw, as a comment of a TUM file states."""
+    names = ("qx", "qy", "qz", "qw")
+    for line in file.data.decode("utf-8", "replace").splitlines():
+        words = line.lower().strip("# \t").replace(",", " ").split()
+        if line.lstrip().startswith("#") and len(words) == 8 and {*names} <= {*words}:
+            return [words.index(name) for name in names]
+        if line.strip() and not line.lstrip().startswith("#"):
+            break
+    return [4, 5, 6, 7]
 
 
 MIN_LIKELIHOOD = 0.6
@@ -270,6 +283,11 @@ def _in_given_unit(
         )
     columns = [column for axes in markers.values() for column in axes]
     for column in columns:
+        if column.unit not in ("", *LENGTHS):
+            raise table.error(
+                column,
+                f"the name '{column.text}' has two units, {column.unit}; remove one",
+            )
         if unit and column.unit not in ("", unit):
             raise table.error(
                 column,

@@ -47,16 +47,36 @@ def check_times(time: np.ndarray) -> None:
 
 
 def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Return the indices of the rows in chronological order, and notes."""
-    backward = int((np.diff(time) < 0).sum())
+    """Return the indices of the rows in chronological order, and notes.
+
+    Raises:
+        InputError: the clock was probably set back, because the rows before and after
+            a backward step alternate in time, or lie far apart.
+    """
+    order = np.argsort(time, kind="stable")
+    steps_back = np.flatnonzero(np.diff(time) < 0)
+    backward = len(steps_back)
     if backward:
+        # A run is a sequence of rows with increasing times.
+        run = np.searchsorted(steps_back, np.arange(len(time)), side="left")
+        changes = np.flatnonzero(np.diff(run[order]))
+        gaps = np.diff(time[order])
+        alternate = len(changes) > 3 * backward + 1
+        is_rare = backward <= len(time) // 20
+        if alternate or (is_rare and 2 * gaps[changes].max() > gaps.sum()):
+            k = int(steps_back[np.argmin(np.diff(time)[steps_back])])
+            raise InputError(
+                f"the times go back from {time[k]:.10g} s to {time[k + 1]:.10g} s after"
+                f" row {k + 1}, so the clock was probably set back; cut the file there,"
+                " or correct the later times"
+            )
         notes = [
             f"the rows were not in chronological order ({backward} steps back) and"
             " were sorted"
         ]
     else:
         notes = []
-    return np.argsort(time, kind="stable"), notes
+    return order, notes
 
 
 def frame_grid(time: np.ndarray) -> FrameGrid:

@@ -60,6 +60,7 @@ _SYMBOLS = {
 }
 _MEGA = ("mbar", "mm", "mrad")
 """Symbols that are invalid with a capital M, which would mean mega."""
+_ABSOLUTE_WORDS = {"abs", "absolute"}
 _AMBIENT = (7e4, 1.1e5)
 """Range of ambient pressures up to an altitude of 3000 m, Pa."""
 _BRACKETS = re.compile(r"(.*?)\s*[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
@@ -102,17 +103,21 @@ def bracketed(name: str) -> tuple[str, str]:
 def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     """Return the unit in a name such as `P1 (bar)`, `time_ms`, `P1/bar` or `timeMs`.
 
-    The result is an empty string without a unit, and None if the unit is unknown or the
-    name contains two different units.
+    The result is an empty string without a unit, and None if the unit is unknown, the
+    pressure is absolute, or the name contains two different units.
     """
     name = clean(name)
     bare, inside = bracketed(name)
-    if inside:
-        return symbol(inside, units) or None
     words: list[str] = _WORD.findall(bare)
-    if [word.lower() for word in words] == ["pa"]:
-        return ""  # "pa" alone names a chamber or port, like "pb"
+    folded = [word.lower() for word in words]
+    if units is PRESSURES and not _ABSOLUTE_WORDS.isdisjoint(folded):
+        return None
+    if inside or folded == ["pa"]:
+        # "pa" also names a chamber or port, like "pb".
+        words = [word for word in words if word.lower() != "pa"]
     stated = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
+    if inside:
+        stated.add(symbol(inside, units) or None)
     if len(stated) > 1 or None in stated:
         return None
     return next(iter(stated), "")
