@@ -32,7 +32,8 @@ class PathQuality:
 
     Attributes:
         length_over_least: ratio of the path length to the minimum length around the
-            obstacles, or None if the minimum length is 0.
+            obstacles, which includes the straight lead-in, or None if the minimum
+            length is 0.
         clearance_m: minimum distance of the footprint with its margin from obstacles
             and bounds, m.
     """
@@ -66,8 +67,11 @@ class ScenarioPlan:
             return None
         assert result.problem is not None, "set by plan()"
         checker = Checker(result.problem.world, result.problem.footprint)
-        if result.least_length > _ROUNDING:
-            ratio = result.length / result.least_length
+        # The plan's problem begins at the end of the lead-in.
+        lead_in = getattr(self.scenario.planner.file, "lead_in_m", 0.0)
+        least = lead_in + result.least_length
+        if least > _ROUNDING:
+            ratio = result.length / least
         else:
             ratio = None
         return PathQuality(ratio, checker.clearance(result.segments))

@@ -18,6 +18,7 @@ from srs_twin.planning.follower import Follower
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.metrics import FOLLOWING_UNITS, PLAN_UNITS
 from srs_twin.planning.pictures import following_plot
+from srs_twin.planning.planned import plan_scenario
 from srs_twin.robot.world import fig54_world
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.points import Experiment, Point
@@ -423,6 +424,19 @@ def test_metrics_of_following_are_columns_of_a_sweep():
         rows[0].values["analytical.cross_track_rms_m"]
         != rows[1].values["analytical.cross_track_rms_m"]
     )
+
+
+def test_the_least_length_includes_the_lead_in():
+    """On a straight way the shortest line to the goal's circle has 0.8 m."""
+    world = {"goal": {"x_m": 0.9, "y_m": 0.0, "radius_m": 0.1}}
+    ratios = []
+    for lead_in in (0.0, 0.7):
+        planner = {"kind": "best_first", "footprint": "gen2_gait"}
+        about = data(planner=planner | {"lead_in_m": lead_in}, world=world)
+        found = plan_scenario(parse_scenario(about, name="way"))
+        ratios.append(found.quality.length_over_least)
+        assert ratios[-1] == pytest.approx(found.plan.length / 0.8, rel=1e-6)
+    assert 1.0 <= min(ratios) <= max(ratios) < 1.3
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -337,6 +338,7 @@ def load_study(
     loaded = None
     if complete and file is not None and scenario is not None:
         _check_metrics(document, file)
+        _check_conflicts(document, file)
         loaded = _study(results_name(path), document, file, scenario)
         _check_range_ends(document, loaded)
     document.raise_problems(scenario_errors)
@@ -383,6 +385,28 @@ def _check_metrics(document: Document, file: StudyFile) -> None:
             if entry.metric not in known:
                 error = UnknownNameError("metric", entry.metric, known, METRICS_LISTED)
                 document.report((section, i, "metric"), str(error))
+
+
+def _check_conflicts(document: Document, file: StudyFile) -> None:
+    for name in file.variables:
+        if name in file.fixed:
+            problem = "this field is also in `fixed`; remove one of them"
+            document.report(("variables", name), problem, at_key=True)
+    metrics = [objective.metric for objective in file.objectives]
+    if len(metrics) > len(set(metrics)):
+        problem = f"both objectives have the metric {metrics[0]}; remove one of them"
+        document.report(("objectives", 1, "metric"), problem)
+    allowed: dict[str, tuple[float, float]] = {}
+    for i, constraint in enumerate(file.constraints):
+        low, high = allowed.get(constraint.metric, (-math.inf, math.inf))
+        if constraint.above is not None:
+            low = max(low, constraint.above)
+        if constraint.below is not None:
+            high = min(high, constraint.below)
+        if low > high:
+            problem = f"no value of {constraint.metric} is above {low:g} and below"
+            document.report(("constraints", i), f"{problem} {high:g}")
+        allowed[constraint.metric] = low, high
 
 
 def _check_range_ends(document: Document, study: OptimizationStudy) -> None:

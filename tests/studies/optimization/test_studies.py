@@ -301,6 +301,34 @@ def test_fractions_map_to_both_bounds_and_back(scale, whole):
     )
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("seed: 0", "fixed: {controller.frequency_hz: 2}", "is also in `fixed`;"),
+        (
+            "constraints: []",
+            "constraints: [{metric: com_speed_m_s, below: 1, above: 2}]",
+            "constraints[0]: no value of com_speed_m_s is above 2 and below 1",
+        ),
+        (
+            "constraints: []",
+            "constraints: [{metric: com_speed_m_s, below: 1},"
+            " {metric: com_speed_m_s, above: 2}]",
+            "constraints[1]: no value of com_speed_m_s is above 2 and below 1",
+        ),
+        (SPEED, f"{SPEED}, {SPEED}", "both objectives have the metric com_speed_m_s"),
+    ],
+)
+def test_contradictory_studies_are_refused(tmp_path, old, new, says):
+    study(tmp_path)
+    path = tmp_path / "question.yaml"
+    text = path.read_text("utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), "utf-8")
+    with pytest.raises(InputError, match=re.escape(says)):
+        load_study(path)
+
+
 @pytest.mark.slow
 def test_constraints_are_met(tmp_path):
     """The fastest gait with a cost of 0.4 has f = √2."""

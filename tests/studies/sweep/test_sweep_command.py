@@ -51,6 +51,18 @@ def test_files_and_output_of_a_sweep(srs_twin, tmp_path):
     assert copy["results_sha256"] == about["results_sha256"]
 
 
+def test_runs_and_sweeps_do_not_overwrite_each_other(srs_twin, tmp_path):
+    write(tmp_path)
+    for folder, other in (("run", "metrics.json"), ("sweep", "sweep.json")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / other).write_text("{}")
+    done = srs_twin("sweep", "small.yaml", "--out", "run", cwd=tmp_path)
+    assert done.returncode == 2 and "run: the folder contains a run;" in done.stderr
+    done = srs_twin("run", "gen2_straight", "--out", "sweep", cwd=tmp_path)
+    assert done.returncode == 2 and "sweep: the folder contains a sweep" in done.stderr
+    assert [len([*(tmp_path / name).iterdir()]) for name in ("run", "sweep")] == [1, 1]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
