@@ -208,9 +208,9 @@ class IntervalCalibration:
     the later estimate x has the standard deviation σ_x. The mean squared error is not
     used, because a few very large errors due to lost commands would dominate it.
 
-    While a group of values is not measured, its standard deviation grows. No comparison
-    has shown that the added variance is too large, so a scale below 1 does not reduce
-    it.
+    While a group of values is not measured, its standard deviation grows. Predictions
+    cannot be checked then, so the variance that is added since the last comparison is
+    never reduced, and s σ̂ is replaced with the result of `calibrated`.
     """
 
     def __init__(self, groups: Sequence[int]) -> None:

@@ -31,9 +31,8 @@ class PathQuality:
     """Quality of a planned path.
 
     Attributes:
-        length_over_least: ratio of the path length to the minimum length around the
-            obstacles, which includes the straight lead-in, or None if the minimum
-            length is 0.
+        length_over_least: ratio of the path length to the sum of the lead-in and the
+            minimum length from its end around the obstacles, or None if this sum is 0.
         clearance_m: minimum distance of the footprint with its margin from obstacles
             and bounds, m.
     """

@@ -429,7 +429,7 @@ def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFa
         try:
             facts.notes += time_order(times.time)[1]
         except InputError as error:
-            facts.notes.append(str(error))
+            facts.notes.append(f"`replay` and `calibrate` refuse this file: {error}")
         if facts.starts_s is not None:
             facts.starts_s += (times.epoch_ns or 0) / 1e9
     return facts

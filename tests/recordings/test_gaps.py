@@ -66,7 +66,7 @@ def test_a_clock_that_is_set_back_is_refused(row, back_s, noise_s, seed):
     time = FRAMES_S + np.random.default_rng(seed).normal(size=201) * noise_s
     time[row:] -= back_s
     with pytest.raises(
-        InputError, match=rf"after row {row}, so the clock was probably"
+        InputError, match=rf"after data row {row}, so the clock was probably"
     ):
         time_order(time)
 
@@ -75,6 +75,20 @@ def test_a_counter_of_microseconds_that_overflows_is_refused():
     time = (4_294_000_000 + 10_000 * np.arange(201)) % 2**32 / 1e6
     with pytest.raises(InputError, match=r"go back from 4294.96 s to 0.002704 s"):
         time_order(time)
+
+
+def test_a_long_recording_over_an_overflow_is_refused():
+    """More than half of the range of the counter lies between both ends."""
+    time = (3_000_000_000 + 200_000 * np.arange(12_000)) % 2**32 / 1e6
+    with pytest.raises(InputError, match="clock was probably set back"):
+        time_order(time)
+
+
+def test_late_rows_are_sorted_with_a_note():
+    rows = np.r_[0:40, 43, 40:43, 44:80, 90:100, 80:90, 100:200]
+    order, (note,) = time_order(FRAMES_S[rows])
+    assert (rows[order] == np.arange(200)).all()
+    assert "(2 steps back)" in note
 
 
 @given(st.integers(0, 2**31), st.sampled_from([0.0, 0.002, 0.005, 0.01, 0.04]))

@@ -16,6 +16,11 @@ _GRID_TOLERANCE = 0.2
 """Maximum deviation of a time step from a multiple of the frame period, in periods."""
 _MAX_FRAMES_PER_ROW = 10
 """Maximum ratio of the number of frames in the grid to the number of file rows."""
+_OVERFLOWS_S = 2.0**32 * np.array([1e-6, 1e-3])
+"""Times after which 32-bit counters of microseconds and milliseconds overflow, s."""
+_OVERFLOW_TOLERANCE = 1e-3
+_MAX_RARE = 0.05
+"""Fraction of rows up to which backward steps are too rare for rows in random order."""
 _MAX_TIME = 1e9
 """Maximum time, above which the unit is probably wrong, s."""
 
@@ -50,33 +55,31 @@ def time_order(time: np.ndarray) -> tuple[np.ndarray, list[str]]:
     """Return the indices of the rows in chronological order, and notes.
 
     Raises:
-        InputError: the clock was probably set back, because the rows before and after
-            a backward step alternate in time, or lie far apart.
+        InputError: the clock was probably set back, or its counter overflowed.
     """
     order = np.argsort(time, kind="stable")
-    steps_back = np.flatnonzero(np.diff(time) < 0)
-    backward = len(steps_back)
-    if backward:
-        # A run is a sequence of rows with increasing times.
-        run = np.searchsorted(steps_back, np.arange(len(time)), side="left")
-        changes = np.flatnonzero(np.diff(run[order]))
-        gaps = np.diff(time[order])
-        alternate = len(changes) > 3 * backward + 1
-        is_rare = backward <= len(time) // 20
-        if alternate or (is_rare and 2 * gaps[changes].max() > gaps.sum()):
-            k = int(steps_back[np.argmin(np.diff(time)[steps_back])])
-            raise InputError(
-                f"the times go back from {time[k]:.10g} s to {time[k + 1]:.10g} s after"
-                f" row {k + 1}, so the clock was probably set back; cut the file there,"
-                " or correct the later times"
-            )
-        notes = [
-            f"the rows were not in chronological order ({backward} steps back) and"
-            " were sorted"
-        ]
-    else:
-        notes = []
-    return order, notes
+    steps = np.diff(time)
+    backward = int((steps < 0).sum())
+    if not backward:
+        return order, []
+    # A run is a sequence of rows without a backward step. A late row changes the run
+    # at most three times in chronological order, whereas the rows before and after a
+    # step of the clock alternate.
+    run = np.append(0, np.cumsum(steps < 0))
+    changes = np.flatnonzero(np.diff(run[order]))
+    overflow = np.isclose(-steps[:, None], _OVERFLOWS_S, rtol=_OVERFLOW_TOLERANCE)
+    gaps = np.diff(time[order])
+    is_far = 2 * gaps[changes].max() > gaps.sum()
+    is_rare = backward <= _MAX_RARE * len(time)
+    if len(changes) > 3 * backward + 1 or overflow.any() or (is_rare and is_far):
+        k = int(np.argmin(steps))
+        raise InputError(
+            f"the times go back from {time[k]:.10g} s to {time[k + 1]:.10g} s after data"
+            f" row {k + 1}, so the clock was probably set back, or rows were repeated;"
+            " cut the file there, or correct the rows"
+        )
+    note = f"the rows were not in chronological order ({backward} steps back)"
+    return order, [f"{note} and were sorted"]
 
 
 def frame_grid(time: np.ndarray) -> FrameGrid:

@@ -390,7 +390,9 @@ def _check_metrics(document: Document, file: StudyFile) -> None:
 def _check_conflicts(document: Document, file: StudyFile) -> None:
     for name in file.variables:
         if name in file.fixed:
-            problem = "this field is also in `fixed`; remove one of them"
+            problem = (
+                "this field is also fixed, in `fixed` or with --set; remove one of them"
+            )
             document.report(("variables", name), problem, at_key=True)
     metrics = [objective.metric for objective in file.objectives]
     if len(metrics) > len(set(metrics)):
@@ -404,8 +406,12 @@ def _check_conflicts(document: Document, file: StudyFile) -> None:
         if constraint.below is not None:
             high = min(high, constraint.below)
         if low > high:
-            problem = f"no value of {constraint.metric} is above {low:g} and below"
-            document.report(("constraints", i), f"{problem} {high:g}")
+            problem = (
+                f"the minimum of {constraint.metric}, {low}, exceeds its maximum,"
+                f" {high}"
+            )
+            document.report(("constraints", i), problem)
+            continue
         allowed[constraint.metric] = low, high
 
 

@@ -304,17 +304,17 @@ def test_fractions_map_to_both_bounds_and_back(scale, whole):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("seed: 0", "fixed: {controller.frequency_hz: 2}", "is also in `fixed`;"),
+        ("seed: 0", "fixed: {controller.frequency_hz: 2}", "this field is also fixed"),
         (
             "constraints: []",
             "constraints: [{metric: com_speed_m_s, below: 1, above: 2}]",
-            "constraints[0]: no value of com_speed_m_s is above 2 and below 1",
+            "constraints[0]: the minimum of com_speed_m_s, 2.0, exceeds its maximum",
         ),
         (
             "constraints: []",
             "constraints: [{metric: com_speed_m_s, below: 1},"
             " {metric: com_speed_m_s, above: 2}]",
-            "constraints[1]: no value of com_speed_m_s is above 2 and below 1",
+            "constraints[1]: the minimum of com_speed_m_s, 2.0, exceeds its maximum",
         ),
         (SPEED, f"{SPEED}, {SPEED}", "both objectives have the metric com_speed_m_s"),
     ],
