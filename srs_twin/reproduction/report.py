@@ -255,9 +255,10 @@ MEANINGS: dict[Category, str] = {
         "The time constants of generation 1 were chosen with its speed in view."
     ),
     "tuned_controller": (
-        "The search for the gains of the controllers minimised overshoot and valve"
-        " openings, with settling within 0.25 s and a lag of at most 0.5 rad. Rows that"
-        " follow from these criteria are no evidence."
+        "The search for the gains of the controllers minimised rise time and overshoot."
+        " For direct SMC, it also minimised valve openings, with settling within 0.25 s"
+        " and a lag of at most 0.5 rad. Rows that follow from these criteria are no"
+        " evidence."
     ),
     "chosen_obstacles": (
         "The obstacles and paths of the figures are not available; ours are simulated."
