@@ -57,7 +57,7 @@ CONSTANTS = {
         for lag in (math.pi / 2, -math.pi / 2)
     ],
     "Pegs": [[0.0, 1.0, 48.3]],
-    "Grasp": [[1.0, 0.0, 0.0], [1.0, 1.0, 0.0]],
+    "Grasp": [[1.0, 0.0, 0.0, 1.2], [1.0, 1.0, 0.0, 1.2]],
 }
 """Constant actions of each task in the units of its signals."""
 
@@ -67,7 +67,7 @@ HIDDEN = {
     "Module": {"reference_rad": 0.0},
     "Crawl3D": {"goal_ahead_m": 0.0, "goal_left_m": 0.7},
     "Pegs": {"goal_ahead_m": 0.6, "goal_left_m": 0.0},
-    "Grasp": {"object_left_m": 0.06},
+    "Grasp": {"object_ahead_m": -0.2, "object_left_m": 0.08},
 }
 """Observation → what the blind controller gets in its place; in Obstacles it sees the goal."""
 

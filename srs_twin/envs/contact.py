@@ -4,7 +4,12 @@ In the task Pegs, the snake crawls to a goal among pegs. The friction of its ski
 isotropic, so the snake hardly moves without pegs. Among pegs, almost every gait moves
 the snake. The goal may be in any direction, so the snake must be steered to reach it.
 
-In the task Grasp, the snake must curl its tail around a cylinder and drag the cylinder.
+In the task Grasp, a cylinder stands to the left or to the right of the body. The snake
+must crawl forward until the cylinder is beside its tail. Then the snake must curl its
+tail around the cylinder and drag the cylinder. The phase lag of the gait sets the
+length of the body waves. A snake with short waves passes the cylinder almost without
+contact. Long waves push the cylinder, but are faster, so they suit the drag.
+
 The cylinder is gripped if two of its contact forces on the tail are nearly opposite.
 The cylinder is held if it has been gripped for the last `HELD_S` seconds without
 slipping. Motion of the cylinder is rewarded only while it is gripped, so pushing the
@@ -129,12 +134,17 @@ class PegsTask(CrawlTask):
         )
 
 
-CHAIN = {
-    "base": "gen2",
-    "geometry": {"connectors": 13},
-    "gait": {"phase_step_rad": math.pi / 4},
-}
-"""Robot with twelve modules, as in the scenario `grasp_cylinder`."""
+CHAIN = {"base": "gen2", "geometry": {"connectors": 13}}
+"""Robot with twelve modules."""
+
+SHORT_WAVE_RAD = 2 * math.pi / 3
+"""Maximum phase lag per module of the gait, rad.
+
+With this phase lag, a crawling snake swings to the side by about 25 mm.
+"""
+
+_LONG_WAVE_RAD = math.pi / 3
+"""Minimum phase lag per module of the gait, rad."""
 
 HOLD = 4
 """Number of holding modules, which are the rearmost modules of the snake."""
@@ -154,18 +164,17 @@ _TOUCH_N = 0.02
 _SLIP_M = 0.02
 """Maximum change in the distance between a held object and each rear connector, m."""
 
-GRASP_FREQUENCY_HZ = 2.0
+GRASP_FREQUENCY_HZ = 3.0
 """Gait frequency of the crawling modules, Hz."""
 
 TIMESTEP_S = 0.002
 """Time step of the twin in the task Grasp, s (docs/objects.md)."""
 
-_LOST_M = 0.25
-"""Distance between the object and the centre of the tail above which the object counts
+_LOST_M = 0.2
+"""Distance between the object and the nearest connector above which the object counts
 as lost, m.
 
-The distance is at most 0.1 m at the start, and remains below the limit even if the tail
-curls to the wrong side.
+The distance is below 0.1 m at the start.
 """
 
 _PULSES = 5
@@ -184,15 +193,22 @@ _MASSES_KG = (0.02, 0.10)
 
 _LOADS_N = (0.05, 0.25)
 
-_BEHIND_M = (0.12, 0.16)
-"""Minimum and maximum distance of the object behind the front of the tail, m."""
+_AHEAD_M = (-0.1, 0.3)
+"""Minimum and maximum distance of the object ahead of the front of the tail, m.
 
-_GAPS_M = (0.002, 0.015)
-"""Minimum and maximum gap between the object and the body, m."""
+The tail can grasp an object that is 0.06 to 0.14 m behind the front of the tail.
+"""
+
+_GAPS_M = (0.025, 0.04)
+"""Minimum and maximum gap between the object and the straight body, m.
+
+At smaller gaps, even short waves push the object. At gaps of 0.045 m and more, the tail
+often misses the object.
+"""
 
 
 class GraspTask(CameraTask):
-    """Task in which a snake grasps a cylinder with its tail and drags the cylinder."""
+    """Task in which a snake approaches, grasps and drags a cylinder with its tail."""
 
     name = "Grasp"
     has_obstacles = True
@@ -209,7 +225,7 @@ class GraspTask(CameraTask):
             f" {DRAG_M:g} m",
         ),
         RewardTerm(
-            "object_lost", -1.0, "1 in the step in which the tail loses the object"
+            "object_lost", -1.0, "1 in the step in which the snake has left the object"
         ),
         *COSTS,
     )
@@ -218,7 +234,7 @@ class GraspTask(CameraTask):
         self,
         *,
         robot: Robot = CHAIN,
-        limit_s: float = 8.0,
+        limit_s: float = 12.0,
         camera: Camera = CAMERA,
         **settings: Any,
     ) -> None:
@@ -259,6 +275,13 @@ class GraspTask(CameraTask):
                 0.4,
                 "steering offset φ of the gait, positive to the left",
             ),
+            Signal(
+                "phase_lag_rad",
+                "rad",
+                _LONG_WAVE_RAD,
+                SHORT_WAVE_RAD,
+                "phase lag of the gait per module; a large phase lag makes short waves",
+            ),
         )
         radius = Signal(
             "object_radius_m", "m", *_OBJECT_RADII_M, "radius of the object"
@@ -277,15 +300,13 @@ class GraspTask(CameraTask):
         radius = float(rng.uniform(*_OBJECT_RADII_M))
         mass = float(rng.uniform(*_MASSES_KG))
         load = float(rng.uniform(*_LOADS_N))
-        behind = float(rng.uniform(*_BEHIND_M))
+        ahead = float(rng.uniform(*_AHEAD_M))
         gap = float(rng.uniform(*_GAPS_M))
         side = 1 if rng.random() < 0.5 else -1
         geometry = spec.geometry
         front = geometry.body_length / 2 - (geometry.segments - HOLD) * geometry.pitch
         y = side * (geometry.width / 2 + gap + radius)
-        item = MovableObject(
-            (radius,), mass, load / (mass * GRAVITY), front - behind, y
-        )
+        item = MovableObject((radius,), mass, load / (mass * GRAVITY), front + ahead, y)
         twin = self._twin(spec, last, World(objects=(item,)))
         return GraspEpisode(self, twin, item, seed)
 
@@ -308,7 +329,7 @@ class GraspEpisode(ObservedEpisode):
         self._item = item
         self._gait = Gait(GRASP_FREQUENCY_HZ)
         self._gait.reset(twin.spec, twin.tick)
-        self._command = [0.0, 0.0, 0.0]
+        self._command = [0.0, 0.0, 0.0, _LONG_WAVE_RAD]
         self._driven = 0.0
         self._moved = 0.0
         self._grips: list[np.ndarray] = []
@@ -320,7 +341,9 @@ class GraspEpisode(ObservedEpisode):
         self._grips = []
 
     def _valves(self, action: list[float]) -> np.ndarray:
-        grip, drive, self._gait.offset = self._command = action
+        self._command = action
+        grip, drive, self._gait.offset, phase_lag = action
+        self._gait.phase_lag = phase_lag * np.arange(self.twin.spec.segments)
         if drive > 0.5:
             valves = np.asarray(self._gait.valves_at(self._driven))
             self._driven += self._task.step_s
@@ -369,14 +392,14 @@ class GraspEpisode(ObservedEpisode):
     def _reward_values(self) -> dict[str, float]:
         before = self._moved
         self._moved = self._distance_moved()
-        holding = np.asarray(self.state.position)[-HOLD - 1 :]
         gripped = self._is_gripped()
-        # These distances describe the position of the object relative to the tail.
-        distances = np.hypot(*(holding[1:] - self._object_place()).T)
-        self._grips = [*self._grips, distances] if gripped else []
+        connectors = np.asarray(self.state.position)
+        distances = np.hypot(*(connectors - self._object_place()).T)
+        # The last distances describe the position of the object relative to the tail.
+        self._grips = [*self._grips, distances[-HOLD:]] if gripped else []
         if self._moved >= DRAG_M and self._is_held():
             self.ending = "dragged"
-        elif np.hypot(*(holding.mean(axis=0) - self._object_place())) > _LOST_M:
+        elif distances.min() > _LOST_M:
             self.ending = "object_lost"
         return {
             "progress_m": gripped * (self._moved - before),

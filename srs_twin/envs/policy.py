@@ -19,7 +19,13 @@ import numpy as np
 
 from srs_twin.control.base import Controller
 from srs_twin.control.grasp import Grasp, Phase
-from srs_twin.envs.contact import GRASP_FREQUENCY_HZ, HOLD, GraspTask, PegsTask
+from srs_twin.envs.contact import (
+    GRASP_FREQUENCY_HZ,
+    HOLD,
+    SHORT_WAVE_RAD,
+    GraspTask,
+    PegsTask,
+)
 from srs_twin.envs.crawling import (
     SPATIAL_FREQUENCIES_HZ,
     SPATIAL_RELATIVE_PRESSURES,
@@ -385,20 +391,46 @@ class Sidewinding(_Baseline):
 
 
 class SensedGrasp(_Baseline):
-    """Policy for Grasp that uses the controller of the scenario `grasp_cylinder`."""
+    """Policy for Grasp that crawls to the object and then grasps it.
 
+    The snake approaches with short waves until the object is beside the tail, and vents
+    until the body has come to rest. Then the controller of the scenario
+    `grasp_cylinder` grasps the object and drags it with long waves.
+    """
+
+    stop_ahead_m = -0.185
+    """Position of the object, along the heading, at which the approach ends, m.
+
+    The snake then coasts by about 25 mm.
+    """
+
+    rest_s = 0.4
+    """Time between the approach and the grasp, s."""
+
+    drag_phase_lag_rad = 1.2
+    """Phase lag per module during the drag, rad."""
+
+    _stopped: int | None = None
     _grasp: Grasp | None = None
 
     def _action(self, values: Mapping[str, float]) -> Sequence[float]:
+        if self._stopped is None:
+            if values["object_ahead_m"] > self.stop_ahead_m:
+                return [0.0, 1.0, 0.0, SHORT_WAVE_RAD]
+            self._stopped = self._steps
+        time = (self._steps - self._stopped) * self._task.step_s - self.rest_s
         if self._grasp is None:
+            if time < 0:
+                return [0.0, 0.0, 0.0, SHORT_WAVE_RAD]
             side = "left" if values["object_left_m"] > 0 else "right"
             self._grasp = Grasp(GRASP_FREQUENCY_HZ, side=side, hold=HOLD)
             self._grasp.reset(self._task.robot, self._task.step_s)
         bends = np.array(
             [values[f"bend_{k + 1}_rad"] for k in range(self._task.robot.segments)]
         )
-        self._grasp.step(replace(self._state(values), measured_bend=bends))
-        return [self._grasp.duty, float(self._grasp.phase is Phase.DRAG), 0.0]
+        self._grasp.step(replace(self._state(values), time=time, measured_bend=bends))
+        drive = float(self._grasp.phase is Phase.DRAG)
+        return [self._grasp.duty, drive, 0.0, self.drag_phase_lag_rad]
 
 
 def baseline(task: Task) -> Policy:

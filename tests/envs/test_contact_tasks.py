@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from srs_twin.control.gait import Gait
 from srs_twin.control.grasp import hold_with
 from srs_twin.envs import make_task
-from srs_twin.envs.contact import HELD_S, HOLD
+from srs_twin.envs.contact import GRASP_FREQUENCY_HZ, HELD_S, HOLD, SHORT_WAVE_RAD
 from srs_twin.envs.gymnasium import SnakeEnv
 from srs_twin.envs.policy import baseline, play_episode
 from srs_twin.errors import InputError
@@ -83,7 +84,7 @@ def test_baseline_succeeds_and_resting_does_not(name, ending):
     task = make_task(name)
     score = play_episode(task, baseline(task), np.random.default_rng(0))
     assert score.ending == ending
-    vented = task.from_physical([0.0, 0.0, 0.0]) if name == "Grasp" else None
+    vented = task.from_physical([0.0, 0.0, 0.0, 1.2]) if name == "Grasp" else None
     if vented is not None:
         rest = play_episode(
             make_task(name, limit_s=2.0), lambda _: vented, np.random.default_rng(0)
@@ -93,14 +94,16 @@ def test_baseline_succeeds_and_resting_does_not(name, ending):
 
 
 @pytest.mark.slow
-def test_pushing_the_object_away_is_no_success():
+def test_pushing_the_object_away_is_no_success(monkeypatch):
+    # The object stands beside the tail.
+    monkeypatch.setattr("srs_twin.envs.contact._AHEAD_M", (-0.16, -0.12))
     task = make_task("Grasp", limit_s=3.0)
     for seed in range(2):
         episode = task.begin(np.random.default_rng(seed))
         total = 0.0
         grip = math.copysign(1.0, episode._item.y)
         while not episode.ending:
-            result = episode.step(task.from_physical([grip, 0.0, 0.0]))
+            result = episode.step(task.from_physical([grip, 0.0, 0.0, 1.2]))
             total += result.reward
         assert episode.ending in ("object_lost", "time_up") and total < 0.1
 
@@ -156,7 +159,7 @@ def test_motion_in_the_grip_is_rewarded_and_ends_after_two_seconds():
     )
     episode.ending = ""
     assert (
-        after_a_shift(none, -0.6)[1]["object_lost"] == 1
+        after_a_shift(none, -0.9)[1]["object_lost"] == 1
         and episode.ending == "object_lost"
     )
 
@@ -182,7 +185,7 @@ def test_grip_fills_the_chambers_of_one_side_of_the_tail():
     for sign in (1, -1):
         env.reset(seed=1)
         for _ in range(3):
-            env.step(env.task.from_physical([0.6 * sign, 0.0, 0.0]))
+            env.step(env.task.from_physical([0.6 * sign, 0.0, 0.0, 1.2]))
         pressure = np.asarray(env.episode.state.pressure)
         full, empty = (pressure[-HOLD:, k] for k in ((0, 1) if sign > 0 else (1, 0)))
         assert (full > 1e4).all() and (empty < 1.0).all()
@@ -203,13 +206,46 @@ def test_object_is_observed_at_its_place_and_lost_when_far():
         values["object_left_m"] + info["com_y_m"],
     )
     assert seen == pytest.approx((item.x, item.y), abs=0.006)
-    for _ in range(30):
+    for _ in range(60):
         *_, info = env.step(
-            env.task.from_physical([0.0, 1.0, 0.0])
+            env.task.from_physical([0.0, 1.0, 0.0, 1.2])
         )  # crawls away without a grip
         if info["ending"]:
             break
     assert info["ending"] == "object_lost" and info["reward_object_lost"] == -1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_short_waves_pass_an_object_that_long_waves_push(seed, monkeypatch):
+    # The object stands near the head, so the whole body passes it.
+    monkeypatch.setattr("srs_twin.envs.contact._AHEAD_M", (0.2, 0.3))
+    task = make_task("Grasp")
+
+    def distance_after_passing(phase_lag: float) -> float:
+        """Return the distance by which a snake moves the object that it crawls past."""
+        episode = task.begin(np.random.default_rng(seed))
+        action = task.from_physical([0.0, 1.0, 0.0, phase_lag])
+        while not episode.ending:
+            episode.step(action)
+        assert episode.ending == "object_lost"
+        return episode._moved
+
+    assert distance_after_passing(SHORT_WAVE_RAD) < 0.005
+    assert distance_after_passing(1.2) > 0.01
+
+
+def test_phase_lag_of_the_action_sets_the_wave():
+    episode = make_task("Grasp").begin(np.random.default_rng(0))
+    twin = episode.twin
+    for phase_lag in (1.2, SHORT_WAVE_RAD):
+        time = episode._driven
+        gait = Gait(GRASP_FREQUENCY_HZ, phase_step=phase_lag)
+        gait.reset(twin.spec, twin.tick)
+        valves = episode._valves([0.0, 1.0, 0.0, phase_lag])
+        expected = gait.valves_at(time)
+        assert (valves[:, :-HOLD] == expected[:, :-HOLD]).all()
+        assert (valves[:, -HOLD:] == -1).all()
 
 
 @given(st.floats(-1, 1), st.sampled_from([1, 2, 5]), st.integers(1, 4))
