@@ -358,6 +358,14 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
         ("Pa (kPa)", PRESSURES, "kPa"),
         ("P0 kPa abs", PRESSURES, None),
         ("P0 kPa (abs)", PRESSURES, None),
+        ("Pabs_kPa", PRESSURES, None),
+        ("pAbs (kPa)", PRESSURES, None),
+        ("PABS_KPA", PRESSURES, None),
+        ("P1_psia", PRESSURES, None),
+        ("absorber_kPa", PRESSURES, "kPa"),
+        ("absolute time_ms", TIMES, "ms"),
+        ("pressure_Pa (kPa)", PRESSURES, None),
+        ("Pa_1 (kPa)", PRESSURES, "kPa"),
         ("time_ms (s)", TIMES, None),
     ],
 )
@@ -424,6 +432,13 @@ def test_absolute_pressures_are_noted_and_converted(tmp_path):
     assert (
         "the pressures are absolute, so 101.3 kPa were subtracted" in found.corrections
     )
+
+
+def test_absolute_pressures_by_name_are_refused_with_the_remedy(tmp_path):
+    path = log(tmp_path, "time,Pabs_kPa,P2 (kPa)", 101.3 + 30 * RAW)
+    given = mapped(pressure_kpa_plus_1="Pabs_kPa", pressure_minus_1="P2 (kPa)")
+    with pytest.raises(InputError, match="absolute pressure, so .* ambient_kpa: 101.3"):
+        read_valves(path, MODULE, given)
 
 
 def test_log_of_a_microcontroller(tmp_path):
