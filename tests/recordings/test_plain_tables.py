@@ -339,11 +339,14 @@ def test_rotations_and_rates_are_not_markers(tmp_path, names):
     assert f"4 columns not used: {', '.join(more)}" in found.corrections
 
 
-def test_a_position_with_two_units_is_refused(tmp_path):
+def test_a_position_with_two_units_needs_the_unit_of_the_map(tmp_path):
     rows = "".join(f"{k / 20},{k},0\n" for k in range(20))
     (tmp_path / "a.csv").write_text("time,x_1_mm (cm),y_1_mm\n" + rows)
     with pytest.raises(InputError, match=r"a.csv:1:2: .*two units, cm and mm"):
         read_markers(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text("time,x_1_mm (cm),y_1 (cm)\n" + rows)
+    found = read_markers(tmp_path / "a.csv", Unstated(unit="cm"))
+    assert found.points[1, 0].tolist() == [0.01, 0.0]
 
 
 def test_markers_with_unusual_names_are_kept():

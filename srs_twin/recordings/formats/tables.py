@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from string import ascii_letters
 from typing import final
@@ -242,7 +244,7 @@ class PlainCsv(Format):
         numbered = any(map(_NUMBERED.match, file.names))
         table = read_table(file, CLOCK)
         clock = next(iter(table.columns), None)
-        markers = _marker_columns(table, numbered)
+        markers = _marker_columns(table, numbered, unstated.unit)
         if not clock and not unstated.rate_hz:
             raise file.error(
                 "the column 'time' is missing, and no frame rate is given. The first"
@@ -283,11 +285,6 @@ def _in_given_unit(
         )
     columns = [column for axes in markers.values() for column in axes]
     for column in columns:
-        if column.unit not in ("", *LENGTHS):
-            raise table.error(
-                column,
-                f"the name '{column.text}' has two units, {column.unit}; remove one",
-            )
         if unit and column.unit not in ("", unit):
             raise table.error(
                 column,
@@ -318,13 +315,25 @@ def _place(marker: str) -> tuple[int, str]:
     return int(number), marker[len(number) :]
 
 
-def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn]]:
+def _refuse_two_units(file: RecordedFile, place: int, units: Sequence[str]) -> None:
+    raise file.error(
+        f"the name '{file.names[place]}' has two units, {' and '.join(units)}; remove"
+        " one, or state the unit in a map or with --units",
+        file.header_lines or 1,
+        place + 1,
+    )
+
+
+def _marker_columns(
+    table: CsvTable, numbered: bool, given: str | None
+) -> dict[str, list[CsvColumn]]:
     file = table.file
     line = table.file.header_lines or 1
     names = [
         name if not numbered or _NUMBERED.match(name) else "" for name in file.names
     ]
-    markers = axis_columns(names)
+    refuse = None if given else partial(_refuse_two_units, file)
+    markers = axis_columns(names, refuse)
     if numbered:
         markers = {
             name: markers[name]
