@@ -85,6 +85,8 @@ _TUM_START = re.compile(
     _COMMENTS.pattern + rb"[ \t]*(?:[-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t\r]*\n"
 )
 _TUM_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
+_NO_NAME = re.compile(r"[#,]|\[.*?\]|\(.*?\)")
+"""Parts of a comment that are no column names, such as units in brackets."""
 _MAX_NORM_ERROR = 0.01
 
 
@@ -129,12 +131,11 @@ class Tum(Format):
 def _quaternion_columns(file: RecordedFile) -> list[int]:
     """Return the columns of qx, qy, qz and qw, as a comment of a TUM file states."""
     names = ("qx", "qy", "qz", "qw")
-    for line in file.data.decode("utf-8", "replace").splitlines():
-        words = line.lower().strip("# \t").replace(",", " ").split()
-        if line.lstrip().startswith("#") and len(words) == 8 and {*names} <= {*words}:
+    comments = file.raw[: file.offset_of(file.header_lines)]
+    for line in comments.decode("utf-8", "replace").lower().splitlines():
+        words = _NO_NAME.sub(" ", line).split()
+        if len(words) == 8 and {*names} <= {*words}:
             return [words.index(name) for name in names]
-        if line.strip() and not line.lstrip().startswith("#"):
-            break
     return [4, 5, 6, 7]
 
 
