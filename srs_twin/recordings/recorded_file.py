@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
+from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -216,9 +218,10 @@ class RecordedFile:
 
         `row` is counted from 0.
         """
-        below = self.raw[self.offset_of(header_lines) :].split(b"\n")
-        numbered = enumerate(below, start=header_lines + 1)
-        return [number for number, line in numbered if line.strip(b"\r")][row]
+        numbered = enumerate(BytesIO(self.raw), start=1)
+        below = islice(numbered, header_lines, None)
+        filled = (number for number, line in below if line.strip(b"\r\n"))
+        return next(islice(filled, row, None))
 
     def rows(
         self,
