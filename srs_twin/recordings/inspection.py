@@ -192,7 +192,7 @@ def _topics_facts(
 def _motion_facts(
     table: MarkerTable, recording_map: RecordingMap
 ) -> tuple[RecordingFacts, Scene | None]:
-    frames = frame_grid(table.time)
+    frames = frame_grid(table.time, table.points)
     facts = RecordingFacts(
         file=table.name,
         format=table.kind,
@@ -412,11 +412,13 @@ def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFa
         unit = f"time in {clock.unit}" if clock.unit else "time without a unit"
     time = None if times is None else times.time
     signals: list[SignalFacts] = []
+    columns = []
     for k, name in enumerate(file.names[:_MAX_SIGNALS]):
         if clock is not None and k == clock.place:
             continue
         try:
             values = file.rows(file.header_lines, [k], len(file.names))[0][:, 0]
+            columns.append(values)
             signals.append(_signal_facts(name, time, values, recording_map))
         except InputError as error:
             if "is not a number" not in str(error):
@@ -427,7 +429,7 @@ def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFa
     if times is not None:
         facts.notes += times.notes
         try:
-            facts.notes += time_order(times.time)[1]
+            facts.notes += time_order(times.time, np.transpose(columns))[1]
         except InputError as error:
             facts.notes.append(f"`replay` and `calibrate` refuse this file: {error}")
         if facts.starts_s is not None:

@@ -314,7 +314,7 @@ def read_motion(
     table = read_markers(path, recording_map.unstated)
     with named_in_errors(table.name):
         table = bodies_as_pairs(recording_map.applied(table))
-        frames = frame_grid(table.time)
+        frames = frame_grid(table.time, table.points)
         given_up = up
         if recording_map.up and up == "auto":
             given_up = recording_map.up

@@ -46,7 +46,7 @@ def frame():
 def check(path, digits, scale=1.0, **given):
     """Compare a file with the motion: rate, duration, count, and positions to half the last digit."""
     table = read_markers(path, Unstated(**given))
-    grid = frame_grid(table.time)
+    grid = frame_grid(table.time, table.points)
     assert len(table.time) == FRAMES and table.time[0] == 0
     assert 1 / grid.period == pytest.approx(RATE, rel=1e-4)
     assert table.time == pytest.approx(TIME, abs=1e-6)

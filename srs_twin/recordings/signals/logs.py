@@ -123,7 +123,7 @@ def read_bends(
         )
         raise table.error(chosen[k], message, row)
     with named_in_errors(table.file.name):
-        frames = frame_grid(time)
+        frames = frame_grid(time, bend)
     bend = at_frames(bend, frames)
     tracks = bend[..., None]
     kept = longest_complete(frames.time, tracks, longest_gap_s)
@@ -336,7 +336,7 @@ def _log(
 ) -> ValveLog:
     with named_in_errors(source.name):
         check_times(time)
-        order, moved = time_order(time)
+        order, moved = time_order(time, values)
         # Of several commands with equal times, a valve executes the last one.
         kept = np.append(np.diff(time[order]) > 0, True)
         notes += moved
