@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError, UnknownNameError, named_in_errors
 from srs_twin.io.files import StrPath
 from srs_twin.recordings.recorded_file import (
     AS_FOUND,
@@ -196,7 +196,8 @@ def read_table(
     line = file.header_lines or 1
     if file.problem:
         raise file.error(file.problem, file.header_lines + (not file.names))
-    mapped = _mapped_names(file, meanings or {}, timed="time" in known)
+    with named_in_errors(f"{file.name}:{line}"):
+        mapped = _mapped_names(file, meanings or {}, timed="time" in known)
     taken = {meaning.key for meaning in mapped.values()}
     columns: dict[tuple[str, int], CsvColumn] = {}
     unused = []

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, named_in_errors
 from srs_twin.io.arguments import checked
 from srs_twin.io.files import StrPath
 from srs_twin.recordings.body.floor import Up, map_to_floor
@@ -172,7 +172,8 @@ def _file_facts(
         table = read_markers(path, recording_map.unstated)
     else:
         table = in_unit(topics.markers, recording_map.units)
-    facts, scene = _motion_facts(recording_map.applied(table), recording_map)
+    with named_in_errors(table.name):
+        facts, scene = _motion_facts(recording_map.applied(table), recording_map)
     if topics is not None:
         facts.signals = _topics_facts(topics, kind, recording_map).signals
     return facts, scene

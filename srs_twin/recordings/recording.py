@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError, check_choice
+from srs_twin.errors import (
+    InputError,
+    UnknownNameError,
+    check_choice,
+    named_in_errors,
+)
 from srs_twin.io.files import StrPath
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Schedule
@@ -255,18 +259,6 @@ class Recording:
         still = trajectory.time <= max(moves, trajectory.time[0]) + _STILL_S
         x, y = trajectory.com[still].mean(axis=0)
         return float(x), float(y), float(trajectory["heading"][still].mean())
-
-
-@contextmanager
-def named_in_errors(file: str) -> Iterator[None]:
-    """Add a file name to the messages of errors raised in a `with` block."""
-    try:
-        yield
-    except UnknownNameError as error:
-        error.args = (f"{file}: {error}",)
-        raise
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
 
 
 def read_motion(

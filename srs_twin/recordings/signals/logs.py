@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError, UnknownNameError, named_in_errors
 from srs_twin.io.files import StrPath
 from srs_twin.recordings.body.trajectories import (
     LogSummary,
@@ -42,7 +42,6 @@ from srs_twin.recordings.recording import (
     Recording,
     ValveLog,
     held_values,
-    named_in_errors,
 )
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, as_map
 from srs_twin.recordings.signals.gaps import (
