@@ -398,6 +398,32 @@ def test_logs_with_times_since_1970_are_read(tmp_path, unit, name):
     assert inspect_file(path, NO_MAP, None)[0].starts_s == 1.7e9
 
 
+def dated(folder, *zones):
+    rows = (f"2026-03-01T12:00:0{k}.5{zone},1,0\n" for k, zone in enumerate(zones))
+    (folder / "log.csv").write_text(VALVES + "".join(rows))
+    return folder / "log.csv"
+
+
+@pytest.mark.parametrize(
+    ("zone", "hour"),
+    [("", 12), ("Z", 12), ("+01:00", 11), ("-0530", 17.5), ("+01", 11)],
+)
+def test_dates_without_a_time_zone_are_in_utc(tmp_path, zone, hour):
+    found = read_valves(dated(tmp_path, zone, zone, zone), MODULE)
+    assert found.epoch_ns == (1_772_323_200 + 3600 * hour + 0.5) * 10**9
+    assumed = "the times state no time zone, so UTC is assumed" in found.corrections
+    assert assumed == (not zone)
+
+
+@pytest.mark.parametrize(
+    ("zones", "line"), [(["", "Z"], 3), (["Z", ""], 3), ([" AM", " AM"], 2)]
+)
+def test_dates_in_other_formats_are_refused(tmp_path, zones, line):
+    said = rf"log.csv:{line}:1: '.*' is not a number or an allowed time; .* in none"
+    with pytest.raises(InputError, match=said):
+        read_valves(dated(tmp_path, *zones), MODULE)
+
+
 @pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "times",
