@@ -152,7 +152,7 @@ def inspect(
     """Describe recordings and propose a recording map.
 
     The command needs neither a robot nor a log. With --robot, the output also states
-    whether the files can be read as recordings of this robot.
+    whether the files can be read as recordings or logs of this robot.
 
     Options:
         robot: Robot that the recordings should belong to: name of a shipped robot, or

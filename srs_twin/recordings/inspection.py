@@ -67,6 +67,7 @@ from srs_twin.recordings.signals.gaps import (
     runs,
     time_order,
 )
+from srs_twin.recordings.signals.logs import read_bends, read_valves
 from srs_twin.recordings.signals.units import (
     ANGLES,
     PRESSURES,
@@ -147,8 +148,14 @@ def inspect_file(
     If `spec` is given, the file is also read as a recording of this robot.
     """
     facts, scene = _file_facts(path, recording_map)
-    if spec is not None and facts.content == "markers":
-        facts.robot = _robot_facts(path, recording_map, spec)
+    if spec is not None:
+        try:
+            if facts.content == "markers":
+                facts.robot = _motion_of_robot(path, recording_map, spec)
+            else:
+                facts.robot = _log_of_robot(path, recording_map, spec, facts)
+        except InputError as error:
+            facts.robot = RobotFacts(name=spec.name, reads=False, says=str(error))
     facts.proposals = proposed_map([facts]).splitlines()
     return facts, scene
 
@@ -377,13 +384,10 @@ def _heads(
         yield end, f"the body crawled {abs(crawled):.3g} m towards this end"
 
 
-def _robot_facts(
+def _motion_of_robot(
     path: StrPath, recording_map: RecordingMap, spec: RobotSpec
 ) -> RobotFacts:
-    try:
-        recording = read_motion(path, spec, map=recording_map)
-    except InputError as error:
-        return RobotFacts(name=spec.name, reads=False, says=str(error))
+    recording = read_motion(path, spec, map=recording_map)
     length = recording.trajectory.stack("length")
     markers = recording.summary.markers
     low, median, high = np.quantile(length, [0.02, 0.5, 0.98], axis=0)
@@ -397,6 +401,27 @@ def _robot_facts(
         length_mm=(1e3 * median).tolist(),
         stretch=((high - low) / spec.geometry.segment_length).tolist(),
     )
+
+
+def _log_of_robot(
+    path: StrPath, recording_map: RecordingMap, spec: RobotSpec, facts: RecordingFacts
+) -> RobotFacts:
+    meanings = [_meaning(signal.name, recording_map) for signal in facts.signals or ()]
+    kinds = {meaning.kind for meaning in meanings if meaning}
+    lines = []
+    if "bend" in kinds:
+        bends = read_bends(path, spec, longest_gap_s=LONGEST_GAP, map=recording_map)
+        lines.append(bends.summary.text())
+    if kinds != {"bend"}:
+        log = read_valves(path, spec, recording_map)
+        lines.append(f"{log.source}: {log.kind} log, {len(log.time)} rows")
+        lines += [f"corrected: {note}" for note in log.corrections]
+    return RobotFacts(name=spec.name, reads=True, says="\n".join(lines))
+
+
+def _meaning(name: str, recording_map: RecordingMap) -> Meaning | None:
+    own = log_meaning(canonical_key(name))
+    return recording_map.meanings(QUANTITIES).get(name, own)
 
 
 def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFacts:
@@ -471,8 +496,7 @@ def _signal_facts(
     known = values[np.isfinite(values)]
     if not known.size:
         return SignalFacts(name=name, looks_like="nothing", understood=False)
-    own = log_meaning(canonical_key(name))
-    meaning = recording_map.meanings(QUANTITIES).get(name, own)
+    meaning = _meaning(name, recording_map)
     facts = SignalFacts(
         name=name,
         looks_like=_stated_quantity(name, known, meaning),
