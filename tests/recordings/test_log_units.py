@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -185,6 +187,23 @@ def test_pressure_without_a_stated_unit_is_refused(tmp_path, kind):
         match=r"log.csv:1:2: the unit of the column 'P1' is not known .*give it",
     ):
         read_valves(log(tmp_path, "time,P1,P2"), MODULE, given)
+
+
+@pytest.mark.parametrize(
+    ("read", "names"),
+    [
+        (read_valves, "pressure_plus_1 (kPa),pressure_minus_1"),
+        (read_valves, "duty_plus_1 (%),duty_minus_1"),
+        (partial(read_bends, longest_gap_s=0.2), "bend_1_deg,bend_2"),
+        (lambda path, _: read_markers(path), "x_1_mm,y_1"),
+        (lambda path, _: read_markers(path), "tip_x (cm),tip_y"),
+    ],
+)
+def test_a_unit_on_some_columns_only_is_refused(tmp_path, read, names):
+    first, second = names.split(",")
+    said = f"log.csv:1:3: the column '{second}' states no unit, but '{first}' is in"
+    with pytest.raises(InputError, match=re.escape(said)):
+        read(log(tmp_path, f"time,{names}"), MODULE)
 
 
 def test_conflict_of_header_and_map_names_both_units(tmp_path):

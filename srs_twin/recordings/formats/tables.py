@@ -285,6 +285,8 @@ def _in_given_unit(
             "the unit px needs the size of a pixel in m; give it as `scale_m`"
         )
     columns = [column for axes in markers.values() for column in axes]
+    if not unit:
+        table.check_units(columns)
     for column in columns:
         if unit and column.unit not in ("", unit):
             raise table.error(
