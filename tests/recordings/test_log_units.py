@@ -458,6 +458,11 @@ def test_absolute_pressures_by_name_are_refused_with_the_remedy(tmp_path):
     given = mapped(pressure_kpa_plus_1="Pabs_kPa", pressure_minus_1="P2 (kPa)")
     with pytest.raises(InputError, match="absolute pressure, so .* ambient_kpa: 101.3"):
         read_valves(path, MODULE, given)
+    given.log["pressure_kpa_plus_1"] = {"column": "Pabs_kPa", "unit": "kPa"}
+    for ambient in ({}, {"ambient_kpa": 101.3}):
+        notes = read_valves(path, MODULE, mapped(**given.log, **ambient)).corrections
+        noted = any("'Pabs_kPa' states an absolute pressure" in note for note in notes)
+        assert noted == (not ambient)
 
 
 def test_log_of_a_microcontroller(tmp_path):

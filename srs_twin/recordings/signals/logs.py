@@ -57,6 +57,7 @@ from srs_twin.recordings.signals.units import (
     ABSOLUTE,
     QUANTITIES,
     clean,
+    is_absolute,
     looks_absolute,
     unit_of,
 )
@@ -224,6 +225,14 @@ def read_valves(
     notes = list(rows.notes)
     if kind in AIR and not all(column.unit for column in chosen):
         notes.append("pressures without a unit are assumed to be in Pa")
+
+    units = QUANTITIES[kind]
+    named = [column.text for column in chosen if is_absolute(column.text, units)]
+    if named and not recording_map.ambient:
+        notes.append(
+            f"the name '{named[0]}' states an absolute pressure, but the map states no"
+            " ambient pressure (ambient_kpa) to subtract"
+        )
 
     def error(row: int, k: int, problem: str) -> InputError:
         return table.error(chosen[k], f"{chosen[k].text}: {problem}", row)

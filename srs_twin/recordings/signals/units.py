@@ -111,7 +111,7 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     name = clean(name)
     bare, inside = bracketed(name)
     words: list[str] = _WORD.findall(bare)
-    if _is_absolute(name, units):
+    if is_absolute(name, units):
         return None
     if [word.lower() for word in words] == ["pa"]:
         words = []  # "Pa" also names a chamber or port, like "Pb".
@@ -123,7 +123,8 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     return next(iter(stated), "")
 
 
-def _is_absolute(name: str, units: Mapping[str, float]) -> bool:
+def is_absolute(name: str, units: Mapping[str, float]) -> bool:
+    """Return whether a name such as `Pabs (kPa)` states an absolute pressure."""
     return "Pa" in units and bool(_ABSOLUTE.search(name))
 
 
@@ -176,7 +177,7 @@ def unit_of(
             f"the unit of the column '{column}' is not known ({allowed});"
             f" give it in the map: {{column: '{column}', unit: …}}"
         )
-        if _is_absolute(column, units):
+        if is_absolute(column, units):
             problem += (
                 ". The name states an absolute pressure, so give also the ambient"
                 " pressure in the map: ambient_kpa: 101.3"
