@@ -13,6 +13,7 @@ import re
 import signal
 import traceback
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
@@ -110,6 +111,18 @@ class UnknownNameError(InputError):
         else:
             rest = f" (available: {format_names(names, listing, longest)})"
         super().__init__(f"unknown {kind} '{name}'{suggestion}{rest}")
+
+
+@contextmanager
+def named_in_errors(file: str) -> Iterator[None]:
+    """Add a file name to the messages of errors raised in a `with` block."""
+    try:
+        yield
+    except UnknownNameError as error:
+        error.args = (f"{file}: {error}",)
+        raise
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
 
 
 class TimeStepError(InputError):

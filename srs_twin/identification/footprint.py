@@ -19,7 +19,12 @@ from srs_twin.compute.arrays import check_positive
 from srs_twin.control.commands import ScheduledOffset
 from srs_twin.control.gait import Gait
 from srs_twin.control.learning import ILC, TARGETS
-from srs_twin.errors import DivergedError, InputError, UnknownNameError
+from srs_twin.errors import (
+    DivergedError,
+    InputError,
+    UnknownNameError,
+    named_in_errors,
+)
 from srs_twin.identification.paths import (
     STEADY_PERIODS,
     OffsetChange,
@@ -32,7 +37,6 @@ from srs_twin.planning.footprint import Transient
 from srs_twin.plants.base import Plant
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings, as_contact
 from srs_twin.pneumatics import KINDS
-from srs_twin.recordings.recording import named_in_errors
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import Job, run_many
 from srs_twin.trajectory import Trajectory

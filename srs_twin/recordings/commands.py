@@ -152,7 +152,7 @@ def inspect(
     """Describe recordings and propose a recording map.
 
     The command needs neither a robot nor a log. With --robot, the output also states
-    whether the files can be read as recordings of this robot.
+    whether the files can be read as recordings or logs of this robot.
 
     Options:
         robot: Robot that the recordings should belong to: name of a shipped robot, or
@@ -176,7 +176,8 @@ def inspect(
     for path in files:
         beside = Path(path).with_suffix(MAP_SUFFIX)
         options = table
-        if table.map is None and beside.is_file():
+        is_mcap = Path(path).suffix == ".mcap"
+        if table.map is None and is_mcap and beside.is_file():
             options = replace(table, map=str(beside))
             say(f"using the recording map {beside}")
         try:

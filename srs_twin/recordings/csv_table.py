@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError, UnknownNameError, named_in_errors
 from srs_twin.io.files import StrPath
 from srs_twin.recordings.recorded_file import (
     AS_FOUND,
@@ -104,6 +104,18 @@ class CsvTable:
         else:
             line = self.file.line_of_row(row, self.file.header_lines)
         return self.file.error(problem, line, column.place + 1)
+
+    def check_units(self, columns: Sequence[CsvColumn]) -> None:
+        """Raise an error if only some columns of a quantity state a unit."""
+        without = [column for column in columns if not column.unit]
+        if 0 < len(without) < len(columns):
+            stated = next(column for column in columns if column.unit)
+            raise self.error(
+                without[0],
+                f"the column '{without[0].text}' states no unit, but '{stated.text}' is"
+                f" in {stated.unit}; state the unit of each column in its name or in a"
+                " map",
+            )
 
     def clock(self, missing: str) -> CsvColumn:
         """Return the time column.
@@ -196,7 +208,8 @@ def read_table(
     line = file.header_lines or 1
     if file.problem:
         raise file.error(file.problem, file.header_lines + (not file.names))
-    mapped = _mapped_names(file, meanings or {}, timed="time" in known)
+    with named_in_errors(f"{file.name}:{line}"):
+        mapped = _mapped_names(file, meanings or {}, timed="time" in known)
     taken = {meaning.key for meaning in mapped.values()}
     columns: dict[tuple[str, int], CsvColumn] = {}
     unused = []
@@ -223,7 +236,12 @@ def read_table(
                 f" '{file.names[first.place]}'; remove one of them"
             )
             raise file.error(problem, line, place + 1)
-    return CsvTable(file, tuple(columns.values()), tuple(unused), tuple(notes))
+    table = CsvTable(file, tuple(columns.values()), tuple(unused), tuple(notes))
+    for units in known.values():
+        table.check_units(
+            [column for column in table.columns if known[column.name] == units]
+        )
+    return table
 
 
 def _mapped_names(

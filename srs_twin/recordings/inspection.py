@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, named_in_errors
 from srs_twin.io.arguments import checked
 from srs_twin.io.files import StrPath
 from srs_twin.recordings.body.floor import Up, map_to_floor
@@ -67,6 +67,7 @@ from srs_twin.recordings.signals.gaps import (
     runs,
     time_order,
 )
+from srs_twin.recordings.signals.logs import read_bends, read_valves
 from srs_twin.recordings.signals.units import (
     ANGLES,
     PRESSURES,
@@ -147,8 +148,14 @@ def inspect_file(
     If `spec` is given, the file is also read as a recording of this robot.
     """
     facts, scene = _file_facts(path, recording_map)
-    if spec is not None and facts.content == "markers":
-        facts.robot = _robot_facts(path, recording_map, spec)
+    if spec is not None:
+        try:
+            if facts.content == "markers":
+                facts.robot = _motion_of_robot(path, recording_map, spec)
+            else:
+                facts.robot = _log_of_robot(path, recording_map, spec, facts)
+        except InputError as error:
+            facts.robot = RobotFacts(name=spec.name, reads=False, says=str(error))
     facts.proposals = proposed_map([facts]).splitlines()
     return facts, scene
 
@@ -172,7 +179,8 @@ def _file_facts(
         table = read_markers(path, recording_map.unstated)
     else:
         table = in_unit(topics.markers, recording_map.units)
-    facts, scene = _motion_facts(recording_map.applied(table), recording_map)
+    with named_in_errors(table.name):
+        facts, scene = _motion_facts(recording_map.applied(table), recording_map)
     if topics is not None:
         facts.signals = _topics_facts(topics, kind, recording_map).signals
     return facts, scene
@@ -192,7 +200,7 @@ def _topics_facts(
 def _motion_facts(
     table: MarkerTable, recording_map: RecordingMap
 ) -> tuple[RecordingFacts, Scene | None]:
-    frames = frame_grid(table.time)
+    frames = frame_grid(table.time, table.points)
     facts = RecordingFacts(
         file=table.name,
         format=table.kind,
@@ -376,13 +384,10 @@ def _heads(
         yield end, f"the body crawled {abs(crawled):.3g} m towards this end"
 
 
-def _robot_facts(
+def _motion_of_robot(
     path: StrPath, recording_map: RecordingMap, spec: RobotSpec
 ) -> RobotFacts:
-    try:
-        recording = read_motion(path, spec, map=recording_map)
-    except InputError as error:
-        return RobotFacts(name=spec.name, reads=False, says=str(error))
+    recording = read_motion(path, spec, map=recording_map)
     length = recording.trajectory.stack("length")
     markers = recording.summary.markers
     low, median, high = np.quantile(length, [0.02, 0.5, 0.98], axis=0)
@@ -396,6 +401,27 @@ def _robot_facts(
         length_mm=(1e3 * median).tolist(),
         stretch=((high - low) / spec.geometry.segment_length).tolist(),
     )
+
+
+def _log_of_robot(
+    path: StrPath, recording_map: RecordingMap, spec: RobotSpec, facts: RecordingFacts
+) -> RobotFacts:
+    meanings = [_meaning(signal.name, recording_map) for signal in facts.signals or ()]
+    kinds = {meaning.kind for meaning in meanings if meaning}
+    lines = []
+    if "bend" in kinds:
+        bends = read_bends(path, spec, longest_gap_s=LONGEST_GAP, map=recording_map)
+        lines.append(bends.summary.text())
+    if kinds != {"bend"}:
+        log = read_valves(path, spec, recording_map)
+        lines.append(f"{log.source}: {log.kind} log, {len(log.time)} rows")
+        lines += [f"corrected: {note}" for note in log.corrections]
+    return RobotFacts(name=spec.name, reads=True, says="\n".join(lines))
+
+
+def _meaning(name: str, recording_map: RecordingMap) -> Meaning | None:
+    own = log_meaning(canonical_key(name))
+    return recording_map.meanings(QUANTITIES).get(name, own)
 
 
 def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFacts:
@@ -412,11 +438,13 @@ def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFa
         unit = f"time in {clock.unit}" if clock.unit else "time without a unit"
     time = None if times is None else times.time
     signals: list[SignalFacts] = []
+    columns = []
     for k, name in enumerate(file.names[:_MAX_SIGNALS]):
         if clock is not None and k == clock.place:
             continue
         try:
             values = file.rows(file.header_lines, [k], len(file.names))[0][:, 0]
+            columns.append(values)
             signals.append(_signal_facts(name, time, values, recording_map))
         except InputError as error:
             if "is not a number" not in str(error):
@@ -427,7 +455,7 @@ def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFa
     if times is not None:
         facts.notes += times.notes
         try:
-            facts.notes += time_order(times.time)[1]
+            facts.notes += time_order(times.time, np.transpose(columns))[1]
         except InputError as error:
             facts.notes.append(f"`replay` and `calibrate` refuse this file: {error}")
         if facts.starts_s is not None:
@@ -468,8 +496,7 @@ def _signal_facts(
     known = values[np.isfinite(values)]
     if not known.size:
         return SignalFacts(name=name, looks_like="nothing", understood=False)
-    own = log_meaning(canonical_key(name))
-    meaning = recording_map.meanings(QUANTITIES).get(name, own)
+    meaning = _meaning(name, recording_map)
     facts = SignalFacts(
         name=name,
         looks_like=_stated_quantity(name, known, meaning),

@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from decimal import Decimal
 from functools import cached_property
+from io import BytesIO
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -57,11 +59,12 @@ _NUMBER = re.compile(
     re.IGNORECASE,
 )
 _REPORTED_CELL = re.compile(
-    r"column #(?P<column>\d+): Row #(?P<row>\d+): .* invalid value '(?P<text>.*)'",
+    r"column #(?P<column>\d+): Row #(?P<row>\d+): .* (?:invalid value|zone offset in)"
+    r" '(?P<text>.*)'(?:\. If .*)?$",
     re.DOTALL,
 )
 _COMMENT = re.compile(r"\s*#|sep=.$", re.IGNORECASE)  # "sep=" is an Excel directive
-_ZONE = re.compile(r"(?:Z|[+-]\d\d:?\d\d)\s*$")
+_ZONE = re.compile(r"(?:Z|[+-]\d\d(?::?\d\d)?)\s*$")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:")
 # Decimal comma that cannot be a thousands separator, as in 0,5 or 1234,5.
 _DECIMAL_COMMA = re.compile(
@@ -216,9 +219,10 @@ class RecordedFile:
 
         `row` is counted from 0.
         """
-        below = self.raw[self.offset_of(header_lines) :].split(b"\n")
-        numbered = enumerate(below, start=header_lines + 1)
-        return [number for number, line in numbered if line.strip(b"\r")][row]
+        numbered = enumerate(BytesIO(self.raw), start=1)
+        below = islice(numbered, header_lines, None)
+        filled = (number for number, line in below if line.strip(b"\r\n"))
+        return next(islice(filled, row, None))
 
     def rows(
         self,
@@ -295,12 +299,16 @@ class RecordedFile:
         cut = memoryview(self.raw)[start : self._end_of(start)]
         first = self.head(1, top)[0]
         if clock < len(first) and _DATE.match(first[clock]):
-            zone = "UTC" if _ZONE.search(first[clock]) else None
+            notes: list[str] = []
+            zone: str | None = "UTC"
+            if not _ZONE.search(first[clock]):
+                notes.append("the times state no time zone, so UTC is assumed")
+                zone = None
             kind = pa.timestamp("ns", zone)
             (dates,) = self._parsed(cut, top, [clock], width, kind)
             exact = dates.cast(pa.int64()).to_pylist()
             self._check_times([value is None for value in exact], clock)
-            return _since_1970(exact, "ns", [])
+            return _since_1970(exact, "ns", notes)
         values, notes = self.rows(top, [clock], width)
         time = values[:, 0]
         self._check_times(np.isnan(time).tolist(), clock)
@@ -385,7 +393,13 @@ class RecordedFile:
         # A quotation mark may join several lines into one cell.
         text = escape_unprintable(cell["text"].strip()[:60])
         problem = f"'{text}' is not a number; give a number or leave the cell empty"
-        if re.search(r"\d,\d", cell["text"]):
+        if ":" in text:
+            problem = (
+                f"'{text}' is not a number or an allowed time; give times as in"
+                " 2026-03-01T12:00:00.5, with a time zone (Z or +01:00) in all rows or"
+                " in none"
+            )
+        elif re.search(r"\d,\d", cell["text"]):
             problem += ", or use --decimal ',' for decimal commas"
         column = int(cell["column"]) + 1
         line = self.line_of_row(int(cell["row"]) - 1, header_lines)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError, check_choice
+from srs_twin.errors import (
+    InputError,
+    UnknownNameError,
+    check_choice,
+    named_in_errors,
+)
 from srs_twin.io.files import StrPath
 from srs_twin.plants.base import Pose
 from srs_twin.pneumatics import Schedule
@@ -257,18 +261,6 @@ class Recording:
         return float(x), float(y), float(trajectory["heading"][still].mean())
 
 
-@contextmanager
-def named_in_errors(file: str) -> Iterator[None]:
-    """Add a file name to the messages of errors raised in a `with` block."""
-    try:
-        yield
-    except UnknownNameError as error:
-        error.args = (f"{file}: {error}",)
-        raise
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
-
-
 def read_motion(
     path: StrPath,
     spec: RobotSpec,
@@ -314,7 +306,7 @@ def read_motion(
     table = read_markers(path, recording_map.unstated)
     with named_in_errors(table.name):
         table = bodies_as_pairs(recording_map.applied(table))
-        frames = frame_grid(table.time)
+        frames = frame_grid(table.time, table.points)
         given_up = up
         if recording_map.up and up == "auto":
             given_up = recording_map.up

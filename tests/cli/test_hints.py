@@ -174,13 +174,13 @@ def test_export_takes_the_file_as_users_type_it(srs_twin, tmp_path, shipped_run,
     }
 
 
-def test_inspect_reads_the_map_beside_an_export(srs_twin, tmp_path, shipped_run):
+def test_inspect_reads_the_map_beside_an_mcap_file(srs_twin, tmp_path, shipped_run):
+    """The map does not apply to the same run in another format."""
     run = str(shipped_run("gen2_straight"))
-    assert (
-        srs_twin("export", run, "a.mcap", "--plant", "twin", cwd=tmp_path).returncode
-        == 0
-    )
-    done = srs_twin("inspect", "a.mcap", cwd=tmp_path)
+    for name in ("a.csv", "a.mcap"):
+        done = srs_twin("export", run, name, "--plant", "twin", cwd=tmp_path)
+        assert done.returncode == 0
+    done = srs_twin("inspect", "a.mcap", "a.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert done.stderr == "using the recording map a.map.yaml\n"
     assert "/twin/connector_1/pose: seen in 100.0 %" in done.stdout

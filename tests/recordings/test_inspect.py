@@ -18,6 +18,7 @@ from srs_twin.io.validation import load_model
 from srs_twin.recordings.facts import RecordingFacts, proposed_map
 from srs_twin.recordings.inspection import (
     _stated_quantity,
+    inspect,
     inspect_file,
     markers_view,
 )
@@ -214,6 +215,25 @@ def test_inspect_command(tmp_path, monkeypatch, capsys):
     ] and "cut.csv:" in said.err
     run(["inspect", "take.csv", "--robot", "gen2", "--units", "mm"])
     assert "layout head" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("header", "robot", "said"),
+    [
+        ("valve_plus_1,valve_minus_1", "gen4_module", "valve log, 20 rows"),
+        ("bend_1_deg,P1 (kPa)", "gen4_module", "kept: 20 rows"),
+        ("valve_plus_1,valve_minus_1", "gen2", "'valve_plus_2' is missing; gen2 has 4"),
+        ("bend_1,pressure_plus_1_kpa", "gen4_module", "'pressure_minus_1' is missing"),
+        ("valve_plus_1,valve_plus_2", "gen4_module", "'valve_minus_1' is missing"),
+        ("P1 (kPa),P2 (kPa)", "gen4_module", "assign other names in a map"),
+    ],
+)
+def test_a_log_is_read_as_a_log_of_the_robot(tmp_path, header, robot, said):
+    rows = "".join(f"{k / 10},{k % 2},0\n" for k in range(20))
+    (tmp_path / "log.csv").write_text(f"time,{header}\n{rows}")
+    found = inspect(tmp_path / "log.csv", robot=robot).robot
+    assert said in found.says
+    assert found.reads == said.endswith(" rows")
 
 
 def typed(schema):

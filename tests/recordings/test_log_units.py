@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from functools import partial
 
 import numpy as np
 import pytest
@@ -187,6 +189,23 @@ def test_pressure_without_a_stated_unit_is_refused(tmp_path, kind):
         read_valves(log(tmp_path, "time,P1,P2"), MODULE, given)
 
 
+@pytest.mark.parametrize(
+    ("read", "names"),
+    [
+        (read_valves, "pressure_plus_1 (kPa),pressure_minus_1"),
+        (read_valves, "duty_plus_1 (%),duty_minus_1"),
+        (partial(read_bends, longest_gap_s=0.2), "bend_1_deg,bend_2"),
+        (lambda path, _: read_markers(path), "x_1_mm,y_1"),
+        (lambda path, _: read_markers(path), "tip_x (cm),tip_y"),
+    ],
+)
+def test_a_unit_on_some_columns_only_is_refused(tmp_path, read, names):
+    first, second = names.split(",")
+    said = f"log.csv:1:3: the column '{second}' states no unit, but '{first}' is in"
+    with pytest.raises(InputError, match=re.escape(said)):
+        read(log(tmp_path, f"time,{names}"), MODULE)
+
+
 def test_conflict_of_header_and_map_names_both_units(tmp_path):
     path = log(tmp_path, "time,P1 (bar),P2")
     given = mapped(
@@ -358,6 +377,14 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
         ("Pa (kPa)", PRESSURES, "kPa"),
         ("P0 kPa abs", PRESSURES, None),
         ("P0 kPa (abs)", PRESSURES, None),
+        ("Pabs_kPa", PRESSURES, None),
+        ("pAbs (kPa)", PRESSURES, None),
+        ("PABS_KPA", PRESSURES, None),
+        ("P1_psia", PRESSURES, None),
+        ("absorber_kPa", PRESSURES, "kPa"),
+        ("absolute time_ms", TIMES, "ms"),
+        ("pressure_Pa (kPa)", PRESSURES, None),
+        ("Pa_1 (kPa)", PRESSURES, "kPa"),
         ("time_ms (s)", TIMES, None),
     ],
 )
@@ -424,6 +451,18 @@ def test_absolute_pressures_are_noted_and_converted(tmp_path):
     assert (
         "the pressures are absolute, so 101.3 kPa were subtracted" in found.corrections
     )
+
+
+def test_absolute_pressures_by_name_are_refused_with_the_remedy(tmp_path):
+    path = log(tmp_path, "time,Pabs_kPa,P2 (kPa)", 101.3 + 30 * RAW)
+    given = mapped(pressure_kpa_plus_1="Pabs_kPa", pressure_minus_1="P2 (kPa)")
+    with pytest.raises(InputError, match="absolute pressure, so .* ambient_kpa: 101.3"):
+        read_valves(path, MODULE, given)
+    given.log["pressure_kpa_plus_1"] = {"column": "Pabs_kPa", "unit": "kPa"}
+    for ambient in ({}, {"ambient_kpa": 101.3}):
+        notes = read_valves(path, MODULE, mapped(**given.log, **ambient)).corrections
+        noted = any("'Pabs_kPa' states an absolute pressure" in note for note in notes)
+        assert noted == (not ambient)
 
 
 def test_log_of_a_microcontroller(tmp_path):

@@ -46,7 +46,7 @@ def frame():
 def check(path, digits, scale=1.0, **given):
     """Compare a file with the motion: rate, duration, count, and positions to half the last digit."""
     table = read_markers(path, Unstated(**given))
-    grid = frame_grid(table.time)
+    grid = frame_grid(table.time, table.points)
     assert len(table.time) == FRAMES and table.time[0] == 0
     assert 1 / grid.period == pytest.approx(RATE, rel=1e-4)
     assert table.time == pytest.approx(TIME, abs=1e-6)
@@ -339,11 +339,14 @@ def test_rotations_and_rates_are_not_markers(tmp_path, names):
     assert f"4 columns not used: {', '.join(more)}" in found.corrections
 
 
-def test_a_position_with_two_units_is_refused(tmp_path):
+def test_a_position_with_two_units_needs_the_unit_of_the_map(tmp_path):
     rows = "".join(f"{k / 20},{k},0\n" for k in range(20))
     (tmp_path / "a.csv").write_text("time,x_1_mm (cm),y_1_mm\n" + rows)
     with pytest.raises(InputError, match=r"a.csv:1:2: .*two units, cm and mm"):
         read_markers(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text("time,x_1_mm (cm),y_1 (cm)\n" + rows)
+    found = read_markers(tmp_path / "a.csv", Unstated(unit="cm"))
+    assert found.points[1, 0].tolist() == [0.01, 0.0]
 
 
 def test_markers_with_unusual_names_are_kept():
@@ -393,6 +396,32 @@ def test_logs_with_times_since_1970_are_read(tmp_path, unit, name):
     assert found.time == pytest.approx(0.5 * np.arange(9), abs=1e-9)
     assert found.epoch_ns == 1_700_000_000 * 10**9
     assert inspect_file(path, NO_MAP, None)[0].starts_s == 1.7e9
+
+
+def dated(folder, *zones):
+    rows = (f"2026-03-01T12:00:0{k}.5{zone},1,0\n" for k, zone in enumerate(zones))
+    (folder / "log.csv").write_text(VALVES + "".join(rows))
+    return folder / "log.csv"
+
+
+@pytest.mark.parametrize(
+    ("zone", "hour"),
+    [("", 12), ("Z", 12), ("+01:00", 11), ("-0530", 17.5), ("+01", 11)],
+)
+def test_dates_without_a_time_zone_are_in_utc(tmp_path, zone, hour):
+    found = read_valves(dated(tmp_path, zone, zone, zone), MODULE)
+    assert found.epoch_ns == (1_772_323_200 + 3600 * hour + 0.5) * 10**9
+    assumed = "the times state no time zone, so UTC is assumed" in found.corrections
+    assert assumed == (not zone)
+
+
+@pytest.mark.parametrize(
+    ("zones", "line"), [(["", "Z"], 3), (["Z", ""], 3), ([" AM", " AM"], 2)]
+)
+def test_dates_in_other_formats_are_refused(tmp_path, zones, line):
+    said = rf"log.csv:{line}:1: '.*' is not a number or an allowed time; .* in none"
+    with pytest.raises(InputError, match=said):
+        read_valves(dated(tmp_path, *zones), MODULE)
 
 
 @pytest.mark.default_cases(2)

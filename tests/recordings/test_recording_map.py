@@ -10,6 +10,7 @@ from subsets import first_by_default
 from synthetic_takes import Take, markers, stretched
 
 from srs_twin import AnalyticalSnake, Gait, InputError, rollout
+from srs_twin.recordings.inspection import inspect
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import RecordingMap, given_map, read_map
 from srs_twin.recordings.signals.logs import read_valves
@@ -179,8 +180,18 @@ def test_errors_of_a_map_name_their_place(data, said):
 
 def test_unknown_names_suggest_a_similar_one(tmp_path):
     path = written(tmp_path / "x.csv", ["base", "tip"], noisy(motion().position[:, :2]))
-    with pytest.raises(InputError, match="unknown marker 'bse'; did you mean base"):
-        read_motion(path, SPEC, map=read_map({"markers": {"bse": {"connector": 1}}}))
+    places = {"markers": {"bse": {"connector": 1}}}
+    for read in (
+        lambda: read_motion(path, SPEC, map=places),
+        lambda: inspect(path, map=places),
+    ):
+        with pytest.raises(
+            InputError, match=r"x\.csv: unknown marker 'bse'; did you mean"
+        ):
+            read()
+    columns = RecordingMap(log={"valve_plus_1": "bse_x"})
+    with pytest.raises(InputError, match=r"x\.csv:1: unknown column 'bse_x'; did you"):
+        read_valves(path, SPEC, columns)
 
 
 def test_options_have_precedence_over_the_map_file(tmp_path):

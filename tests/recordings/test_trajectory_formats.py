@@ -126,13 +126,20 @@ def test_tum_poses_are_read(tmp_path, head, origin, space):
     assert found.time[0] == (0.0 if origin > 1e8 else origin)
 
 
-def test_a_comment_states_the_order_of_a_quaternion(tmp_path):
+@pytest.mark.parametrize(
+    "head",
+    [
+        "# timestamp tx ty tz qw qx qy qz\n",
+        "\ufeff# timestamp tx ty tz qw qx qy qz\n",
+        "# by SLAM\n#timestamp [s], tx [m], ty [m], tz [m], qw, qx, qy, qz\n",
+    ],
+)
+def test_a_comment_states_the_order_of_a_quaternion(tmp_path, head):
     turns = Rotation.from_rotvec(np.linspace(0, [0, 0, 2], FRAMES)).as_quat()
     time = np.arange(FRAMES) / RATE
     rows = np.column_stack([time, walk(1)[:, 0], turns[:, [3, 0, 1, 2]]])
     text = "".join(" ".join(f"{value:.9f}" for value in row) + "\n" for row in rows)
-    head = "# timestamp tx ty tz qw qx qy qz\n"
-    (tmp_path / "head.tum").write_text(head + text)
+    (tmp_path / "head.tum").write_text(head + text, encoding="utf-8")
     found = read_markers(tmp_path / "head.tum")
     assert found.rotations[:, 0] == pytest.approx(turns, abs=1e-8)
 

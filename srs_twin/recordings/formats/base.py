@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
@@ -128,13 +128,15 @@ class Format(ABC):
         """
 
 
-def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
+def axis_columns(
+    cells: Sequence[str], refuse: Callable[[int, Sequence[str]], None] | None = None
+) -> dict[str, dict[str, CsvColumn]]:
     """Return the position columns in a header, keyed by marker name and axis.
 
     A column name ends or begins with the axis, for example ``base_x``, ``Tip X (mm)``
     or ``x_LED1``. Markers without x or y and columns of other quantities, such as
-    rotations (``c1_rot_x``), are excluded. The unit of a column with two units is, for
-    example, "cm and mm".
+    rotations (``c1_rot_x``), are excluded. A name with two different units states no
+    unit. The function `refuse` is called with the index of such a column and its units.
     """
     markers: dict[str, dict[str, CsvColumn]] = {}
     for index, cell in enumerate(cells):
@@ -148,8 +150,10 @@ def axis_columns(cells: Sequence[str]) -> dict[str, dict[str, CsvColumn]]:
         words = re.findall(r"[A-Z]*[a-z]+|[A-Z]+", match["name"]) if match else []
         if match and not any(map(_NOT_A_POSITION.fullmatch, words)):
             axis = match["axis"].lower()
-            stated = {unit, symbol(match["unit"] or "", LENGTHS)} - {""}
-            unit = " and ".join(sorted(stated))
+            stated = sorted({unit, symbol(match["unit"] or "", LENGTHS)} - {""})
+            unit = stated[0] if len(stated) == 1 else ""
+            if len(stated) > 1 and refuse:
+                refuse(index, stated)
             markers.setdefault(match["name"].strip(" _.:-") or "marker", {}).setdefault(
                 axis, CsvColumn(index, axis, 0, unit, LENGTHS.get(unit, 1.0), cell)
             )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from string import ascii_letters
 from typing import final
@@ -83,6 +85,8 @@ _TUM_START = re.compile(
     _COMMENTS.pattern + rb"[ \t]*(?:[-+.\deE]+[ \t]+){7}[-+.\deE]+[ \t\r]*\n"
 )
 _TUM_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
+_NO_NAME = re.compile(r"[#,]|\[.*?\]|\(.*?\)")
+"""Parts of a comment that are no column names, such as units in brackets."""
 _MAX_NORM_ERROR = 0.01
 
 
@@ -127,12 +131,11 @@ class Tum(Format):
 def _quaternion_columns(file: RecordedFile) -> list[int]:
     """Return the columns of qx, qy, qz and qw, as a comment of a TUM file states."""
     names = ("qx", "qy", "qz", "qw")
-    for line in file.data.decode("utf-8", "replace").splitlines():
-        words = line.lower().strip("# \t").replace(",", " ").split()
-        if line.lstrip().startswith("#") and len(words) == 8 and {*names} <= {*words}:
+    comments = file.raw[: file.offset_of(file.header_lines)]
+    for line in comments.decode("utf-8", "replace").lower().splitlines():
+        words = _NO_NAME.sub(" ", line).split()
+        if len(words) == 8 and {*names} <= {*words}:
             return [words.index(name) for name in names]
-        if line.strip() and not line.lstrip().startswith("#"):
-            break
     return [4, 5, 6, 7]
 
 
@@ -242,7 +245,7 @@ class PlainCsv(Format):
         numbered = any(map(_NUMBERED.match, file.names))
         table = read_table(file, CLOCK)
         clock = next(iter(table.columns), None)
-        markers = _marker_columns(table, numbered)
+        markers = _marker_columns(table, numbered, unstated.unit)
         if not clock and not unstated.rate_hz:
             raise file.error(
                 "the column 'time' is missing, and no frame rate is given. The first"
@@ -282,12 +285,9 @@ def _in_given_unit(
             "the unit px needs the size of a pixel in m; give it as `scale_m`"
         )
     columns = [column for axes in markers.values() for column in axes]
+    if not unit:
+        table.check_units(columns)
     for column in columns:
-        if column.unit not in ("", *LENGTHS):
-            raise table.error(
-                column,
-                f"the name '{column.text}' has two units, {column.unit}; remove one",
-            )
         if unit and column.unit not in ("", unit):
             raise table.error(
                 column,
@@ -318,13 +318,25 @@ def _place(marker: str) -> tuple[int, str]:
     return int(number), marker[len(number) :]
 
 
-def _marker_columns(table: CsvTable, numbered: bool) -> dict[str, list[CsvColumn]]:
+def _refuse_two_units(file: RecordedFile, place: int, units: Sequence[str]) -> None:
+    raise file.error(
+        f"the name '{file.names[place]}' has two units, {' and '.join(units)}; remove"
+        " one, or state the unit in a map or with --units",
+        file.header_lines or 1,
+        place + 1,
+    )
+
+
+def _marker_columns(
+    table: CsvTable, numbered: bool, given: str | None
+) -> dict[str, list[CsvColumn]]:
     file = table.file
     line = table.file.header_lines or 1
     names = [
         name if not numbered or _NUMBERED.match(name) else "" for name in file.names
     ]
-    markers = axis_columns(names)
+    refuse = None if given else partial(_refuse_two_units, file)
+    markers = axis_columns(names, refuse)
     if numbered:
         markers = {
             name: markers[name]

@@ -22,11 +22,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, named_in_errors
 from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.body.trajectories import name_of, numbered_columns
-from srs_twin.recordings.recording import Recording, ValveLog, named_in_errors
+from srs_twin.recordings.recording import Recording, ValveLog
 from srs_twin.recordings.signals.gaps import MIN_FRAMES
 from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec

@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError, UnknownNameError, named_in_errors
 from srs_twin.io.files import StrPath
 from srs_twin.recordings.body.trajectories import (
     LogSummary,
@@ -42,7 +42,6 @@ from srs_twin.recordings.recording import (
     Recording,
     ValveLog,
     held_values,
-    named_in_errors,
 )
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap, as_map
 from srs_twin.recordings.signals.gaps import (
@@ -58,6 +57,7 @@ from srs_twin.recordings.signals.units import (
     ABSOLUTE,
     QUANTITIES,
     clean,
+    is_absolute,
     looks_absolute,
     unit_of,
 )
@@ -123,7 +123,7 @@ def read_bends(
         )
         raise table.error(chosen[k], message, row)
     with named_in_errors(table.file.name):
-        frames = frame_grid(time)
+        frames = frame_grid(time, bend)
     bend = at_frames(bend, frames)
     tracks = bend[..., None]
     kept = longest_complete(frames.time, tracks, longest_gap_s)
@@ -225,6 +225,14 @@ def read_valves(
     notes = list(rows.notes)
     if kind in AIR and not all(column.unit for column in chosen):
         notes.append("pressures without a unit are assumed to be in Pa")
+
+    units = QUANTITIES[kind]
+    named = [column.text for column in chosen if is_absolute(column.text, units)]
+    if named and not recording_map.ambient:
+        notes.append(
+            f"the name '{named[0]}' states an absolute pressure, but the map states no"
+            " ambient pressure (ambient_kpa) to subtract"
+        )
 
     def error(row: int, k: int, problem: str) -> InputError:
         return table.error(chosen[k], f"{chosen[k].text}: {problem}", row)
@@ -336,7 +344,7 @@ def _log(
 ) -> ValveLog:
     with named_in_errors(source.name):
         check_times(time)
-        order, moved = time_order(time)
+        order, moved = time_order(time, values)
         # Of several commands with equal times, a valve executes the last one.
         kept = np.append(np.diff(time[order]) > 0, True)
         notes += moved

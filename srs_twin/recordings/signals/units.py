@@ -60,7 +60,9 @@ _SYMBOLS = {
 }
 _MEGA = ("mbar", "mm", "mrad")
 """Symbols that are invalid with a capital M, which would mean mega."""
-_ABSOLUTE_WORDS = {"abs", "absolute"}
+_ABSOLUTE = re.compile(
+    r"[Aa]bs(?:olute)?(?![a-z])|ABS(?:OLUTE)?(?![A-Z])|(?i:psi|bar|kpa)a(?![A-Za-z])"
+)
 _AMBIENT = (7e4, 1.1e5)
 """Range of ambient pressures up to an altitude of 3000 m, Pa."""
 _BRACKETS = re.compile(r"(.*?)\s*[(\[{<]([^()\[\]{}<>]*)[)\]}>]")
@@ -109,18 +111,21 @@ def stated_unit(name: str, units: Mapping[str, float]) -> str | None:
     name = clean(name)
     bare, inside = bracketed(name)
     words: list[str] = _WORD.findall(bare)
-    folded = [word.lower() for word in words]
-    if units is PRESSURES and not _ABSOLUTE_WORDS.isdisjoint(folded):
+    if is_absolute(name, units):
         return None
-    if inside or folded == ["pa"]:
-        # "pa" also names a chamber or port, like "pb".
-        words = [word for word in words if word.lower() != "pa"]
+    if [word.lower() for word in words] == ["pa"]:
+        words = []  # "Pa" also names a chamber or port, like "Pb".
     stated = {unit for word in words if (unit := _unit_in_word(word, units)) != ""}
     if inside:
         stated.add(symbol(inside, units) or None)
     if len(stated) > 1 or None in stated:
         return None
     return next(iter(stated), "")
+
+
+def is_absolute(name: str, units: Mapping[str, float]) -> bool:
+    """Return whether a name such as `Pabs (kPa)` states an absolute pressure."""
+    return "Pa" in units and bool(_ABSOLUTE.search(name))
 
 
 def _unit_in_word(word: str, units: Mapping[str, float]) -> str | None:
@@ -168,10 +173,16 @@ def unit_of(
     default = symbol(meaning.default, units)
     missing = meaning.kind in _UNIT_REQUIRED and not (stated or default)
     if not given and (stated is None or missing):
-        raise InputError(
+        problem = (
             f"the unit of the column '{column}' is not known ({allowed});"
             f" give it in the map: {{column: '{column}', unit: …}}"
         )
+        if is_absolute(column, units):
+            problem += (
+                ". The name states an absolute pressure, so give also the ambient"
+                " pressure in the map: ambient_kpa: 101.3"
+            )
+        raise InputError(problem)
     if not stated:
         return given or default, ""
     if given and units[stated] != units[given]:
