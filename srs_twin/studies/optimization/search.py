@@ -24,7 +24,11 @@ get an expected improvement of zero.
 **Constraints.** CMA-ES avoids designs that violate a constraint in the low-fidelity
 model, although they may satisfy it in the twin. A separate Gaussian process therefore
 predicts each constrained metric of the twin. New designs are also drawn near designs
-that slightly violate a constraint.
+that slightly violate a constraint. Because active constraints may split the feasible
+designs into regions with separate optima, the low-fidelity model also simulates designs
+in the largest gaps between its earlier runs. In every other round, the second design of
+the twin is the one with the best prediction among the designs that are far from all
+earlier ones and may be feasible.
 
 **Budget.** After the last run, the maximum expected improvement over new designs is
 computed. If it exceeds the fraction `MAX_IMPROVEMENT` of the best result, a warning is
@@ -95,6 +99,17 @@ _SCREENED = 256
 """Number of designs that are drawn near the best designs in every round and screened
 by interpolation. The same number is drawn from the whole design space.
 """
+
+_EXPLORED = 2
+"""Number of new candidates per round that fill gaps in a study with constraints."""
+
+_EXPLORED_DISTANCE = 0.05
+"""Minimum distance of an explored design from all runs of the twin, measured like
+`_MIN_DISTANCE`.
+"""
+
+_MIN_FEASIBILITY = 0.1
+"""Minimum probability that an explored design satisfies the constraints."""
 
 _SMOOTHING = 1e-9
 """Smoothing parameter that keeps the linear system of the interpolation regular."""
@@ -259,6 +274,12 @@ class _Search:
             return 0
         return self._round // 2 % 2 if self._round % 2 else None
 
+    @property
+    def _explores(self) -> bool:
+        """Whether the second design of this round is far from all earlier ones."""
+        is_constrained = bool(excesses(self._study, self._twin_runs).size)
+        return self._objectives == 1 and is_constrained and self._round % 2 == 0
+
     def budget_left(self) -> int:
         return self._study.file.budget.twin - len(self._twin_runs)
 
@@ -281,6 +302,8 @@ class _Search:
             score[near_failures] = 0.0
             score[[not _is_far(run.fractions, chosen) for run in candidates]] = -1.0
             k = int(np.argmax(score))
+            if k_batch and self._explores:
+                k = self._distant_candidate(candidates, mean, sd, k)
             if score[k] < 0:
                 break
             chosen.append(candidates[k].fractions)
@@ -288,6 +311,22 @@ class _Search:
         self._run("twin", np.array(chosen))
         self._round += 1
         return True
+
+    def _distant_candidate(
+        self, candidates: list[Run], mean: np.ndarray, sd: np.ndarray, otherwise: int
+    ) -> int:
+        """Return the candidate with the best prediction far from all runs of the twin.
+
+        If no distant candidate may be feasible, return `otherwise`.
+        """
+        fractions = [run.fractions for run in candidates]
+        distance = cdist(fractions, [run.fractions for run in self._twin_runs])
+        allowed = distance.min(axis=1) > _EXPLORED_DISTANCE
+        allowed &= self._feasibility(mean, sd) >= _MIN_FEASIBILITY
+        allowed &= ~self._near_failures(fractions)
+        if not allowed.any():
+            return otherwise
+        return int(np.argmin(np.where(allowed, mean[:, 0], np.inf)))
 
     def expected_improvement(self) -> float | None:
         best = self.best()[:1]
@@ -298,9 +337,8 @@ class _Search:
         new = np.array([design for design in designs if _is_far(design, finished)])
         if not len(new):
             return 0.0
-        return float(
-            self._scores(new).max() / max(abs(costs(self._study, best)[0, 0]), 1e-12)
-        )
+        score = self._score(new, *self._interpolated(new))
+        return float(score.max() / max(abs(costs(self._study, best)[0, 0]), 1e-12))
 
     def best(self) -> tuple[Run, ...]:
         """Return the best of the twin runs that violate the constraints least."""
@@ -397,8 +435,7 @@ class _Search:
     def _candidates(self) -> list[Run]:
         count = _NEIGHBOURS[self._objectives]
         if self._compliant_runs and self._objectives == 1:
-            screened = self._screened_designs()
-            new = screened[np.argsort(-self._scores(screened))[:count]]
+            new = self._screened_candidates(count)
         else:
             new = self._neighbours(count)
         if (
@@ -416,6 +453,21 @@ class _Search:
             ]
         finished = [run.fractions for run in self._twin_runs]
         return [run for run in candidates if _is_far(run.fractions, finished)]
+
+    def _screened_candidates(self, count: int) -> np.ndarray:
+        screened = self._screened_designs()
+        mean, sd = self._interpolated(screened)
+        promising = screened[np.argsort(-self._score(screened, mean, sd))]
+        explored = _EXPLORED if excesses(self._study, self._twin_runs).size else 0
+        new = list(promising[: count - explored])
+        # The interpolation may miss a narrow optimum between the low-fidelity runs, so
+        # some candidates fill the largest gaps between them.
+        known = [run.fractions for run in self._compliant_runs]
+        possible = screened[self._feasibility(mean, sd) >= _MIN_FEASIBILITY]
+        for _ in range(min(explored, len(possible))):
+            distance = cdist(possible, [*known, *new]).min(axis=1)
+            new.append(possible[int(distance.argmax())])
+        return np.array(new)
 
     def _screened_designs(self) -> np.ndarray:
         return np.vstack([self._neighbours(_SCREENED), self._sample_space(_SCREENED)])
@@ -447,7 +499,8 @@ class _Search:
         )
         return new
 
-    def _scores(self, designs: np.ndarray) -> np.ndarray:
+    def _interpolated(self, designs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predict outputs from interpolated low-fidelity results, as `_predict`."""
         low_fidelity = None
         if self._compliant_runs:
             fractions = np.array([run.fractions for run in self._compliant_runs])
@@ -459,7 +512,11 @@ class _Search:
                     fractions[known], outputs[known], smoothing=_SMOOTHING
                 )(designs)
         runs = [Run("twin", design, Row("", DONE)) for design in designs]
-        mean, sd = self._predict(runs, 0, low_fidelity)
+        return self._predict(runs, 0, low_fidelity)
+
+    def _score(
+        self, designs: np.ndarray, mean: np.ndarray, sd: np.ndarray
+    ) -> np.ndarray:
         score = self.improvement(mean, sd, self._outputs(self._twin_runs), 0)
         score[self._near_failures(designs)] = 0.0
         return score
@@ -557,8 +614,13 @@ class _Search:
                 score = area_gained(feasible, draws).mean(axis=0)
         else:
             score = np.ones(len(mean))
-        probability = norm.cdf(-mean[:, count:] / sd[:, count:]).prod(axis=1)
-        return np.asarray(score * probability)
+        return np.asarray(score * self._feasibility(mean, sd))
+
+    def _feasibility(self, mean: np.ndarray, sd: np.ndarray) -> np.ndarray:
+        """Return the probability that each design satisfies all constraints."""
+        excess = mean[:, self._objectives :]
+        spread = sd[:, self._objectives :]
+        return np.asarray(norm.cdf(-excess / spread).prod(axis=1))
 
 
 def area_gained(known: np.ndarray, points: np.ndarray) -> np.ndarray:

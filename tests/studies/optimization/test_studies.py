@@ -20,7 +20,7 @@ from srs_twin.studies.optimization.command import _print_result
 from srs_twin.studies.optimization.loading import DesignSpace, VariableFile, load_study
 from srs_twin.studies.optimization.report import bound_lines, write_result
 from srs_twin.studies.optimization.result import StudyResult
-from srs_twin.studies.optimization.runs import StudyRuns
+from srs_twin.studies.optimization.runs import Run, StudyRuns
 from srs_twin.studies.optimization.search import _Search, front, search
 from srs_twin.studies.sweep.task import DONE, FAILED, Row
 
@@ -380,6 +380,25 @@ def test_expected_improvement_is_the_mean_of_the_feasible_gains(tmp_path):
     assert found == pytest.approx(
         gains.mean(), abs=5 * gains.std() / math.sqrt(len(gains))
     )
+
+
+def test_explored_designs_are_far_from_all_runs_and_may_be_feasible(tmp_path):
+    question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}")
+    designs = [(0.5, 0.51), (0.5, 0.9), (0.1, 0.5), (0.1, 0.9)]
+    candidates = [Run("twin", np.array(d), Row("", DONE)) for d in designs]
+    cost = np.array([-0.4, -0.3, -0.2, -0.1])
+    excess = np.array([-0.1, 0.3, -0.1, -0.1])
+    mean = np.column_stack([cost, excess])
+    with StudyRuns(question, tmp_path / "out", Engine()) as runs:
+        state = _Search(question, runs)
+        state._run("twin", np.array([[0.5, 0.5]]))
+        # The first design is near a run, and the second is 3 sd beyond the limit.
+        sd = np.full((4, 2), 0.1)
+        assert state._distant_candidate(candidates, mean, sd, 0) == 2
+        assert state._distant_candidate(candidates[:2], mean[:2], sd[:2], 0) == 0
+        # At 1 sd beyond the limit, the probability of 0.16 suffices.
+        sd[:, 1] = 0.3
+        assert state._distant_candidate(candidates, mean, sd, 0) == 1
 
 
 def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
