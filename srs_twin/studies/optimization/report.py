@@ -14,14 +14,13 @@ from matplotlib.figure import Figure
 
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replace_files
-from srs_twin.io.files import write_text
+from srs_twin.io.files import STUDY_RESULT, write_text
 from srs_twin.studies.optimization.loading import DesignSpace
 from srs_twin.studies.optimization.result import (
     EVALUATIONS,
     PICTURES,
     PRODUCTS,
     REPORT,
-    RESULT,
     StudyDocument,
     StudyResult,
 )
@@ -178,10 +177,10 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
         )
         written += [f"best/{k}.yaml", f"best/{k}.robot.yaml"]
     written += write_report(folder, result)
-    (folder / RESULT).write_text(
+    (folder / STUDY_RESULT).write_text(
         json.dumps(result.document(), indent=2) + "\n", "utf-8"
     )
-    return (*written, RESULT)
+    return (*written, STUDY_RESULT)
 
 
 def write_report(folder: Path, result: StudyResult) -> list[str]:

@@ -11,6 +11,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from srs_twin.identification.priors import Priors
+from srs_twin.io.files import STUDY_RESULT
 from srs_twin.plants.twin.mjcf.numerics import stable_step
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.provenance import versions
@@ -20,15 +21,13 @@ from srs_twin.studies.optimization.search import MAX_IMPROVEMENT, Optimum, exces
 from srs_twin.studies.sweep.points import Changes, sobol_points
 from srs_twin.studies.sweep.task import Row
 
-RESULT = "study.json"
-
 EVALUATIONS = "evaluations.parquet"
 
 REPORT = "report.html"
 
 PICTURES = ("convergence.png", "front.png", "parallel.png")
 
-PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
+PRODUCTS = (STUDY_RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 
 _MAX_REFINEMENT_CHANGE = 0.01
 """Maximum relative change of a converged result due to a refinement of the model."""
