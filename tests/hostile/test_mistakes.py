@@ -371,6 +371,11 @@ POSITIONS = [
     ),
     ("title: G", "\x07title: G", "1:1: not YAML: the character U+0007"),
     ("title: G", "on: G", "1:1: on: unknown key; allowed: "),
+    (
+        "world: {}",
+        "world: {bounds: {x_m: [1], y_m: [0, 1]}}",
+        "6:23: world.bounds.x_m: must have 2 entries, not 1",
+    ),
 ]
 
 # Text in place of a number, and its description in the message.
@@ -456,7 +461,7 @@ def test_invalid_frequency_is_described(rejected, written, description):
     )
 
 
-@pytest.mark.default_cases(at=[0, 8, 9, 10, 11, 14, 15, 17, 21, 24, 27])
+@pytest.mark.default_cases(at=[0, 8, 9, 10, 11, 14, 15, 17, 21, 24, 27, 28])
 @pytest.mark.fast
 @pytest.mark.parametrize(("old", "new", "message"), POSITIONS)
 def test_mistake_is_reported_with_line_and_column(rejected, old, new, message):

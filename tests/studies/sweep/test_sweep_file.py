@@ -113,7 +113,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
 
 
 @pytest.mark.default_cases(
-    at=[0, 3, 4, 5, 9, 10, 12, 13, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27]
+    at=[0, 3, 4, 5, 9, 10, 12, 13, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28]
 )
 @pytest.mark.parametrize(
     ("old", "new", "message"),
@@ -142,7 +142,11 @@ def test_an_element_of_a_list_is_varied(tmp_path):
                 " 50, n"
             ),
         ),
-        ("[2, 2.5]", "[]", "5:28: vary.controller.frequency_hz: must be a list"),
+        (
+            "[2, 2.5]",
+            "[]",
+            "5:28: vary.controller.frequency_hz: must have at least 1 entry, not 0",
+        ),
         ("[2, 2.5]", "2", "5:28: vary.controller.frequency_hz: must be a list"),
         ("[2, 2.5]", "[[2]]", "5:29: vary.controller.frequency_hz[0]: must be"),
         (
@@ -251,6 +255,11 @@ def test_an_element_of_a_list_is_varied(tmp_path):
             "controller.frequency_hz",
             "plants.twin.wheels",
             "5:3: vary.plants.twin.wheels: the plant `twin` does not run here",
+        ),
+        (
+            SMALL[SMALL.index("vary:") :],
+            "vary: {}",
+            "4:7: vary: must have at least 1 entry, not 0",
         ),
     ],
 )
