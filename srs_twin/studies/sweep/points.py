@@ -395,7 +395,12 @@ def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
             " latin_hypercube or sobol"
         )
     spaced = np.geomspace if values.scale == "log" else np.linspace
-    return [float(value) for value in spaced(values.start, values.stop, values.count)]
+    numbers = spaced(values.start, values.stop, values.count)
+    # Some fields, such as the seed, accept no floats.
+    if np.equal(numbers, np.rint(numbers)).all():
+        numbers = numbers.astype(int)
+    found: list[Value] = numbers.tolist()
+    return found
 
 
 def sobol_points(

@@ -86,6 +86,14 @@ def test_a_varied_robot_value_keeps_its_unit(tmp_path):
     }
 
 
+def test_a_range_of_whole_numbers_suits_whole_fields(tmp_path):
+    text = SMALL.replace(
+        "controller.frequency_hz: [2, 2.5]", "seed: {from: 0, to: 4, count: 5}"
+    )
+    points = load_sweep(write(tmp_path, text)).points
+    assert {point.changes["seed"] for point in points} == {0, 1, 2, 3, 4}
+
+
 def test_robots_are_varied_by_name(tmp_path):
     text = SMALL.replace("controller.frequency_hz: [2, 2.5]", "robot: [gen2, gen4]")
     sweep = load_sweep(write(tmp_path, text))
