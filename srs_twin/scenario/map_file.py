@@ -196,7 +196,8 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
             f"{name}:1: the column '{repeated[0]}' is repeated; remove or rename one"
         )
     circles = []
-    for line, row in enumerate(rows, start=2):
+    for row in rows:
+        line = rows.line_num  # empty lines are skipped
         try:
             x, y, radius = (float(row[column]) for column in CIRCLE_COLUMNS)
         except (TypeError, ValueError):
