@@ -86,6 +86,11 @@ def test_a_varied_robot_value_keeps_its_unit(tmp_path):
     }
 
 
+def test_the_resolved_scenario_expects_only_results_of_plants_that_run(tmp_path):
+    base = load_sweep(write(tmp_path)).experiment.base
+    assert {item.subject for item in parse_scenario(base).file.expect} == {"analytical"}
+
+
 def test_a_range_of_whole_numbers_suits_whole_fields(tmp_path):
     text = SMALL.replace(
         "controller.frequency_hz: [2, 2.5]", "seed: {from: 0, to: 4, count: 5}"
