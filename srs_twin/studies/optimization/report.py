@@ -191,11 +191,10 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
     for name, (figure, caption) in figures.items():
         save(figure, folder / name)
         pictures.append(image((folder / name).read_bytes(), "png", caption))
-    counts = document["evaluations"].items()
     content = render(
         "studies/optimization/report.html",
         title=result.study.title,
-        subtitle=", ".join(f"{count} runs of {part}" for part, count in counts),
+        subtitle=run_counts(document),
         best=_best_table(result, document),
         plots=pictures,
         fidelities=_fidelity_text(document),
@@ -301,6 +300,17 @@ def bound_lines(document: StudyDocument) -> list[str]:
     if lines:
         lines.append("With a wider range, the optimum may lie beyond such a bound.")
     return lines
+
+
+def run_counts(document: StudyDocument) -> str:
+    """Return the number of runs of each fidelity as text."""
+    texts = []
+    for part, count in document["evaluations"].items():
+        text = f"{count} runs of {part}"
+        if missing := document["without_value"][part]:
+            text += f" ({missing} without a value of an objective or constraint)"
+        texts.append(text)
+    return ", ".join(texts)
 
 
 def mark_bound(value: float, on_bound: bool) -> str:

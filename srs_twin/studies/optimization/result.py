@@ -74,6 +74,7 @@ class StudyDocument(TypedDict):
     title: str
     best: list[DesignDocument]
     evaluations: dict[str, int]
+    without_value: dict[str, int]
     begun: dict[str, float | None]
     expected_improvement: float | None
     warning: str | None
@@ -184,6 +185,9 @@ class StudyResult:
             "title": study.title,
             "best": [self._design_document(k) for k in range(len(self.designs))],
             "evaluations": {part: parts.count(part) for part in study.experiments},
+            "without_value": {
+                part: self._count_without_value(part) for part in study.experiments
+            },
             "begun": {
                 name: _number(self.initial.run.metric(name)) for name in self.metrics
             },
@@ -196,6 +200,17 @@ class StudyResult:
             "seed": study.file.seed,
             "versions": versions(),
         }
+
+    def _count_without_value(self, part: str) -> int:
+        """Return the number of failed runs and of runs without one of the metrics."""
+        values = np.array(
+            [
+                [run.metric(name) for name in self.metrics]
+                for run in self.runs
+                if run.part == part
+            ]
+        )
+        return int(np.isnan(values).any(axis=-1).sum())
 
     @property
     def warning(self) -> str | None:
