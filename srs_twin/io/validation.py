@@ -44,6 +44,7 @@ _LIST_HINT = "`srs-twin schema`"
 # Numbers with these units are often given with a wrong prefix, such as mm for m.
 _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
+_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?(e[-+]?[0-9]+)?", re.IGNORECASE)
 _WITH_UNIT = re.compile(
     r"[-+]?[0-9.]+(e[-+]?[0-9]+)? ?[^\W\d_][\w/*·%]*", re.IGNORECASE
 )
@@ -288,13 +289,12 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
     if kind in _COUNT_LIMITS:
         return _describe_wrong_count(item, flat)
     choices = [choice for option in options for choice in _choices(option, schema)]
-    close = _suggest_unit(value, loc, flat)
     if isinstance(value, str):
-        bounded = any("minimum" in option for option in flat)
-        if bounded and _WITH_UNIT.fullmatch(value):
-            close = "; write the number without its unit, which the key states"
-        elif len(choices) > 1:
-            close = _hint(value, choices)
+        close = _suggest_for_text(value, flat, choices)
+    elif kind == "int_type" and isinstance(value, float) and value.is_integer():
+        close = "; write it without a decimal point"
+    else:
+        close = _suggest_unit(value, loc, flat)
     return f"must be {words}, not {_describe_value(value)}{close}"
 
 
@@ -305,6 +305,19 @@ def _describe_wrong_count(item: ErrorDetails, options: Iterable[Schema]) -> str:
         bound = ""
     noun = "entry" if limit == 1 else "entries"
     return f"must have {bound}{limit} {noun}, not {len(item['input'])}"
+
+
+def _suggest_for_text(
+    value: str, options: Iterable[Schema], choices: Sequence[Any]
+) -> str:
+    if any("minimum" in option for option in options):
+        if _NUMBER.fullmatch(value):
+            return "; write the number without quotes"
+        if _WITH_UNIT.fullmatch(value):
+            return "; write the number without its unit, which the key states"
+    if len(choices) > 1:
+        return _hint(value, choices)
+    return ""
 
 
 def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:

@@ -376,6 +376,12 @@ POSITIONS = [
         "world: {bounds: {x_m: [1], y_m: [0, 1]}}",
         "6:23: world.bounds.x_m: must have 2 entries, not 1",
     ),
+    (
+        "world: {}",
+        "seed: 1.0",
+        "6:7: seed: must be a whole number from 0 to 4294967295, not 1; write it"
+        " without a decimal point",
+    ),
 ]
 
 # Text in place of a number, and its description in the message.
@@ -389,7 +395,7 @@ NUMBERS = [
     ("9" * 5000, "infinity"),
     ("NaN", "text 'NaN'"),
     ("2Hz", "text '2Hz'; write the number without its unit, which the key states"),
-    ("'2.0'", "text '2.0'"),
+    ("'2.0'", "text '2.0'; write the number without quotes"),
     ("true", "true"),
     ("[2]", "a list of 1"),
     ("{a: 1}", "a block of keys"),
@@ -461,7 +467,7 @@ def test_invalid_frequency_is_described(rejected, written, description):
     )
 
 
-@pytest.mark.default_cases(at=[0, 8, 9, 10, 11, 14, 15, 17, 21, 24, 27, 28])
+@pytest.mark.default_cases(at=[0, 8, 9, 10, 11, 14, 15, 17, 21, 24, 27, 28, 29])
 @pytest.mark.fast
 @pytest.mark.parametrize(("old", "new", "message"), POSITIONS)
 def test_mistake_is_reported_with_line_and_column(rejected, old, new, message):
