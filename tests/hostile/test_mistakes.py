@@ -107,7 +107,7 @@ SCENARIO_EDITS = [
     (
         "frequency_hz: 2.0",
         "frequency_hz: 2 Hz",
-        "not text '2 Hz'; write the number without a unit",
+        "not text '2 Hz'; write the number without its unit",
     ),
     (
         "pressure_kpa: 48.3",
