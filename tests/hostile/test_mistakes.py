@@ -80,6 +80,10 @@ COMMANDS = [
     ("reproduce --only XY", "docs/reproduction.md lists them"),
     ("schema robots", "(available: inspect, scenario, setup, study, sweep)"),
     ("replay walk.csv --robot gen2", "walk.csv: no such file"),
+    (
+        "run gen2_straight --plants=",
+        "--plants: '' is unknown; allowed: analytical, twin",
+    ),
 ]
 
 # Text of MINE, its replacement, and part of the message of `srs-twin run`.
