@@ -229,7 +229,12 @@ class BestFirstFile(PlannerSection):
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
         planner = super()._planner(footprint, loading)
         if self.primitives:
-            problem = replace(planner.problem, primitives=self.primitives.build())
+            problem = planner.problem
+            with loading.document.report_errors("planner", "primitives"):
+                primitives = self.primitives.build()
+                for curvature in primitives.curvatures:
+                    problem.footprint.at(curvature)
+                problem = replace(problem, primitives=primitives)
             planner = replace(planner, problem=problem)
         if self.contact:
             limits = touch_limits(loading.robot.spec(), planner.footprint)

@@ -340,7 +340,7 @@ def test_goal_of_a_given_path_is_its_end():
     )
 
 
-@pytest.mark.default_cases(at=[0, 1, 4, 6, 7])
+@pytest.mark.default_cases(at=[0, 1, 4, 6, 7, 8])
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -363,7 +363,7 @@ def test_goal_of_a_given_path_is_its_end():
                 }
             },
             (
-                "planner: the curvature 6 1/m is not allowed; the footprint has"
+                "planner: the curvature 6 1/m is not allowed; the footprint covers"
                 " curvatures between -5.23599 and 5.23599 1/m"
             ),
         ),
@@ -395,6 +395,16 @@ def test_goal_of_a_given_path_is_its_end():
                 }
             },
             "of 99 circles fit with gaps of",
+        ),
+        (
+            {
+                "planner": {
+                    "kind": "best_first",
+                    "footprint": "gen2_section52",
+                    "primitives": {"count": 3, "turn_rad": 0.8, "length_m": 0.1},
+                }
+            },
+            "planner.primitives: the curvature -8 1/m is not allowed",
         ),
     ],
 )
