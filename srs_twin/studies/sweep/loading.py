@@ -150,9 +150,12 @@ def problems_at(
 
 
 def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
-    """Add a similar known name to a message about an unknown key."""
-    needs_hint = "unknown key" in problem and "did you mean" not in problem
-    return problem + (did_you_mean(field, known) if needs_hint else "")
+    """Suggest a similar known name in a message that lists the allowed keys."""
+    before, is_list, _ = problem.partition("; allowed: ")
+    suggestion = did_you_mean(field, known)
+    if is_list and suggestion and before.endswith("unknown key"):
+        return before + suggestion
+    return problem
 
 
 def locate_files(document: Document) -> bool:

@@ -333,10 +333,11 @@ def _is_record(data: object) -> bool:
 
 
 def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all mappings except robot parameters."""
+    """Yield the dotted names of all values. A robot parameter is one value."""
     if isinstance(data, Mapping) and not _is_record(data):
         for key, value in data.items():
             yield from leaf_names(value, f"{prefix}.{key}" if prefix else str(key))
+    else:
         yield prefix
 
 

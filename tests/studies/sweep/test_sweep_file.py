@@ -145,7 +145,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "controller.frequency_hz",
             "frequency_hz",
-            "5:3: vary.frequency_hz: unknown key; allowed: ",
+            "5:3: vary.frequency_hz: unknown key; did you mean controller.frequency_hz?",
         ),
         (
             "[2, 2.5]",
