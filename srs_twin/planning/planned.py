@@ -67,7 +67,7 @@ class ScenarioPlan:
         assert result.problem is not None, "set by plan()"
         checker = Checker(result.problem.world, result.problem.footprint)
         # The plan's problem begins at the end of the lead-in.
-        lead_in = getattr(self.scenario.planner.file, "lead_in_m", 0.0)
+        lead_in = self.scenario.planner.file.lead_in
         least = lead_in + result.least_length
         if least > _ROUNDING:
             ratio = result.length / least

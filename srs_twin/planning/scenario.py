@@ -74,6 +74,11 @@ class PlannerSection(ExtensionSection):
     the excursions in the footprint file.
     """
 
+    @property
+    def lead_in(self) -> float:
+        """Length of the straight lead-in, m."""
+        return 0.0
+
     @model_validator(mode="after")
     def _keys_agree(self) -> PlannerSection:
         if self.margin_m is not None and self.margin_probability is not None:
@@ -198,6 +203,11 @@ class BestFirstFile(PlannerSection):
     improve: bool = constructor_default()
     """Whether to search for a shorter path at finer resolutions while the budget lasts.
     """
+
+    @property
+    def lead_in(self) -> float:
+        """See `PlannerSection.lead_in`."""
+        return self.lead_in_m
 
     @model_validator(mode="after")
     def _leans_alone(self) -> BestFirstFile:
