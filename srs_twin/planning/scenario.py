@@ -268,11 +268,12 @@ class BestFirstFile(PlannerSection):
             problem = replace(problem, start=begin[-1].end)
         settings = replace(self.build(), touch_limits=limits)
         if self.shape_changes:
-            return plan_with_transitions(problem, settings, begin)
-        result = plan(problem, settings)
-        if result.found:
-            return result.after(begin)
-        return result
+            result = plan_with_transitions(problem, settings, begin)
+        else:
+            result = plan(problem, settings)
+            if result.found:
+                result = result.after(begin)
+        return replace(result, lead_in=self.lead_in_m)
 
 
 class GivenFile(PlannerSection):

@@ -445,6 +445,7 @@ def test_the_least_length_includes_the_lead_in():
         about = data(planner=planner | {"lead_in_m": lead_in}, world=world)
         found = plan_scenario(parse_scenario(about, name="way"))
         ratios.append(found.quality.length_over_least)
+        assert found.plan.least_length == pytest.approx(0.8, rel=1e-6)
         assert ratios[-1] == pytest.approx(found.plan.length / 0.8, rel=1e-6)
     assert 1.0 <= min(ratios) <= max(ratios) < 1.3
 
