@@ -299,6 +299,7 @@ class GivenFile(PlannerSection):
             PlanOutcome.FOUND,
             "the path is given",
             self._path(problem.start, problem.footprint),
+            problem=problem,
         )
 
     def _path(self, start: Pose, footprint: Footprint) -> tuple[Segment, ...]:

@@ -331,8 +331,10 @@ def test_goal_of_a_given_path_is_its_end():
         "turns_rad": [0.5, -0.5],
         "step_m": 0.2,
     }
-    route = parse_scenario(data(planner=planner, world={})).planner
+    scenario = parse_scenario(data(planner=planner, world={}))
+    route = scenario.planner
     plan = route.plan()
+    assert 1.0 <= plan_scenario(scenario).quality.length_over_least < 1.3
     goal = route.problem.goal
     assert [(s.curvature, s.length) for s in plan.segments] == [(2.5, 0.2), (-2.5, 0.2)]
     assert (goal.x, goal.y, goal.heading) == pytest.approx(
