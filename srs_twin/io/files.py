@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from srs_twin.errors import InputError, UnknownNameError, did_you_mean
+from srs_twin.errors import InputError, UnknownNameError, WriteError, did_you_mean
 
 MAX_BYTES = 64 * 1024
 """Maximum size of a hand-written file, bytes. A larger file is probably the wrong file.
@@ -289,7 +289,7 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
             yield temporary
             temporary.replace(target)
     except OSError as error:
-        raise InputError(
+        raise WriteError(
             f"{display_path(target)}: the file cannot be written"
             f" ({error.strerror or error})"
         ) from error
