@@ -198,6 +198,11 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
     circles = []
     for row in rows:
         line = rows.line_num  # empty lines are skipped
+        if None in row:
+            raise InputError(
+                f"{name}:{line}: the row has more values than the header; write decimal"
+                " numbers with a point"
+            )
         try:
             x, y, radius = (float(row[column]) for column in CIRCLE_COLUMNS)
         except (TypeError, ValueError):
