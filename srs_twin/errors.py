@@ -78,6 +78,13 @@ class InputError(SrsError):
     exit_code = 2
 
 
+class WriteError(InputError):
+    """Error for a file that cannot be written, for example because the disk is full.
+
+    This error is reported even after an interrupt, because results may be missing.
+    """
+
+
 class AbsentPartError(InputError):
     """Error for a plug-in class that was not imported.
 

@@ -35,6 +35,7 @@ from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Overrides, dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import (
+    METRICS,
     StrPath,
     check_output_folder,
     data_root,
@@ -53,7 +54,6 @@ from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.content import RunContent, end_event
 
-METRICS = "metrics.json"
 RESOLVED = "scenario.resolved.yaml"
 """File name of the resolved scenario, which contains all defaults and the robot."""
 REPORT = "report.html"

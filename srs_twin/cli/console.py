@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from srs_twin.errors import InputError
+from srs_twin.errors import WriteError
 from srs_twin.io.files import data_root, escape_unprintable
 
 if TYPE_CHECKING:
@@ -113,9 +113,8 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
     try:
         yield
     except (KeyboardInterrupt, Exception) as error:
-        # An interrupted C extension may raise a different error. Invalid input and
-        # full disks are reported even after an interrupt.
-        if isinstance(error, InputError) or not (interrupted or is_interrupt(error)):
+        # An interrupted C extension may raise a different error.
+        if isinstance(error, WriteError) or not (interrupted or is_interrupt(error)):
             raise
         if isinstance(error, Exception):
             show_traceback(error)

@@ -141,10 +141,12 @@ def print_json(document: Any) -> None:
 def parse_plants(text: str | None) -> list[str] | None:
     """Return the plants listed in `--plants`, or None without this option."""
     plants = ("analytical", "twin")
-    names = [name.strip() for name in text.split(",")] if text else []
+    if text is None:
+        return None
+    names = [name.strip() for name in text.split(",")]
     for name in names:
         check_choice("--plants:", name, plants)
-    return [plant for plant in plants if plant in names] or None
+    return [plant for plant in plants if plant in names]
 
 
 @dataclass(frozen=True)

@@ -222,7 +222,7 @@ def _load(
 ) -> list[Case]:
     """Load and check scenarios, print errors and return the valid cases."""
     from srs_twin.experiment import check_run
-    from srs_twin.io.files import check_output_folder, display_path
+    from srs_twin.io.files import check_output_folder
     from srs_twin.scenario.loading import load_scenario
 
     base = Path(out) if out else RUNS_FOLDER
@@ -242,11 +242,6 @@ def _load(
                     f" {case.folder}; rename one of the scenarios"
                 )
             folders.add(case.folder)
-            if (case.folder / "sweep.json").exists():
-                raise InputError(
-                    f"{display_path(case.folder)}: the folder contains a sweep; give"
-                    " another folder with --out"
-                )
     valid = [case for case in cases if case.result is None]
     if len(valid) > 1:
         # An unusable folder is reported once instead of for every scenario.

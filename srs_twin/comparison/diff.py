@@ -20,7 +20,7 @@ from pydantic import Field
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.arguments import checked
-from srs_twin.io.files import StrPath, display_path, require_file
+from srs_twin.io.files import METRICS, StrPath, display_path, require_file
 from srs_twin.io.untrusted import parse_json, read_json, read_table
 from srs_twin.io.validation import StrictModel, load_model
 
@@ -29,7 +29,7 @@ REL = 1e-6
 ABS = 1e-9
 """Default absolute tolerance, in the unit of the number."""
 
-_FILES = ("metrics.json", "results.parquet", "reproduce.json")
+_FILES = (METRICS, "results.parquet", "reproduce.json")
 _WALL_TIMES = {"wall_s", "realtime_factor", "plan_s"}
 _OWNER = re.compile(r"^(analytical|twin|measured|comparison|plan)\.")
 _NUMBERED = re.compile(r"(_(plus|minus))?(_\d+)?(_period_\d+)?(\[\d+\])*$")

@@ -50,6 +50,7 @@ _UNUSUAL = re.compile(
     "[^\x20-\x7e\xa1-\u1fff\u2030-\ud7ff\ue000-\ufefe\U00010000-\U0010ffff]"
 )
 
+_FIELD_NAME = re.compile(r"[^.\[\]]+(\.[^.\[\]]+|\[[0-9]+\])*")
 _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], object]], ...] = (
     (re.compile(r"~|null|Null|NULL|"), lambda text: None),
     (re.compile(r"true|True|TRUE"), lambda text: True),
@@ -81,21 +82,33 @@ class Override:
     @classmethod
     def parse(cls, label: str, field: str, value: str) -> Override:
         """Return an override from a dotted field name and a YAML value."""
-        if not (loc := parse_path(field)):
+        if not field:
             raise InputError(
                 f"{label}: must be FIELD=VALUE, as in controller.frequency_hz=1.5"
             )
-        return cls(label, loc, parse_yaml(value, label).data)
+        document = parse_yaml(value, label)
+        document.raise_problems()
+        return cls(label, _field_path(label, field), document.data)
 
     @classmethod
     def list_of(cls, changes: Overrides) -> Sequence[Override]:
         """Convert overrides to a sequence if they are given as a mapping."""
         if not isinstance(changes, Mapping):
             return changes
-        return [
-            cls(f"set {key}={value!r}", parse_path(key), value)
-            for key, value in changes.items()
-        ]
+        overrides = []
+        for name, value in changes.items():
+            label = f"set {name}={value!r}"
+            overrides.append(cls(label, _field_path(label, name), value))
+        return overrides
+
+
+def _field_path(label: str, name: str) -> Loc:
+    if not _FIELD_NAME.fullmatch(name):
+        raise InputError(
+            f"{label}: '{name}' is not the name of a field, such as"
+            " world.obstacles[0].x_m"
+        )
+    return parse_path(name)
 
 
 Overrides = Mapping[str, Any] | Sequence[Override]

@@ -23,7 +23,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, WriteError
 from srs_twin.io.files import check_not_folders, display_path, make_folder
 
 _STAGING_PREFIX = ".part-"
@@ -82,7 +82,7 @@ def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
         reason = os.strerror(error.errno) if error.errno else str(error)
         if isinstance(error, BlockingIOError):
             reason = "another process has locked the folder"
-        raise InputError(
+        raise WriteError(
             f"{display_path(folder)}: the run's files cannot be written there"
             f" ({where}{reason}); the files of an earlier run are unchanged"
         ) from error
@@ -120,7 +120,7 @@ def _swap(folder: Path, staging: Path, products: Sequence[str]) -> None:
         try:
             _restore(folder, staging)
         except OSError as error:
-            raise InputError(
+            raise WriteError(
                 f"{display_path(folder)}: the run's files cannot be written there"
                 f" ({error.strerror}); earlier files are in {display_path(staging)},"
                 " and the next run restores them"

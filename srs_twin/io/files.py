@@ -12,13 +12,24 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-from srs_twin.errors import InputError, UnknownNameError, did_you_mean
+from srs_twin.errors import InputError, UnknownNameError, WriteError, did_you_mean
 
 MAX_BYTES = 64 * 1024
 """Maximum size of a hand-written file, bytes. A larger file is probably the wrong file.
 """
 
 StrPath = str | os.PathLike[str]
+
+METRICS = "metrics.json"
+SWEEP_SUMMARY = "sweep.json"
+STUDY_RESULT = "study.json"
+
+_RESULT_KINDS = {
+    METRICS: "a run",
+    SWEEP_SUMMARY: "a sweep",
+    STUDY_RESULT: "an optimization",
+}
+"""Kinds of results that share file names, keyed by the completion mark of each kind."""
 
 _FOLDERS = {
     "robot": "calibration/robots",
@@ -278,7 +289,7 @@ def atomic_write(path: StrPath) -> Iterator[Path]:
             yield temporary
             temporary.replace(target)
     except OSError as error:
-        raise InputError(
+        raise WriteError(
             f"{display_path(target)}: the file cannot be written"
             f" ({error.strerror or error})"
         ) from error
@@ -404,7 +415,17 @@ def require_file(
 def check_output_folder(
     folder: Path, products: Sequence[str] = (), *, option: str = "--out"
 ) -> None:
-    """Check that files can be written to a folder, which may not exist yet."""
+    """Check that files can be written to a folder, which may not exist yet.
+
+    Args:
+        folder: output folder.
+        products: names of the files, which begin with the completion mark of a set.
+        option: option that names the folder in error messages.
+
+    Raises:
+        InputError: the folder is not writable, contains a folder with the name of a
+            file, or contains results of another kind with the same file names.
+    """
     check_printable(folder)
     try:
         target = Path(os.path.abspath(folder))
@@ -423,6 +444,17 @@ def check_output_folder(
             problem += f"; give another folder with {option}"
         raise InputError(f"{display_path(folder)}: {problem}") from error
     check_not_folders(folder, products)
+    if products and products[0] in _RESULT_KINDS:
+        _check_result_kind(folder, products[0], option)
+
+
+def _check_result_kind(folder: Path, own_mark: str, option: str) -> None:
+    for mark, kind in _RESULT_KINDS.items():
+        if mark != own_mark and (folder / mark).exists():
+            raise InputError(
+                f"{display_path(folder)}: the folder contains {kind}; give another"
+                f" folder with {option}"
+            )
 
 
 def check_not_folders(folder: Path, products: Sequence[str]) -> None:

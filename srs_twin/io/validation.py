@@ -9,7 +9,7 @@ import math
 import re
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -44,6 +44,7 @@ _LIST_HINT = "`srs-twin schema`"
 # Numbers with these units are often given with a wrong prefix, such as mm for m.
 _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
+_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?(e[-+]?[0-9]+)?", re.IGNORECASE)
 _WITH_UNIT = re.compile(
     r"[-+]?[0-9.]+(e[-+]?[0-9]+)? ?[^\W\d_][\w/*·%]*", re.IGNORECASE
 )
@@ -71,6 +72,11 @@ RETIRED_KINDS = {
 }
 """Hint about each removed kind or key, which names its replacement or the reason for
 its removal."""
+_COUNT_LIMITS = {
+    "too_short": ("min_length", "at least "),
+    "too_long": ("max_length", "at most "),
+}
+"""Name and description of the violated limit of each error in a number of entries."""
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -255,22 +261,21 @@ def _hint(value: object, names: Iterable[str]) -> str:
     return did_you_mean(value, names)
 
 
+def _describe_unknown_key(key: object, allowed: Sequence[str]) -> str:
+    if str(key).isdigit():
+        return "unknown key; a decimal number is written with a point, not with a comma"
+    if close := _hint(key, allowed):
+        return f"unknown key{close}"
+    listed = ", ".join(allowed[:MAX_LISTED_NAMES])
+    if len(allowed) > MAX_LISTED_NAMES:
+        listed += f", … ({_LIST_HINT} lists all {len(allowed)})"
+    return f"unknown key; allowed: {listed}"
+
+
 def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
     kind = item["type"]
     if kind == "extra_forbidden":
-        keys = _allowed_keys(schema, loc[:-1], data)
-        close = _hint(loc[-1], keys)
-        if str(loc[-1]).isdigit():
-            return (
-                "unknown key; a decimal number is written with a point, not with"
-                " a comma"
-            )
-        if close:
-            return f"unknown key{close}"
-        listed = ", ".join(keys[:MAX_LISTED_NAMES])
-        if len(keys) > MAX_LISTED_NAMES:
-            listed += f", … ({_LIST_HINT} lists all {len(keys)})"
-        return f"unknown key; allowed: {listed}"
+        return _describe_unknown_key(loc[-1], _allowed_keys(schema, loc[:-1], data))
     if kind == "value_error":
         return str(item["ctx"]["error"])
     options = list(_schemas_at(schema, loc, data))
@@ -281,15 +286,38 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
         return "; it must be ".join(filter(None, ["missing", words]))
     value = item["input"]
     flat = [inner for option in options for inner in _alternatives(option, schema)]
+    if kind in _COUNT_LIMITS:
+        return _describe_wrong_count(item, flat)
     choices = [choice for option in options for choice in _choices(option, schema)]
-    close = _suggest_unit(value, loc, flat)
     if isinstance(value, str):
-        bounded = any("minimum" in option for option in flat)
-        if bounded and _WITH_UNIT.fullmatch(value):
-            close = "; write the number without its unit, which the key states"
-        elif len(choices) > 1:
-            close = _hint(value, choices)
+        close = _suggest_for_text(value, flat, choices)
+    elif kind == "int_type" and isinstance(value, float) and value.is_integer():
+        close = "; write it without a decimal point"
+    else:
+        close = _suggest_unit(value, loc, flat)
     return f"must be {words}, not {_describe_value(value)}{close}"
+
+
+def _describe_wrong_count(item: ErrorDetails, options: Iterable[Schema]) -> str:
+    name, bound = _COUNT_LIMITS[item["type"]]
+    limit = item["ctx"][name]
+    if any(option.get("minItems") == option.get("maxItems", -1) for option in options):
+        bound = ""
+    noun = "entry" if limit == 1 else "entries"
+    return f"must have {bound}{limit} {noun}, not {len(item['input'])}"
+
+
+def _suggest_for_text(
+    value: str, options: Iterable[Schema], choices: Sequence[Any]
+) -> str:
+    if any("minimum" in option for option in options):
+        if _NUMBER.fullmatch(value):
+            return "; write the number without quotes"
+        if _WITH_UNIT.fullmatch(value):
+            return "; write the number without its unit, which the key states"
+    if len(choices) > 1:
+        return _hint(value, choices)
+    return ""
 
 
 def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:

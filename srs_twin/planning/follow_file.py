@@ -132,7 +132,7 @@ class FollowFile(ControllerSection):
                 response_length,
                 self.replan_beyond_m,
                 self.max_replans,
-                getattr(planner.file, "lead_in_m", 0.0),
+                planner.file.lead_in,
             ),
             body=problem.footprint,
             world=problem.world,
@@ -165,7 +165,7 @@ class FollowFile(ControllerSection):
                 "delay_s": self.delay_s,
                 "position_noise_m": self.camera.position_noise_m,
                 "heading_noise_rad": self.camera.heading_noise_rad,
-                "lead_in_m": getattr(planner, "lead_in_m", 0.0),
+                "lead_in_m": planner.lead_in,
             }
         )
 

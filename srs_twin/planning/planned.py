@@ -31,8 +31,8 @@ class PathQuality:
     """Quality of a planned path.
 
     Attributes:
-        length_over_least: ratio of the path length to the sum of the lead-in and the
-            minimum length from its end around the obstacles, or None if this sum is 0.
+        length_over_least: ratio of the path length to `Plan.least_length`, or None if
+            the least length is 0.
         clearance_m: minimum distance of the footprint with its margin from obstacles
             and bounds, m.
     """
@@ -66,11 +66,8 @@ class ScenarioPlan:
             return None
         assert result.problem is not None, "set by plan()"
         checker = Checker(result.problem.world, result.problem.footprint)
-        # The plan's problem begins at the end of the lead-in.
-        lead_in = getattr(self.scenario.planner.file, "lead_in_m", 0.0)
-        least = lead_in + result.least_length
-        if least > _ROUNDING:
-            ratio = result.length / least
+        if result.least_length > _ROUNDING:
+            ratio = result.length / result.least_length
         else:
             ratio = None
         return PathQuality(ratio, checker.clearance(result.segments))

@@ -253,6 +253,7 @@ class Plan(HtmlResult):
         seconds: wall time, which is ignored in comparisons of plans, s.
         problem: problem with the footprint edges that must stay free, which is ignored
             in comparisons of plans.
+        lead_in: length of the straight lead-in, at whose end the problem starts, m.
     """
 
     page: ClassVar[str] = "plan"
@@ -264,13 +265,17 @@ class Plan(HtmlResult):
     touches: tuple[PlannedContact, ...] | None = None
     seconds: float = field(default=0.0, compare=False)
     problem: Problem | None = field(default=None, compare=False, repr=False)
+    lead_in: float = 0.0
 
     @cached_property
     def least_length(self) -> float:
-        """Lower bound on the length of paths with arbitrary curvature, m."""
+        """Lower bound on the length of paths with arbitrary curvature, m.
+
+        The path consists of the lead-in and the shortest way from its end to the goal.
+        """
         assert self.problem is not None, "set by plan()"
         problem = self.problem
-        return min_path_length(
+        return self.lead_in + min_path_length(
             problem.start, problem.goal, problem.world, problem.footprint.narrowest
         )
 

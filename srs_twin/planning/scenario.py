@@ -74,6 +74,11 @@ class PlannerSection(ExtensionSection):
     the excursions in the footprint file.
     """
 
+    @property
+    def lead_in(self) -> float:
+        """Length of the straight lead-in, m."""
+        return 0.0
+
     @model_validator(mode="after")
     def _keys_agree(self) -> PlannerSection:
         if self.margin_m is not None and self.margin_probability is not None:
@@ -199,6 +204,11 @@ class BestFirstFile(PlannerSection):
     """Whether to search for a shorter path at finer resolutions while the budget lasts.
     """
 
+    @property
+    def lead_in(self) -> float:
+        """See `PlannerSection.lead_in`."""
+        return self.lead_in_m
+
     @model_validator(mode="after")
     def _leans_alone(self) -> BestFirstFile:
         for name in ("clearance_weight", "shape_changes"):
@@ -229,7 +239,12 @@ class BestFirstFile(PlannerSection):
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
         planner = super()._planner(footprint, loading)
         if self.primitives:
-            problem = replace(planner.problem, primitives=self.primitives.build())
+            problem = planner.problem
+            with loading.document.report_errors("planner", "primitives"):
+                primitives = self.primitives.build()
+                for curvature in primitives.curvatures:
+                    problem.footprint.at(curvature)
+                problem = replace(problem, primitives=primitives)
             planner = replace(planner, problem=problem)
         if self.contact:
             limits = touch_limits(loading.robot.spec(), planner.footprint)
@@ -253,11 +268,12 @@ class BestFirstFile(PlannerSection):
             problem = replace(problem, start=begin[-1].end)
         settings = replace(self.build(), touch_limits=limits)
         if self.shape_changes:
-            return plan_with_transitions(problem, settings, begin)
-        result = plan(problem, settings)
-        if result.found:
-            return result.after(begin)
-        return result
+            result = plan_with_transitions(problem, settings, begin)
+        else:
+            result = plan(problem, settings)
+            if result.found:
+                result = result.after(begin)
+        return replace(result, lead_in=self.lead_in_m)
 
 
 class GivenFile(PlannerSection):
@@ -283,6 +299,7 @@ class GivenFile(PlannerSection):
             PlanOutcome.FOUND,
             "the path is given",
             self._path(problem.start, problem.footprint),
+            problem=problem,
         )
 
     def _path(self, start: Pose, footprint: Footprint) -> tuple[Segment, ...]:

@@ -178,21 +178,31 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
     """Return the circles of a CSV file with the columns x_m, y_m and radius_m.
 
     Raises:
-        InputError: the file cannot be read, a column is missing, or a row is not a
-            circle.
+        InputError: the file cannot be read, a column is missing or repeated, or a row
+            is not a circle.
     """
     name = display_path(path)
     rows = csv.DictReader(read_text(path).splitlines())
-    missing = [
-        column for column in CIRCLE_COLUMNS if column not in (rows.fieldnames or ())
-    ]
+    header = rows.fieldnames or ()
+    missing = [column for column in CIRCLE_COLUMNS if column not in header]
     if missing:
         raise InputError(
             f"{name}:1: the column '{missing[0]}' is missing; the columns"
             f" {', '.join(CIRCLE_COLUMNS)} are required"
         )
+    repeated = [column for column in CIRCLE_COLUMNS if header.count(column) > 1]
+    if repeated:
+        raise InputError(
+            f"{name}:1: the column '{repeated[0]}' is repeated; remove or rename one"
+        )
     circles = []
-    for line, row in enumerate(rows, start=2):
+    for row in rows:
+        line = rows.line_num  # empty lines are skipped
+        if None in row:
+            raise InputError(
+                f"{name}:{line}: the row has more values than the header; write decimal"
+                " numbers with a point"
+            )
         try:
             x, y, radius = (float(row[column]) for column in CIRCLE_COLUMNS)
         except (TypeError, ValueError):

@@ -105,6 +105,9 @@ def test_a_resolved_scenario_can_be_changed_again():
         ("supply.pressure_kpa=[1", "not YAML"),
         ("duration_s", "must be FIELD=VALUE, as in controller.frequency_hz=1.5"),
         ("=3", "must be FIELD=VALUE"),
+        ("a..b=1", "'a..b' is not the name of a field"),
+        ("duration_s=&a 1", "anchors (&a) are not allowed; write each value out"),
+        ("title=*a", "aliases (*a) are not allowed; write the value out"),
     ],
 )
 def test_a_mistake_names_the_option_and_the_remedy(srs_twin, tmp_path, words, said):

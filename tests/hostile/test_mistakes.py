@@ -80,6 +80,10 @@ COMMANDS = [
     ("reproduce --only XY", "docs/reproduction.md lists them"),
     ("schema robots", "(available: inspect, scenario, setup, study, sweep)"),
     ("replay walk.csv --robot gen2", "walk.csv: no such file"),
+    (
+        "run gen2_straight --plants=",
+        "--plants: '' is unknown; allowed: analytical, twin",
+    ),
 ]
 
 # Text of MINE, its replacement, and part of the message of `srs-twin run`.
@@ -107,7 +111,7 @@ SCENARIO_EDITS = [
     (
         "frequency_hz: 2.0",
         "frequency_hz: 2 Hz",
-        "not text '2 Hz'; write the number without a unit",
+        "not text '2 Hz'; write the number without its unit",
     ),
     (
         "pressure_kpa: 48.3",
@@ -371,6 +375,17 @@ POSITIONS = [
     ),
     ("title: G", "\x07title: G", "1:1: not YAML: the character U+0007"),
     ("title: G", "on: G", "1:1: on: unknown key; allowed: "),
+    (
+        "world: {}",
+        "world: {bounds: {x_m: [1], y_m: [0, 1]}}",
+        "6:23: world.bounds.x_m: must have 2 entries, not 1",
+    ),
+    (
+        "world: {}",
+        "seed: 1.0",
+        "6:7: seed: must be a whole number from 0 to 4294967295, not 1; write it"
+        " without a decimal point",
+    ),
 ]
 
 # Text in place of a number, and its description in the message.
@@ -384,7 +399,7 @@ NUMBERS = [
     ("9" * 5000, "infinity"),
     ("NaN", "text 'NaN'"),
     ("2Hz", "text '2Hz'; write the number without its unit, which the key states"),
-    ("'2.0'", "text '2.0'"),
+    ("'2.0'", "text '2.0'; write the number without quotes"),
     ("true", "true"),
     ("[2]", "a list of 1"),
     ("{a: 1}", "a block of keys"),
@@ -456,7 +471,7 @@ def test_invalid_frequency_is_described(rejected, written, description):
     )
 
 
-@pytest.mark.default_cases(at=[0, 8, 9, 10, 11, 14, 15, 17, 21, 24, 27])
+@pytest.mark.default_cases(at=[0, 8, 9, 10, 11, 14, 15, 17, 21, 24, 27, 28, 29])
 @pytest.mark.fast
 @pytest.mark.parametrize(("old", "new", "message"), POSITIONS)
 def test_mistake_is_reported_with_line_and_column(rejected, old, new, message):

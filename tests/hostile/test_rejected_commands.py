@@ -39,10 +39,8 @@ plants: {analytical: {}}
 FILES = {
     "good.yaml": SCENARIO.decode(),
     "plan.yaml": _PLAN % "best_first, footprint: gen2_gait",
-    "turns.yaml": (
-        _PLAN
-        % "best_first, footprint: gen2_section52, primitives: {count: 3, turn_rad: 0.8,"
-        " length_m: 0.1}"
+    "far.yaml": (_PLAN % "best_first, footprint: gen2_gait").replace(
+        "world: {", "world: {bounds: {x_m: [-0.5, 0.5], y_m: [-0.5, 0.5]}, "
     ),
     "sweep.yaml": (
         "{title: S, scenario: ./good.yaml, plants: [analytical], vary: {seed: [1, 2]}}"
@@ -118,17 +116,14 @@ each_command = pytest.mark.parametrize(
 
 TOO_LONG = "File name too long"
 FOLDER = "a folder has the name of an output file"
-TURNS = (
-    "turns.yaml: the curvature -8 1/m is not allowed; the footprint covers curvatures"
-    " between -5.23599 and 5.23599 1/m"
-)
+FAR = "far.yaml: goal (0.8, 0.1) is outside the bounds (x -0.5 to 0.5 m, y -0.5 to"
 BYTES = "this name cannot be used (it is not valid UTF-8); rename it"
 CONTROL = "this name cannot be used (it contains a control character); rename it"
 REJECTED = [
     # The output folder cannot be written.
     (f"run ./good.yaml --out runs/{LONG}", TOO_LONG),
     (f"run ./good.yaml sweep.yaml --out runs/{LONG}", TOO_LONG),
-    (f"plan ./turns.yaml --out runs/{LONG}", TOO_LONG),
+    (f"plan ./far.yaml --out runs/{LONG}", TOO_LONG),
     (f"sweep ./sweep.yaml --out runs/{LONG}", TOO_LONG),
     (f"models export gen2 --out new/{LONG}", TOO_LONG),
     (f"{REPRODUCE} --out new/{LONG}", TOO_LONG),
@@ -138,15 +133,15 @@ REJECTED = [
     # A folder has the name of a result file.
     ("run ./good.yaml --out full", f"full/metrics.json: {FOLDER}"),
     ("compare ./good.yaml --out full", f"full/metrics.json: {FOLDER}"),
-    ("plan ./turns.yaml --out full", f"full/plan.png: {FOLDER}"),
+    ("plan ./far.yaml --out full", f"full/plan.png: {FOLDER}"),
     ("sweep ./sweep.yaml --out full", f"full/sweep.json: {FOLDER}"),
     (f"{REPRODUCE} --out full", f"full/reproduce.json: {FOLDER}"),
     ("models export gen1 gen2 --out full", f"full/gen2/scene.xml: {FOLDER}"),
     (f"{FOOTPRINT} --out full", "full/f.yaml: "),
     (f"{FITTING} --out full/g.yaml", f"full/g.html: {FOLDER}"),
     # The problem is detected after the output folder was checked.
-    (f"plan ./turns.yaml --out {NEW}", TURNS),
-    (f"run ./turns.yaml --out {NEW}", TURNS),
+    (f"plan ./far.yaml --out {NEW}", FAR),
+    (f"run ./far.yaml --out {NEW}", FAR),
     (f"sweep ./sweep.yaml --exclude seed=3 --out {NEW}", "unknown value of seed '3'"),
     (f"{FITTING} --out {NEW}/f.yaml", "nothing.csv: no such file"),
     (f"replay nothing.csv --robot gen2 --out {NEW}", "nothing.csv"),
@@ -155,7 +150,7 @@ REJECTED = [
     ("run ./good.yaml --out new/\udcff", rf"new/\xff: {BYTES}"),
     ("run \udcff.yaml", rf"\xff.yaml: {BYTES}"),
     ("run ./good.yaml --junit \udcff.xml", rf"\xff.xml: {BYTES}"),
-    ("plan ./turns.yaml --out \udcff", rf"\xff: {BYTES}"),
+    ("plan ./far.yaml --out \udcff", rf"\xff: {BYTES}"),
     ("replay \udcff.csv --robot gen2", rf"\xff.csv: {BYTES}"),
     ("replay a.csv --robot \udcff.yaml", rf"\xff.yaml: {BYTES}"),
     ("view \udcff", rf"\xff: {BYTES}"),

@@ -20,7 +20,7 @@ from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 from srs_twin.cli import main
 from srs_twin.cli.console import interruptible
 from srs_twin.control.replay import Replay
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, WriteError
 from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.friction import is_pull_table, read_pull_table
 from srs_twin.identification.locomotion import gait_run
@@ -358,7 +358,7 @@ def test_an_interrupt_during_an_import_is_reported_as_an_interrupt(monkeypatch):
 
 
 def test_a_command_interrupted_during_an_import_says_what_was_written(capsys):
-    """Before, only an interrupt outside of imports printed the message of the command."""
+    """An interrupt within an import gives the message of the command, too."""
     with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
         try:
             raise KeyboardInterrupt
@@ -369,7 +369,8 @@ def test_a_command_interrupted_during_an_import_says_what_was_written(capsys):
 
 
 @pytest.mark.usefixtures("interruptible")
-def test_an_error_after_a_lost_interrupt_is_an_interrupt(capsys):
+@pytest.mark.parametrize("error", [RuntimeError, InputError])
+def test_an_error_after_a_lost_interrupt_is_an_interrupt(capsys, error):
     """Compiled code may lose the interrupt and then fail in another way."""
     with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
         try:
@@ -377,7 +378,7 @@ def test_an_error_after_a_lost_interrupt_is_an_interrupt(capsys):
             time.sleep(1.0)
         except KeyboardInterrupt:
             pass
-        raise RuntimeError("a compiled function failed")
+        raise error("a compiled function failed")
     assert end.value.code == 130
     assert capsys.readouterr().err == "interrupted; nothing was written\n"
     assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
@@ -385,13 +386,13 @@ def test_an_error_after_a_lost_interrupt_is_an_interrupt(capsys):
 
 @pytest.mark.usefixtures("interruptible")
 def test_a_full_disk_after_an_interrupt_is_reported():
-    """Before, only "interrupted; nothing was written" was printed."""
-    with pytest.raises(InputError, match="no space"), interruptible("nothing"):
+    """Results may be missing, so the message of the interrupt is not enough."""
+    with pytest.raises(WriteError, match="no space"), interruptible("nothing"):
         try:
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(1.0)
         except KeyboardInterrupt:
-            raise InputError("no space left on the disk") from None
+            raise WriteError("no space left on the disk") from None
 
 
 # Inputs of fits and replays from recordings

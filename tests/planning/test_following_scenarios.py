@@ -331,8 +331,10 @@ def test_goal_of_a_given_path_is_its_end():
         "turns_rad": [0.5, -0.5],
         "step_m": 0.2,
     }
-    route = parse_scenario(data(planner=planner, world={})).planner
+    scenario = parse_scenario(data(planner=planner, world={}))
+    route = scenario.planner
     plan = route.plan()
+    assert 1.0 <= plan_scenario(scenario).quality.length_over_least < 1.3
     goal = route.problem.goal
     assert [(s.curvature, s.length) for s in plan.segments] == [(2.5, 0.2), (-2.5, 0.2)]
     assert (goal.x, goal.y, goal.heading) == pytest.approx(
@@ -340,7 +342,7 @@ def test_goal_of_a_given_path_is_its_end():
     )
 
 
-@pytest.mark.default_cases(at=[0, 1, 4, 6, 7])
+@pytest.mark.default_cases(at=[0, 1, 4, 6, 7, 8])
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -363,7 +365,7 @@ def test_goal_of_a_given_path_is_its_end():
                 }
             },
             (
-                "planner: the curvature 6 1/m is not allowed; the footprint has"
+                "planner: the curvature 6 1/m is not allowed; the footprint covers"
                 " curvatures between -5.23599 and 5.23599 1/m"
             ),
         ),
@@ -395,6 +397,16 @@ def test_goal_of_a_given_path_is_its_end():
                 }
             },
             "of 99 circles fit with gaps of",
+        ),
+        (
+            {
+                "planner": {
+                    "kind": "best_first",
+                    "footprint": "gen2_section52",
+                    "primitives": {"count": 3, "turn_rad": 0.8, "length_m": 0.1},
+                }
+            },
+            "planner.primitives: the curvature -8 1/m is not allowed",
         ),
     ],
 )
@@ -435,6 +447,7 @@ def test_the_least_length_includes_the_lead_in():
         about = data(planner=planner | {"lead_in_m": lead_in}, world=world)
         found = plan_scenario(parse_scenario(about, name="way"))
         ratios.append(found.quality.length_over_least)
+        assert found.plan.least_length == pytest.approx(0.8, rel=1e-6)
         assert ratios[-1] == pytest.approx(found.plan.length / 0.8, rel=1e-6)
     assert 1.0 <= min(ratios) <= max(ratios) < 1.3
 

@@ -148,7 +148,7 @@ def test_edges_may_reach_the_centre_of_their_turn():
             "[0.3, 0.0, -0.3]",
             "5:17: offset.value: the values must increase from row to row",
         ),
-        ("[0.12, 0.12, 0.12]", "[0.12, 0.12]", "must be a list"),
+        ("[0.12, 0.12, 0.12]", "[0.12, 0.12]", "must have at least 3 entries, not 2"),
         (
             "[0.12, 0.12, 0.12]",
             "[0.12, 0.12, 0.12, 0.12]",

@@ -101,7 +101,7 @@ class _BestSoFar:
 
 
 def _print_result(result: StudyResult) -> None:
-    from srs_twin.studies.optimization.report import bound_lines
+    from srs_twin.studies.optimization.report import bound_lines, run_counts
 
     document = result.document()
     _print_designs(result, document)
@@ -117,8 +117,7 @@ def _print_result(result: StudyResult) -> None:
         )
     if result.warning:
         print(f"warning: {result.warning}")
-    counts = document["evaluations"].items()
-    print(", ".join(f"{count} runs of {part}" for part, count in counts))
+    print(run_counts(document))
 
 
 def _print_designs(result: StudyResult, document: StudyDocument) -> None:

@@ -14,14 +14,13 @@ from matplotlib.figure import Figure
 
 from srs_twin.io.documents import dump_yaml
 from srs_twin.io.file_sets import replace_files
-from srs_twin.io.files import write_text
+from srs_twin.io.files import STUDY_RESULT, write_text
 from srs_twin.studies.optimization.loading import DesignSpace
 from srs_twin.studies.optimization.result import (
     EVALUATIONS,
     PICTURES,
     PRODUCTS,
     REPORT,
-    RESULT,
     StudyDocument,
     StudyResult,
 )
@@ -178,10 +177,10 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
         )
         written += [f"best/{k}.yaml", f"best/{k}.robot.yaml"]
     written += write_report(folder, result)
-    (folder / RESULT).write_text(
+    (folder / STUDY_RESULT).write_text(
         json.dumps(result.document(), indent=2) + "\n", "utf-8"
     )
-    return (*written, RESULT)
+    return (*written, STUDY_RESULT)
 
 
 def write_report(folder: Path, result: StudyResult) -> list[str]:
@@ -192,11 +191,10 @@ def write_report(folder: Path, result: StudyResult) -> list[str]:
     for name, (figure, caption) in figures.items():
         save(figure, folder / name)
         pictures.append(image((folder / name).read_bytes(), "png", caption))
-    counts = document["evaluations"].items()
     content = render(
         "studies/optimization/report.html",
         title=result.study.title,
-        subtitle=", ".join(f"{count} runs of {part}" for part, count in counts),
+        subtitle=run_counts(document),
         best=_best_table(result, document),
         plots=pictures,
         fidelities=_fidelity_text(document),
@@ -302,6 +300,17 @@ def bound_lines(document: StudyDocument) -> list[str]:
     if lines:
         lines.append("With a wider range, the optimum may lie beyond such a bound.")
     return lines
+
+
+def run_counts(document: StudyDocument) -> str:
+    """Return the number of runs of each fidelity as text."""
+    texts = []
+    for part, count in document["evaluations"].items():
+        text = f"{count} runs of {part}"
+        if missing := document["without_value"][part]:
+            text += f" ({missing} without a value of an objective or constraint)"
+        texts.append(text)
+    return ", ".join(texts)
 
 
 def mark_bound(value: float, on_bound: bool) -> str:

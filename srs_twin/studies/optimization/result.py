@@ -11,6 +11,7 @@ from typing import Any, TypedDict
 import numpy as np
 
 from srs_twin.identification.priors import Priors
+from srs_twin.io.files import STUDY_RESULT
 from srs_twin.plants.twin.mjcf.numerics import stable_step
 from srs_twin.robot.file import RobotFile
 from srs_twin.scenario.provenance import versions
@@ -20,15 +21,13 @@ from srs_twin.studies.optimization.search import MAX_IMPROVEMENT, Optimum, exces
 from srs_twin.studies.sweep.points import Changes, sobol_points
 from srs_twin.studies.sweep.task import Row
 
-RESULT = "study.json"
-
 EVALUATIONS = "evaluations.parquet"
 
 REPORT = "report.html"
 
 PICTURES = ("convergence.png", "front.png", "parallel.png")
 
-PRODUCTS = (RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
+PRODUCTS = (STUDY_RESULT, EVALUATIONS, REPORT, *PICTURES, "best/[0-9]*.yaml")
 
 _MAX_REFINEMENT_CHANGE = 0.01
 """Maximum relative change of a converged result due to a refinement of the model."""
@@ -75,6 +74,7 @@ class StudyDocument(TypedDict):
     title: str
     best: list[DesignDocument]
     evaluations: dict[str, int]
+    without_value: dict[str, int]
     begun: dict[str, float | None]
     expected_improvement: float | None
     warning: str | None
@@ -185,6 +185,9 @@ class StudyResult:
             "title": study.title,
             "best": [self._design_document(k) for k in range(len(self.designs))],
             "evaluations": {part: parts.count(part) for part in study.experiments},
+            "without_value": {
+                part: self._count_without_value(part) for part in study.experiments
+            },
             "begun": {
                 name: _number(self.initial.run.metric(name)) for name in self.metrics
             },
@@ -197,6 +200,17 @@ class StudyResult:
             "seed": study.file.seed,
             "versions": versions(),
         }
+
+    def _count_without_value(self, part: str) -> int:
+        """Return the number of failed runs and of runs without one of the metrics."""
+        values = np.array(
+            [
+                [run.metric(name) for name in self.metrics]
+                for run in self.runs
+                if run.part == part
+            ]
+        )
+        return int(np.isnan(values).any(axis=-1).sum())
 
     @property
     def warning(self) -> str | None:

@@ -19,7 +19,6 @@ from srs_twin.cli.options import (
     print_json,
     workers_option,
 )
-from srs_twin.errors import InputError
 from srs_twin.io.files import display_path
 
 if TYPE_CHECKING:
@@ -98,11 +97,6 @@ def sweep(
     loaded = load_sweep(name, set=changed_fields.changes(), plants=parse_plants(plants))
     say(*(f"warning: {warning}" for warning in loaded.warnings), quiet=quiet)
     folder = Path(out or SWEEPS / loaded.name)
-    if (folder / "metrics.json").exists():
-        raise InputError(
-            f"{display_path(folder)}: the folder contains a run; give another folder"
-            " with --out"
-        )
     left_out = exclude or ()
     wanted = len(select_points(loaded, left_out))
     with interruptible(), RunCounter(loaded.name, 0, quiet=quiet) as counting:

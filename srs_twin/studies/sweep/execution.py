@@ -26,6 +26,7 @@ from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Overrides, dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import (
+    SWEEP_SUMMARY,
     StrPath,
     check_output_folder,
     folder_or_temporary,
@@ -260,8 +261,6 @@ def sweep(
 
 RESULTS = "results.parquet"
 
-SUMMARY = "sweep.json"
-
 SWEEP = "sweep.yaml"
 
 SCENARIO = "scenario.resolved.yaml"
@@ -269,7 +268,7 @@ SCENARIO = "scenario.resolved.yaml"
 PLOTS = "plots"
 
 # The summary comes first, because `replace_files` uses it to mark a complete set.
-_PRODUCTS = (SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
+_PRODUCTS = (SWEEP_SUMMARY, RESULTS, SWEEP, SCENARIO, REPORT, f"{PLOTS}/[0-9]*_*.png")
 
 
 @contextmanager
@@ -348,13 +347,13 @@ class OpenSweep:
             sha256=rows_digest(rows),
             ranges=results.ranges(),
             results=results,
-            files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SUMMARY),
+            files=(RESULTS, *titles, SWEEP, SCENARIO, REPORT, SWEEP_SUMMARY),
         )
         pictures = {
             title: (fresh / name).read_bytes() for name, title in titles.items()
         }
         write_report(fresh / REPORT, self.sweep, summary, pictures)
-        (fresh / SUMMARY).write_text(
+        (fresh / SWEEP_SUMMARY).write_text(
             json.dumps(self._document(summary), indent=2) + "\n", "utf-8"
         )
         return summary

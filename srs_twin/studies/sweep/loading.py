@@ -34,6 +34,7 @@ from srs_twin.io.files import StrPath, find_file, results_name
 from srs_twin.io.validation import validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
+from srs_twin.scenario.expectation import COMPARISON
 from srs_twin.scenario.fields import path_fields
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.scenario.modified import (
@@ -149,9 +150,12 @@ def problems_at(
 
 
 def with_suggestion(problem: str, field: str, known: Iterable[str]) -> str:
-    """Add a similar known name to a message about an unknown key."""
-    needs_hint = "unknown key" in problem and "did you mean" not in problem
-    return problem + (did_you_mean(field, known) if needs_hint else "")
+    """Suggest a similar known name in a message that lists the allowed keys."""
+    before, is_list, _ = problem.partition("; allowed: ")
+    suggestion = did_you_mean(field, known)
+    if is_list and suggestion and before.endswith("unknown key"):
+        return before + suggestion
+    return problem
 
 
 def locate_files(document: Document) -> bool:
@@ -204,6 +208,7 @@ class _Loader:
         self._scenario["plants"] = {
             plant: settings.get(plant, {}) for plant in self._plants or scenario.plants
         }
+        self._scenario["expect"] = self._expectations()
         self._warnings = scenario.warnings
 
     def sweep(self, name: str) -> Sweep | None:
@@ -246,6 +251,17 @@ class _Loader:
         if len(self._document.problems) > before:
             return None
         return sweep
+
+    def _expectations(self) -> list[object]:
+        """Return the expectations about plants that run."""
+        subjects = {*self._scenario["plants"]}
+        if len(subjects) == len(PLANTS):
+            subjects.add(COMPARISON)
+        return [
+            entry
+            for entry in self._scenario["expect"]
+            if entry.get("plant", COMPARISON) in subjects
+        ]
 
     @property
     def _fields(self) -> list[tuple[str, str]]:

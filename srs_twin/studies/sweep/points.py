@@ -333,10 +333,11 @@ def _is_record(data: object) -> bool:
 
 
 def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all mappings except robot parameters."""
+    """Yield the dotted names of all values. A robot parameter is one value."""
     if isinstance(data, Mapping) and not _is_record(data):
         for key, value in data.items():
             yield from leaf_names(value, f"{prefix}.{key}" if prefix else str(key))
+    else:
         yield prefix
 
 
@@ -395,7 +396,12 @@ def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
             " latin_hypercube or sobol"
         )
     spaced = np.geomspace if values.scale == "log" else np.linspace
-    return [float(value) for value in spaced(values.start, values.stop, values.count)]
+    numbers = spaced(values.start, values.stop, values.count)
+    # Some fields, such as the seed, accept no floats.
+    if np.equal(numbers, np.rint(numbers)).all():
+        numbers = numbers.astype(int)
+    found: list[Value] = numbers.tolist()
+    return found
 
 
 def sobol_points(

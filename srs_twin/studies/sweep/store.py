@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from srs_twin.compute.workers import TaskResult
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, WriteError
 from srs_twin.io.files import (
     atomic_write,
     display_path,
@@ -224,7 +224,8 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
         text = _MESSAGES.get(
             code, "the file cannot be used ({}); give another folder with --out"
         )
-        return InputError(f"{display_path(self._path)}: {text.format(error)}")
+        kind = WriteError if text == _DISK_FULL else InputError
+        return kind(f"{display_path(self._path)}: {text.format(error)}")
 
 
 def rows_digest(rows: Sequence[Row]) -> str:

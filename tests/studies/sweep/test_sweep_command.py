@@ -16,7 +16,12 @@ import killed_sweeps as kills
 import pyarrow.parquet as pq
 import pytest
 from conftest import wait_until
-from small import SMALL, write
+from small import SMALL, here, write
+
+import srs_twin as srs
+from srs_twin import load_scenario
+from srs_twin.errors import InputError
+from srs_twin.studies.sweep.loading import load_sweep
 
 COMMAND = Path(sys.executable).with_name("srs-twin")
 SLOWER = SMALL.replace("duration_s: 2", "duration_s: 100").replace(
@@ -51,16 +56,28 @@ def test_files_and_output_of_a_sweep(srs_twin, tmp_path):
     assert copy["results_sha256"] == about["results_sha256"]
 
 
-def test_runs_and_sweeps_do_not_overwrite_each_other(srs_twin, tmp_path):
-    write(tmp_path)
-    for folder, other in (("run", "metrics.json"), ("sweep", "sweep.json")):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / other).write_text("{}")
-    done = srs_twin("sweep", "small.yaml", "--out", "run", cwd=tmp_path)
-    assert done.returncode == 2 and "run: the folder contains a run;" in done.stderr
-    done = srs_twin("run", "gen2_straight", "--out", "sweep", cwd=tmp_path)
-    assert done.returncode == 2 and "sweep: the folder contains a sweep" in done.stderr
-    assert [len([*(tmp_path / name).iterdir()]) for name in ("run", "sweep")] == [1, 1]
+def test_results_of_other_kinds_are_not_overwritten(srs_twin, tmp_path):
+    short = load_scenario("gen2_straight", set={"duration_s": 1})
+    small = load_sweep(write(tmp_path))
+    run, swept = tmp_path / "run", tmp_path / "sweep"
+    srs.run_scenario(short, run, plants=["analytical"])
+    srs.sweep(small, out=swept, engine=here)
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    for command, folder, kind in (
+        (("sweep", "small.yaml", "--out", "run"), "run", "a run"),
+        (("run", "gen2_straight", "--out", "sweep"), "sweep", "a sweep"),
+    ):
+        done = srs_twin(*command, cwd=tmp_path)
+        assert done.returncode == 2
+        assert f"{folder}: the folder contains {kind}; give another" in done.stderr
+    for function, source, folder, kind in (
+        (srs.sweep, small, run, "a run"),
+        (srs.optimize, "gen2_speed", run, "a run"),
+        (srs.run_scenario, short, swept, "a sweep"),
+    ):
+        with pytest.raises(InputError, match=f"the folder contains {kind}; give"):
+            function(source, out=folder)
+    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
 
 
 @pytest.mark.slow

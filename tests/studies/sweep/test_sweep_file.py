@@ -86,6 +86,19 @@ def test_a_varied_robot_value_keeps_its_unit(tmp_path):
     }
 
 
+def test_the_resolved_scenario_expects_only_results_of_plants_that_run(tmp_path):
+    base = load_sweep(write(tmp_path)).experiment.base
+    assert {item.subject for item in parse_scenario(base).file.expect} == {"analytical"}
+
+
+def test_a_range_of_whole_numbers_suits_whole_fields(tmp_path):
+    text = SMALL.replace(
+        "controller.frequency_hz: [2, 2.5]", "seed: {from: 0, to: 4, count: 5}"
+    )
+    points = load_sweep(write(tmp_path, text)).points
+    assert {point.changes["seed"] for point in points} == {0, 1, 2, 3, 4}
+
+
 def test_robots_are_varied_by_name(tmp_path):
     text = SMALL.replace("controller.frequency_hz: [2, 2.5]", "robot: [gen2, gen4]")
     sweep = load_sweep(write(tmp_path, text))
@@ -113,7 +126,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
 
 
 @pytest.mark.default_cases(
-    at=[0, 3, 4, 5, 9, 10, 12, 13, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27]
+    at=[0, 3, 4, 5, 9, 10, 12, 13, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28]
 )
 @pytest.mark.parametrize(
     ("old", "new", "message"),
@@ -132,7 +145,7 @@ def test_an_element_of_a_list_is_varied(tmp_path):
         (
             "controller.frequency_hz",
             "frequency_hz",
-            "5:3: vary.frequency_hz: unknown key; allowed: ",
+            "5:3: vary.frequency_hz: unknown key; did you mean controller.frequency_hz?",
         ),
         (
             "[2, 2.5]",
@@ -142,7 +155,11 @@ def test_an_element_of_a_list_is_varied(tmp_path):
                 " 50, n"
             ),
         ),
-        ("[2, 2.5]", "[]", "5:28: vary.controller.frequency_hz: must be a list"),
+        (
+            "[2, 2.5]",
+            "[]",
+            "5:28: vary.controller.frequency_hz: must have at least 1 entry, not 0",
+        ),
         ("[2, 2.5]", "2", "5:28: vary.controller.frequency_hz: must be a list"),
         ("[2, 2.5]", "[[2]]", "5:29: vary.controller.frequency_hz[0]: must be"),
         (
@@ -251,6 +268,11 @@ def test_an_element_of_a_list_is_varied(tmp_path):
             "controller.frequency_hz",
             "plants.twin.wheels",
             "5:3: vary.plants.twin.wheels: the plant `twin` does not run here",
+        ),
+        (
+            SMALL[SMALL.index("vary:") :],
+            "vary: {}",
+            "4:7: vary: must have at least 1 entry, not 0",
         ),
     ],
 )
