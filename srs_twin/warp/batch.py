@@ -265,12 +265,14 @@ class WarpBatch(Claimable):
         """Copy the supply pressures of the twins to the device."""
         self._engine.update_supply_pressure()
 
-    def step(self, valves: Any) -> SnakeState:
+    def step(self, valves: np.ndarray | wp.array) -> SnakeState:
         """Advance all runs by one control tick, as in `TwinBatch.step`."""
         self.advance(valves, 1)
         return self.state
 
-    def advance(self, valves: Any, samples: int) -> list[SnakeState | None]:
+    def advance(
+        self, valves: np.ndarray | wp.array, samples: int
+    ) -> list[SnakeState | None]:
         """Advance all runs by one control tick, as in `TwinBatch.advance`.
 
         The valve states may be a NumPy array or a DLPack array on the device.
@@ -278,7 +280,7 @@ class WarpBatch(Claimable):
         self.command(valves)
         return self._run_observed(self._engine.steps, samples, gait=False)
 
-    def command(self, valves: Any) -> None:
+    def command(self, valves: np.ndarray | wp.array) -> None:
         """Set the valve states for the next control ticks.
 
         Args:
@@ -373,7 +375,7 @@ class WarpBatch(Claimable):
             count_steps("duration", duration, "time step", self._h), samples, gait=True
         )
 
-    def arrays(self) -> dict[str, Any]:
+    def arrays(self) -> dict[str, wp.array]:
         """Return qpos, qvel, pressure and valves as device arrays, keyed by name.
 
         The arrays have a leading axis of runs and support DLPack. Positions in `qpos`
@@ -449,12 +451,12 @@ class WarpBatch(Claimable):
             return history.at(slice(0, last))
         return None
 
-    def _observe(self) -> Any:
+    def _observe(self) -> wp.array:
         self._unobserved_steps = 0
         return self._engine.observe()
 
     def _history(
-        self, rows: list[Any], times: np.ndarray, steps: np.ndarray
+        self, rows: list[wp.array], times: np.ndarray, steps: np.ndarray
     ) -> SnakeState:
         # The fields of the result have leading axes of samples and runs. Forces are
         # averaged over `steps`, the number of time steps before each sample.
