@@ -24,7 +24,7 @@ from typing import (
 
 from srs_twin.errors import InputError
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., object])
 
 _CONVERSIONS = {float: "__float__", int: "__index__"}
 """Special methods that convert objects such as NumPy scalars to numbers, keyed by
@@ -57,7 +57,7 @@ def checked(function: Function) -> Function:
     owner = function.__qualname__.removesuffix(".__init__")
 
     @wraps(function)
-    def call(*arguments: Any, **keywords: Any) -> Any:
+    def call(*arguments: object, **keywords: object) -> object:
         check_types(
             owner, function, dict(zip(names, arguments, strict=False)) | keywords
         )
@@ -67,7 +67,7 @@ def checked(function: Function) -> Function:
 
 
 def check_types(
-    owner: str, annotated: Callable[..., Any], values: Mapping[str, object]
+    owner: str, annotated: Callable[..., object], values: Mapping[str, object]
 ) -> None:
     """Check values against the type annotations of a function or class."""
     kinds = _kinds(annotated)
@@ -80,7 +80,7 @@ def check_types(
 
 
 @cache
-def _kinds(annotated: Callable[..., Any]) -> dict[str, Any]:
+def _kinds(annotated: Callable[..., object]) -> dict[str, Any]:
     return get_type_hints(annotated)
 
 

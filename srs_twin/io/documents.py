@@ -76,7 +76,7 @@ class Override:
 
     label: str
     loc: Loc
-    value: Any
+    value: object
 
     @classmethod
     def parse(cls, label: str, field: str, value: str) -> Override:
@@ -98,7 +98,7 @@ class Override:
         ]
 
 
-Overrides = Mapping[str, Any] | Sequence[Override]
+Overrides = Mapping[str, object] | Sequence[Override]
 """Sequence of overrides, or mapping from dotted field names to values."""
 
 
