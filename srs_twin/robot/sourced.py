@@ -157,7 +157,9 @@ class Uncertain(StrictModel):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_missing(
+        self, inner: SerializerFunctionWrapHandler
+    ) -> dict[str, object]:
         return {key: value for key, value in inner(self).items() if value is not None}
 
     def quantile(
@@ -211,7 +213,9 @@ class Record(StrictModel, Generic[Value, Unit]):
     """Prior distribution of the number (default: none, for an exact number)."""
 
     @model_serializer(mode="wrap")
-    def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_missing(
+        self, inner: SerializerFunctionWrapHandler
+    ) -> dict[str, object]:
         return {
             key: value
             for key, value in inner(self).items()
@@ -219,7 +223,7 @@ class Record(StrictModel, Generic[Value, Unit]):
         }
 
     @classmethod
-    def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
+    def model_parametrized_name(cls, params: tuple[object, ...]) -> str:
         """Return a readable type name for JSON Schemas."""
         return "Record"
 
@@ -319,8 +323,8 @@ class Records(StrictModel):
 
 
 def replace_value(
-    before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str
-) -> dict[str, Any]:
+    before: Mapping[str, object] | None, value: object, unit: str | None, source: str
+) -> dict[str, object]:
     """Return a record with a new number and status "estimated", as plain data.
 
     Args:
