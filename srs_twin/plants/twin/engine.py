@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 
 
-def c_function(name: str, *more: Any) -> Any:
+def c_function(name: str, *more: types.Type) -> Any:
     """Return a C function of MuJoCo that compiled kernels can call.
 
     The C function takes the addresses of a model and its data, followed by arguments of
