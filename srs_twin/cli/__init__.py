@@ -196,7 +196,9 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
     return io.TextIOWrapper(file, **options)
 
 
-def _format_warning(message: Any, category: type[Warning], *location: Any) -> str:
+def _format_warning(
+    message: Warning | str, category: type[Warning], *location: Any
+) -> str:
     if category in _SHORT_WARNINGS:
         return as_started(f"warning: {message}\n")
     return _PYTHON_FORMATWARNING(message, category, *location)

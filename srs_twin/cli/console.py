@@ -20,6 +20,7 @@ from srs_twin.io.files import data_root, escape_unprintable
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress, TaskID
     from rich.table import Table
     from rich.text import Text
 
@@ -98,7 +99,9 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
 
     # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
     # remains ignored.
-    defaults: dict[int, Any] = {
+    defaults: dict[
+        signal.Signals, Callable[[int, FrameType | None], object] | signal.Handlers
+    ] = {
         signal.SIGINT: signal.default_int_handler,
         signal.SIGTERM: signal.SIG_DFL,
     }
@@ -195,8 +198,8 @@ class Display(ABC):
         self._quiet = quiet
         self._start = time.monotonic()
         self._next_line = self.first_line_s
-        self._progress: Any = None
-        self._bars: dict[str, Any] = {}
+        self._progress: Progress | None = None
+        self._bars: dict[str, TaskID] = {}
 
     def __enter__(self) -> Self:
         return self

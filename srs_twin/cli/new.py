@@ -357,10 +357,10 @@ def _write(
     template: str,
     name: str,
     out: str | None,
-    check: Callable[[Path], Any],
+    check: Callable[[Path], object],
     *,
     doubts: Sequence[str] = (),
-    **values: Any,
+    **values: object,
 ) -> Path:
     """Write a file from a template, and remove the file if the check fails.
 

@@ -125,7 +125,7 @@ _FRICTION = (
 FloorOption = Annotated[str | None, option("--friction-law NAME", _FRICTION)]
 
 
-def print_json(document: Any) -> None:
+def print_json(document: object) -> None:
     """Print a JSON document on stdout, with NumPy arrays as lists."""
     import json
 
