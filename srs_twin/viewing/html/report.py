@@ -195,7 +195,7 @@ def _expectations(
     return Table(headings, rows, numbers=[3])
 
 
-def _attribution(attribution: Attribution | None) -> dict[str, Any]:
+def _attribution(attribution: Attribution | None) -> dict[str, object]:
     if attribution is None:
         return {"attribution": None}
     measures = [f"{title}, {unit}" for title, unit in MEASURES.values()]
@@ -278,7 +278,7 @@ def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
 
 
 def _settings(
-    spec: RobotSpec, trajectories: Mapping[str, Trajectory], versions: Mapping[str, Any]
+    spec: RobotSpec, trajectories: Mapping[str, Trajectory], versions: Mapping[str, str]
 ) -> dict[str, Table]:
     settings = {plant: run.metadata for plant, run in trajectories.items()}
     keys = dict.fromkeys(key for metadata in settings.values() for key in metadata)
@@ -328,8 +328,8 @@ def _robot_units() -> dict[str, str]:
     return {name: unit.replace("*", "·") for name, unit in units.items()}
 
 
-def _leaves(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    leaves: list[tuple[str, Any]] = []
+def _leaves(tree: Mapping[str, object], prefix: str = "") -> list[tuple[str, object]]:
+    leaves: list[tuple[str, object]] = []
     for name, value in tree.items():
         if isinstance(value, Mapping):
             leaves += _leaves(value, f"{prefix}{name}.")
