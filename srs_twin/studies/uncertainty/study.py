@@ -175,7 +175,7 @@ def on_plant(
     document: Mapping[str, Any],
     plant: str,
     settings: Mapping[str, object] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return a scenario with a single plant and no expectations, as plain data.
 
     By default, the plant has the settings from the scenario.
