@@ -123,7 +123,7 @@ class Switch(NamedTuple):
     name: str
     title: str
     differs: bool
-    options: dict[str, Any]
+    options: Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -146,10 +146,10 @@ class Refinement:
 
     name: str
     title: str
-    options: dict[str, Any]
+    options: Mapping[str, object]
     factor: float
     plant: str = "twin"
-    base: dict[str, Any] = field(default_factory=dict)
+    base: Mapping[str, object] = field(default_factory=dict)
 
 
 class PlantVariants:
@@ -574,7 +574,7 @@ def _builders(variants: PlantVariants) -> dict[str, Callable[[], Plant]]:
     return builders | variants.damped_twins()
 
 
-def _variant_name(changes: frozenset[str] | Mapping[str, Any]) -> str:
+def _variant_name(changes: frozenset[str] | Mapping[str, object]) -> str:
     if isinstance(changes, frozenset):
         return f"model with {', '.join(sorted(changes))}"
     return f"twin with {', '.join(sorted(map(str, changes.items())))}"
