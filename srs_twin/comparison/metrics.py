@@ -36,6 +36,7 @@ from srs_twin.comparison.learning import (
     is_learning,
     learning_metrics,
 )
+from srs_twin.comparison.run_metrics import PartMetrics, PlantMetrics, RunMetrics
 from srs_twin.comparison.sampling import (
     STRAIGHT_RAD_S,
     ZERO,
@@ -315,7 +316,7 @@ _LEARNT = (
 )
 
 
-def headline(metrics: Mapping[str, Any]) -> str:
+def headline(metrics: RunMetrics) -> str:
     """Summarise the results in a few sentences.
 
     The summary begins with contacts with obstacles or objects. It then compares the
@@ -340,7 +341,7 @@ def headline(metrics: Mapping[str, Any]) -> str:
     return " ".join(sentences)
 
 
-def _contacts(metrics: Mapping[str, Any]) -> Iterator[str]:
+def _contacts(metrics: RunMetrics) -> Iterator[str]:
     names = {"twin": "the twin", "analytical": "the model"}
     plants = {name: plant for name, plant in metrics["plants"].items() if name in names}
     if any(plant.get("contacts") for plant in plants.values()):
@@ -352,7 +353,7 @@ def _contacts(metrics: Mapping[str, Any]) -> Iterator[str]:
         yield f"{'; '.join(texts).capitalize()}."
 
 
-def _meeting(metrics: Mapping[str, Any], name: str) -> str:
+def _meeting(metrics: RunMetrics, name: str) -> str:
     plant = metrics["plants"][name]
     events = metrics["events"][name]
     begins = [event["time"] for event in events if event["kind"] in CONTACT_EVENTS]
@@ -370,7 +371,7 @@ def _meeting(metrics: Mapping[str, Any], name: str) -> str:
     return f"{text} at {begins[0]:.3g} s, for {plant['contact_time_s']:.2g} s"
 
 
-def _summary(metrics: Mapping[str, Any]) -> str:
+def _summary(metrics: RunMetrics) -> str:
     plants = metrics["plants"]
     model = plants.get("analytical")
     twin = plants.get("twin")
@@ -380,7 +381,7 @@ def _summary(metrics: Mapping[str, Any]) -> str:
     return f"The {name} {_summary_of_one(model or twin or {})}."
 
 
-def _summary_of_one(plant: Mapping[str, Any]) -> str:
+def _summary_of_one(plant: PlantMetrics) -> str:
     travel = plant.get("travel_speed_m_s")
     if travel is not None:
         return f"travels at {travel:.3g} m/s, {_direction(plant)} of its heading"
@@ -403,7 +404,7 @@ def _summary_of_one(plant: Mapping[str, Any]) -> str:
 
 
 def _summary_of_both(
-    metrics: Mapping[str, Any], model: Mapping[str, Any], twin: Mapping[str, Any]
+    metrics: RunMetrics, model: PlantMetrics, twin: PlantMetrics
 ) -> str:
     def both_have(metric: str) -> bool:
         return model.get(metric) is not None and twin.get(metric) is not None
@@ -437,7 +438,7 @@ def _summary_of_both(
     )
 
 
-def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
+def _crawling(metrics: RunMetrics, part: PartMetrics) -> str:
     text = _compared(metrics, part, "com_speed_m_s", "m/s")
     rates = [
         abs(part["plants"][name].get("yaw_rate_rad_s") or 0.0)
@@ -448,7 +449,7 @@ def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
     return text
 
 
-def _over_segments(metrics: Mapping[str, Any]) -> str:
+def _over_segments(metrics: RunMetrics) -> str:
     ranges = (metrics.get("intervals") or {}).get("segments")
     reference = metrics["plants"]["analytical"]["com_speed_m_s"]
     if not ranges or reference < ZERO:
@@ -469,13 +470,13 @@ def _over_segments(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def _direction(plant: Mapping[str, Any]) -> str:
+def _direction(plant: PlantMetrics) -> str:
     direction = math.degrees(plant["travel_direction_rad"])
     side = "left" if direction > 0 else "right"
     return f"{abs(direction):.0f}° to the {side}"
 
 
-def _arrives(plant: Mapping[str, Any]) -> str:
+def _arrives(plant: PlantMetrics) -> str:
     reached = "reaches its goal" if plant["goal_reached"] else "does not reach its goal"
     cross_track = plant.get("cross_track_rms_m")
     if cross_track is None:
@@ -483,9 +484,7 @@ def _arrives(plant: Mapping[str, Any]) -> str:
     return f"{reached}, {1e3 * cross_track:.0f} mm RMS from its path"
 
 
-def _compared(
-    metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, unit: str
-) -> str:
+def _compared(metrics: RunMetrics, part: PartMetrics, metric: str, unit: str) -> str:
     """Compare a metric of the twin with the model, and name the main cause.
 
     The argument `part` contains the metrics to compare, either for the whole run or for
@@ -546,7 +545,7 @@ def _main_cause(
 
 
 def _causes(
-    metrics: Mapping[str, Any], metric: str, window: float | None
+    metrics: RunMetrics, metric: str, window: float | None
 ) -> list[tuple[str, float]]:
     effects = []
     if (attribution := metrics.get("attribution")) is not None:
@@ -581,7 +580,7 @@ _BENCH = f"""
 _COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad", *SPATIAL_DIFFERENCES)
 
 
-def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
+def chosen(plants: Mapping[str, PlantMetrics]) -> Sequence[str]:
     """Return the metrics in the short table, which depends on the kind of run."""
 
     def measured(*names: str) -> bool:
@@ -626,7 +625,7 @@ class ResultRow(NamedTuple):
 
 
 def result_rows(
-    metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
+    metrics: RunMetrics, names: Iterable[str], text: Callable[[Any], str]
 ) -> Iterator[ResultRow]:
     """Yield the rows of a results table, omitting metrics without a value."""
     units = all_units()
@@ -646,7 +645,7 @@ def result_rows(
 
 
 def _differences(
-    metrics: Mapping[str, Any], metric: str, text: Callable[[Any], str]
+    metrics: RunMetrics, metric: str, text: Callable[[Any], str]
 ) -> tuple[str, str]:
     """Format twin − analytical in the unit of the metric and in per cent.
 
@@ -688,7 +687,7 @@ _GAIT_METRICS = (
 
 def plant_metrics(
     trajectory: Trajectory, *, wall_s: float | None = None
-) -> dict[str, Any]:
+) -> PlantMetrics:
     """Compute the metrics of one run.
 
     Gait metrics are means over whole gait periods after a warm-up of two periods
@@ -724,7 +723,7 @@ def plant_metrics(
         InputError: columns or metadata are missing or unusable.
     """
     check_columns(trajectory, "com_x", "com_y", "heading", "bend")
-    metrics: dict[str, Any] = dict.fromkeys(_GAIT_METRICS)
+    metrics: PlantMetrics = dict.fromkeys(_GAIT_METRICS)
     metrics |= dict.fromkeys((*TRACKING_UNITS, *LEARNING_UNITS, *LEARNING_LIST_UNITS))
     window = GaitWindow.from_trajectory(trajectory)
     if window is not None:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.learning import is_learning
@@ -20,6 +20,7 @@ from srs_twin.comparison.metrics import (
     result_rows,
     tidy,
 )
+from srs_twin.comparison.run_metrics import RunMetrics
 from srs_twin.robot.file import RobotFile, section_units
 from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
@@ -67,7 +68,7 @@ def write_report(
     content: RunContent,
     *,
     scenario_title: str,
-    metrics: Mapping[str, Any],
+    metrics: RunMetrics,
     attribution: Attribution | None = None,
 ) -> None:
     """Write the report of one run as a self-contained HTML file.
@@ -103,7 +104,7 @@ def write_report(
 
 def notebook_run(
     title: str,
-    metrics: Mapping[str, Any],
+    metrics: RunMetrics,
     trajectories: Mapping[str, Trajectory],
     spec: RobotSpec,
 ) -> str:
@@ -119,7 +120,7 @@ def notebook_run(
 def page_of_run(trajectory: Trajectory) -> str:
     """Return the metrics and the path of a trajectory as HTML for a notebook."""
     plant = str(trajectory.metadata.get("plant", "run"))
-    metrics = {"plants": {plant: plant_metrics(trajectory)}}
+    metrics: RunMetrics = {"plants": {plant: plant_metrics(trajectory)}}
     lines = {
         "centre of mass": trajectory.com,
         "body at the end": trajectory.position[-1],
@@ -142,7 +143,7 @@ def page_of_comparison(comparison: Comparison) -> str:
     )
 
 
-def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
+def _results(metrics: RunMetrics, names: Iterable[str]) -> Table:
     plants = metrics["plants"]
     published_values = published(metrics.get("expectations") or ())
     both = {"analytical", "twin"} <= plants.keys()
