@@ -9,12 +9,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Any, NoReturn, SupportsIndex
+from typing import NoReturn, SupportsIndex
 
 import numpy as np
 import warp as wp
 
 from srs_twin.compute.claims import Claimable
+from srs_twin.control.gait import Gait
 from srs_twin.errors import DivergedError, EngineWarning, InputError, count_steps
 from srs_twin.plants.base import Pose, SnakeState
 from srs_twin.plants.twin.batch import check_one_per_run
@@ -176,7 +177,7 @@ class WarpBatch(Claimable):
         self._unobserved_steps += steps
         self._engine.run(steps, gait=gait)
 
-    def set_gaits(self, gaits: Sequence[Any]) -> None:
+    def set_gaits(self, gaits: Sequence[Gait]) -> None:
         """Set the gait (`control.gait.Gait`) of each run, for `run` and `follow`.
 
         Raises:

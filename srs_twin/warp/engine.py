@@ -360,7 +360,7 @@ class DeviceEngine:
         return out
 
 
-def allocated_bytes(data: Any) -> int:
+def allocated_bytes(data: mjw.Data) -> int:
     """Return the number of bytes of all device arrays in MuJoCo Warp data."""
     total = 0
     for item in fields(data):
