@@ -134,7 +134,7 @@ def _signed(value: float) -> str:
     return "0"
 
 
-def _number(value: float | str | None) -> str:
+def _number(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, str):

@@ -601,15 +601,15 @@ def chosen(plants: Mapping[str, PlantMetrics]) -> Sequence[str]:
     return [*usual, *additional, *_COMPARISON]
 
 
-def tidy(metric: str, value: Any) -> Any:
+def tidy(metric: str, value: object) -> object:
     """Convert a metric value for display.
 
     Booleans become "yes" or "no", and negligible rates and differences become 0.
     """
     if is_yes_no(metric) and value is not None:
         return "yes" if value else "no"
-    rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s", "_abs"))
-    if rate and abs(value) < ZERO:
+    is_rate = metric.endswith(("_m_s", "_rad_s", "_abs"))
+    if is_rate and isinstance(value, float) and abs(value) < ZERO:
         return 0.0
     return value
 
@@ -625,7 +625,7 @@ class ResultRow(NamedTuple):
 
 
 def result_rows(
-    metrics: RunMetrics, names: Iterable[str], text: Callable[[Any], str]
+    metrics: RunMetrics, names: Iterable[str], text: Callable[[object], str]
 ) -> Iterator[ResultRow]:
     """Yield the rows of a results table, omitting metrics without a value."""
     units = all_units()
@@ -645,7 +645,7 @@ def result_rows(
 
 
 def _differences(
-    metrics: RunMetrics, metric: str, text: Callable[[Any], str]
+    metrics: RunMetrics, metric: str, text: Callable[[object], str]
 ) -> tuple[str, str]:
     """Format twin − analytical in the unit of the metric and in per cent.
 
