@@ -85,7 +85,7 @@ def main(argv: list[str] | None = None) -> None:
     gc.set_threshold(_GC_THRESHOLD)
     # Skipping the final garbage collection saves 0.7 s at exit.
     atexit.register(gc.freeze)
-    warnings.formatwarning = _format_warning  # type: ignore[assignment]
+    warnings.formatwarning = _format_warning
     try:
         arguments = sys.argv[1:] if argv is None else argv
         for argument in arguments:
@@ -197,8 +197,12 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
 
 
 def _format_warning(
-    message: Warning | str, category: type[Warning], *location: Any
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    line: str | None = None,
 ) -> str:
     if category in _SHORT_WARNINGS:
         return as_started(f"warning: {message}\n")
-    return _PYTHON_FORMATWARNING(message, category, *location)
+    return _PYTHON_FORMATWARNING(message, category, filename, lineno, line)
