@@ -313,7 +313,7 @@ class Plant(Claimable, Stateful, ABC):
         """
         raise InputError(f"plant '{self.name}' can only start straight and at rest")
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Return the settings that a saved state must share, as JSON values."""
         return {**self.describe(), "robot_digest": short_digest(self.spec)}
 
@@ -426,12 +426,12 @@ class PneumaticPlant(Plant):
         self._supply = supply
         return supply
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Return the settings as in `Plant.identity`, but without stuck valves."""
         settings = super().identity()
         chambers = {
             key: value
-            for key, value in settings["pneumatics"].items()
+            for key, value in self.pneumatics.describe().items()
             if key != "stuck_valves"
         }
         return settings | {"pneumatics": chambers, "supply_pa": self._supply}
