@@ -333,10 +333,10 @@ class PlantVariants:
             ),
         ]
 
-    def analytical(self, on: frozenset[str], **options: Any) -> Plant:
+    def analytical(self, on: frozenset[str], **options: object) -> Plant:
         """Build the analytical model with the switches named in `on` active."""
         spec = self._scenario.robot
-        changes: dict[str, Any] = {}
+        changes: dict[str, object] = {}
         for switch in self.all_switches:
             if switch.name in on:
                 changes |= switch.options

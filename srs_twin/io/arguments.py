@@ -80,7 +80,7 @@ def check_types(
 
 
 @cache
-def _kinds(annotated: Callable[..., object]) -> dict[str, Any]:
+def _kinds(annotated: Callable[..., object]) -> dict[str, object]:
     return get_type_hints(annotated)
 
 
