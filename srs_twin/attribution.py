@@ -34,6 +34,7 @@ from srs_twin.comparison.compare import (
 )
 from srs_twin.comparison.contacts import contact_free_s
 from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.comparison.run_metrics import MainCause
 from srs_twin.compute.workers import processor_count, run_tasks
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
@@ -521,7 +522,7 @@ def _is_script(controller: Controller) -> bool:
 
 def main_cause(
     scenario: Scenario, trajectories: Mapping[str, Trajectory]
-) -> dict[str, Any] | None:
+) -> MainCause | None:
     """Return the effect of compliant bends, which is usually the largest contribution.
 
     Returns:
@@ -544,9 +545,11 @@ def main_cause(
         variants.analytical(on), scenario.build_controller(), **scenario.timing
     )
     compliant = plant_metrics(run.between(0.0, end))
-    cause: dict[str, Any] = {"name": "compliance"}
-    for name in ("com_speed_m_s", "yaw_rate_rad_s"):
-        cause[name] = compliant[name] - model[name]
+    cause: MainCause = {
+        "name": "compliance",
+        "com_speed_m_s": compliant["com_speed_m_s"] - model["com_speed_m_s"],
+        "yaw_rate_rad_s": compliant["yaw_rate_rad_s"] - model["yaw_rate_rad_s"],
+    }
     if not math.isinf(end):
         cause["window_s"] = end
     return cause

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,12 @@ from srs_twin.comparison.contacts import (
     ignores_obstacles,
 )
 from srs_twin.comparison.metrics import headline, plant_metrics
-from srs_twin.comparison.run_metrics import PartMetrics, RunMetrics, StoredIntervals
+from srs_twin.comparison.run_metrics import (
+    MainCause,
+    PartMetrics,
+    RunMetrics,
+    StoredIntervals,
+)
 from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
@@ -74,7 +78,7 @@ _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
 Progress = Callable[..., None]
 """Callback that receives the name of a task, the completed fraction (0 to 1) and
 optionally the remaining time (s)."""
-MainCause = Callable[[Scenario, Mapping[str, Trajectory]], dict[str, Any] | None]
+FindCause = Callable[[Scenario, Mapping[str, Trajectory]], MainCause | None]
 """Function that computes the main cause of the difference between the plants
 (`attribution.main_cause`)."""
 Explain = Callable[..., Attribution]
@@ -139,7 +143,7 @@ class PreparedRun:
         progress: Progress | None = None,
         *,
         explain: Explain | None = None,
-        main_cause: MainCause | None = None,
+        main_cause: FindCause | None = None,
     ) -> RunResult:
         """Simulate all plants, compute and compare metrics, and write the files.
 
@@ -192,7 +196,7 @@ class PreparedRun:
         done: _Simulated,
         progress: Progress | None,
         explain: Explain | None,
-        main_cause: MainCause | None,
+        main_cause: FindCause | None,
     ) -> RunResult:
         scenario = self.scenario
         attribution = None
@@ -244,7 +248,7 @@ class PreparedRun:
         trajectories: Mapping[str, Trajectory],
         walls: Mapping[str, float],
         attribution: Attribution | None = None,
-        cause: dict[str, Any] | None = None,
+        cause: MainCause | None = None,
     ) -> tuple[RunMetrics, RunContent]:
         """Return the entries of metrics.json, and the data for report and recording.
 

@@ -555,7 +555,11 @@ def _causes(
                 (share["name"], share["value"][k]) for share in attribution["shares"]
             ]
     elif (cause := metrics.get("cause")) and cause.get("window_s") == window:
-        effects = [(cause["name"], cause[metric])]
+        changes = {
+            "com_speed_m_s": cause["com_speed_m_s"],
+            "yaw_rate_rad_s": cause["yaw_rate_rad_s"],
+        }
+        effects = [(cause["name"], changes[metric])]
     return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 PlantMetrics = dict[str, Any]
 """Value of each metric, which is a number, a boolean, a list, or None if undefined."""
@@ -27,8 +27,23 @@ class StoredIntervals(TypedDict, total=False):
     stale: str | None
     file: str
     renew: str
-    plants: Mapping[str, Mapping[str, Mapping[str, Any]]]
+    plants: Mapping[str, Mapping[str, object]]
     segments: Mapping[str, Sequence[float]] | None
+
+
+class MainCause(TypedDict):
+    """Effect of compliant bends, computed by `attribution.main_cause`.
+
+    Attributes:
+        name: name of the assumption.
+        window_s: duration of the part without contact, s. The entry is absent if the
+            effects cover the whole run.
+    """
+
+    name: str
+    com_speed_m_s: float
+    yaw_rate_rad_s: float
+    window_s: NotRequired[float]
 
 
 class RunMetrics(PartMetrics, total=False):
@@ -53,16 +68,16 @@ class RunMetrics(PartMetrics, total=False):
     scenario: str
     robot: str
     comparison: PlantMetrics | None
-    events: Mapping[str, Sequence[Mapping[str, Any]]]
+    events: Mapping[str, Sequence[Mapping[str, object]]]
     changes: Sequence[Mapping[str, object]]
     ignores_obstacles: Sequence[str]
     before_contact: PartMetrics
     body_overlap_m: Mapping[str, float]
     residuals: Mapping[str, object]
     attribution: Mapping[str, Any]
-    cause: Mapping[str, Any]
+    cause: MainCause
     preset: str
     intervals: StoredIntervals
     expectations: list[Any]
-    left_out: Sequence[Mapping[str, Any]]
+    left_out: Sequence[Mapping[str, object]]
     versions: Mapping[str, str]
