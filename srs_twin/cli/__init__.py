@@ -12,7 +12,7 @@ import io
 import os
 import sys
 import warnings
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from srs_twin.cli.console import (
     INTERRUPTED,
@@ -186,7 +186,9 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
     ):
         return stream
     stream.flush()
-    file: Any = _StandardStream(stream.fileno(), "wb", closefd=False)
+    file: io.FileIO | io.BufferedWriter = _StandardStream(
+        stream.fileno(), "wb", closefd=False
+    )
     if not stream.write_through:
         file = io.BufferedWriter(file)
     options = {
