@@ -26,7 +26,7 @@ from srs_twin.errors import InputError
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
-_CONVERSIONS = {float: "__float__", int: "__index__"}
+_CONVERSIONS: Mapping[object, str] = {float: "__float__", int: "__index__"}
 """Special methods that convert objects such as NumPy scalars to numbers, keyed by
 number type."""
 
@@ -84,7 +84,7 @@ def _kinds(annotated: Callable[..., object]) -> dict[str, object]:
     return get_type_hints(annotated)
 
 
-def _accepts(kind: Any, value: object) -> bool:
+def _accepts(kind: object, value: object) -> bool:
     """Return whether a value fits a type, without checking the elements of mappings."""
     origin = get_origin(kind) or kind
     parts = get_args(kind)

@@ -55,7 +55,7 @@ class TwinBatch(Claimable):
 
     def __new__(
         cls,
-        *arguments: Any,
+        *arguments: Sequence[RobotSpec],
         engine: str = "cpu",
         device: str | None = None,
         **settings: Any,
