@@ -33,8 +33,7 @@ from srs_twin.comparison.compare import (
     gap_between,
 )
 from srs_twin.comparison.contacts import contact_free_s
-from srs_twin.comparison.metrics import plant_metrics
-from srs_twin.comparison.run_metrics import MainCause
+from srs_twin.comparison.metrics import MainCause, plant_metrics
 from srs_twin.compute.workers import processor_count, run_tasks
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError

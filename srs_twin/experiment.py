@@ -25,12 +25,13 @@ from srs_twin.comparison.contacts import (
     contact_free_s,
     ignores_obstacles,
 )
-from srs_twin.comparison.metrics import headline, plant_metrics
-from srs_twin.comparison.run_metrics import (
+from srs_twin.comparison.metrics import (
     MainCause,
     PartMetrics,
     RunMetrics,
     StoredIntervals,
+    headline,
+    plant_metrics,
 )
 from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller

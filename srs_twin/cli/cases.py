@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from srs_twin.errors import SrsError
 
 if TYPE_CHECKING:
-    from srs_twin.comparison.run_metrics import RunMetrics
+    from srs_twin.comparison.metrics import RunMetrics
     from srs_twin.experiment import RunResult
     from srs_twin.scenario.scenario import Scenario
 

@@ -18,7 +18,7 @@ from srs_twin.viewing.plots.labels import metric_title
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from srs_twin.comparison.run_metrics import RunMetrics
+    from srs_twin.comparison.metrics import RunMetrics
     from srs_twin.experiment import RunResult
     from srs_twin.scenario.expectation import ExpectationRow
 

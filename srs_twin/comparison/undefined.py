@@ -17,8 +17,7 @@ import numpy as np
 from srs_twin.comparison.contacts import CONTACT_UNITS, OBJECT_UNITS
 from srs_twin.comparison.gait import SPATIAL_UNITS, GaitWindow
 from srs_twin.comparison.learning import LAST_PERIODS, LEARNING_UNITS, is_learning
-from srs_twin.comparison.metrics import MEASURED_UNITS
-from srs_twin.comparison.run_metrics import PlantMetrics, RunMetrics
+from srs_twin.comparison.metrics import MEASURED_UNITS, PlantMetrics, RunMetrics
 from srs_twin.comparison.sampling import metric_groups
 from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS, ReadingCurve
 from srs_twin.trajectory import Trajectory

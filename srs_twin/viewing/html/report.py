@@ -12,6 +12,7 @@ from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
+    RunMetrics,
     all_units,
     chosen,
     headline,
@@ -20,7 +21,6 @@ from srs_twin.comparison.metrics import (
     result_rows,
     tidy,
 )
-from srs_twin.comparison.run_metrics import RunMetrics
 from srs_twin.robot.file import RobotFile, section_units
 from srs_twin.robot.sourced import si_unit, split_unit
 from srs_twin.robot.spec import RobotSpec
