@@ -40,7 +40,7 @@ class EngineData(NamedTuple):
 
     model: int
     data: int
-    objects: Any
+    objects: tuple[object, ...] | None
     qpos: np.ndarray
     qvel: np.ndarray
     qfrc_applied: np.ndarray
