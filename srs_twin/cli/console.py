@@ -13,7 +13,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import data_root, escape_unprintable
@@ -251,6 +251,14 @@ class Display(ABC):
         self._progress.update(self._bars[title], completed=fraction, status=status)
 
 
+class HasExitCode(Protocol):
+    """Result of a run, such as a row of a sweep."""
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the run, or 0 if it succeeded."""
+
+
 class RunCounter(Display):
     """Progress display for several runs, called after each completed run."""
 
@@ -281,7 +289,7 @@ class RunCounter(Display):
         self.total = total
         self(failed=False)
 
-    def follow(self, title: str, total: int, row: Any) -> None:
+    def follow(self, title: str, total: int, row: HasExitCode | None) -> None:
         """Count a completed run, or begin a new part of a study if `row` is None."""
         if row is None:
             self.title = title
