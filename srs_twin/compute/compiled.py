@@ -27,6 +27,8 @@ from numba import njit, typeof, types
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.cpu import CPUContext
+from numba.core.typing.context import BaseContext
 from numba.extending import lower_builtin, overload, type_callable
 
 from srs_twin.errors import CacheWarning
@@ -112,7 +114,11 @@ class _PartCompiler(Compiler):
     """Numba compiler that stores its result in a `_PartLibrary`."""
 
     def __init__(
-        self, typing_context: object, target_context: Any, _: object, *rest: object
+        self,
+        typing_context: object,
+        target_context: CPUContext,
+        _: object,
+        *rest: object,
     ) -> None:
         library = _PartLibrary(target_context.codegen(), "part")
         super().__init__(typing_context, target_context, library, *rest)  # type: ignore[no-untyped-call]  # numba has no types
@@ -213,7 +219,7 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: object = None) -> F
             )
 
         @type_callable(call)
-        def infer(context: Any) -> Function:
+        def infer(context: BaseContext) -> Function:
             def result(*arguments: types.Type) -> types.Type:
                 kind: types.Type = typeof(otherwise)
                 if condition(arguments[0]):

@@ -19,6 +19,7 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 
 from srs_twin.io.validation import StrictModel, attribute_docstrings
 
@@ -228,9 +229,10 @@ class Record(StrictModel, Generic[Value, Unit]):
         return "Record"
 
 
-def bounded(low: float, high: float) -> Any:
+def bounded(low: float, high: float) -> FieldInfo:
     """Return a pydantic field that restricts a number to an interval."""
-    return Field(ge=low, le=high)
+    field: FieldInfo = Field(ge=low, le=high)
+    return field
 
 
 class _NumberField(NamedTuple):
