@@ -33,7 +33,7 @@ from srs_twin.comparison.compare import (
     gap_between,
 )
 from srs_twin.comparison.contacts import contact_free_s
-from srs_twin.comparison.metrics import plant_metrics
+from srs_twin.comparison.metrics import MainCause, plant_metrics
 from srs_twin.compute.workers import processor_count, run_tasks
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
@@ -123,7 +123,7 @@ class Switch(NamedTuple):
     name: str
     title: str
     differs: bool
-    options: dict[str, Any]
+    options: Mapping[str, object]
 
 
 @dataclass(frozen=True)
@@ -146,10 +146,10 @@ class Refinement:
 
     name: str
     title: str
-    options: dict[str, Any]
+    options: Mapping[str, object]
     factor: float
     plant: str = "twin"
-    base: dict[str, Any] = field(default_factory=dict)
+    base: Mapping[str, object] = field(default_factory=dict)
 
 
 class PlantVariants:
@@ -333,10 +333,10 @@ class PlantVariants:
             ),
         ]
 
-    def analytical(self, on: frozenset[str], **options: Any) -> Plant:
+    def analytical(self, on: frozenset[str], **options: object) -> Plant:
         """Build the analytical model with the switches named in `on` active."""
         spec = self._scenario.robot
-        changes: dict[str, Any] = {}
+        changes: dict[str, object] = {}
         for switch in self.all_switches:
             if switch.name in on:
                 changes |= switch.options
@@ -521,7 +521,7 @@ def _is_script(controller: Controller) -> bool:
 
 def main_cause(
     scenario: Scenario, trajectories: Mapping[str, Trajectory]
-) -> dict[str, Any] | None:
+) -> MainCause | None:
     """Return the effect of compliant bends, which is usually the largest contribution.
 
     Returns:
@@ -544,9 +544,11 @@ def main_cause(
         variants.analytical(on), scenario.build_controller(), **scenario.timing
     )
     compliant = plant_metrics(run.between(0.0, end))
-    cause: dict[str, Any] = {"name": "compliance"}
-    for name in ("com_speed_m_s", "yaw_rate_rad_s"):
-        cause[name] = compliant[name] - model[name]
+    cause: MainCause = {
+        "name": "compliance",
+        "com_speed_m_s": compliant["com_speed_m_s"] - model["com_speed_m_s"],
+        "yaw_rate_rad_s": compliant["yaw_rate_rad_s"] - model["yaw_rate_rad_s"],
+    }
     if not math.isinf(end):
         cause["window_s"] = end
     return cause
@@ -574,7 +576,7 @@ def _builders(variants: PlantVariants) -> dict[str, Callable[[], Plant]]:
     return builders | variants.damped_twins()
 
 
-def _variant_name(changes: frozenset[str] | Mapping[str, Any]) -> str:
+def _variant_name(changes: frozenset[str] | Mapping[str, object]) -> str:
     if isinstance(changes, frozenset):
         return f"model with {', '.join(sorted(changes))}"
     return f"twin with {', '.join(sorted(map(str, changes.items())))}"

@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,14 @@ from srs_twin.comparison.contacts import (
     contact_free_s,
     ignores_obstacles,
 )
-from srs_twin.comparison.metrics import headline, plant_metrics
+from srs_twin.comparison.metrics import (
+    MainCause,
+    PartMetrics,
+    RunMetrics,
+    StoredIntervals,
+    headline,
+    plant_metrics,
+)
 from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
 from srs_twin.errors import DivergedError, InputError
@@ -73,6 +79,9 @@ _ALL_PRODUCTS = (*PRODUCTS, f"{MEASURED}.parquet")
 Progress = Callable[..., None]
 """Callback that receives the name of a task, the completed fraction (0 to 1) and
 optionally the remaining time (s)."""
+FindCause = Callable[[Scenario, Mapping[str, Trajectory]], MainCause | None]
+"""Function that computes the main cause of the difference between the plants
+(`attribution.main_cause`)."""
 Explain = Callable[..., Attribution]
 """Function that attributes the difference between the plants, such as
 `attribution.explain`."""
@@ -96,7 +105,7 @@ class RunResult:
     name: str
     folder: Path
     trajectories: Mapping[str, Trajectory]
-    metrics: Mapping[str, Any] = field(default_factory=dict)
+    metrics: RunMetrics = field(default_factory=RunMetrics)
     diverged: tuple[DivergedError, ...] = ()
     failed_attributions: tuple[DivergedError, ...] = ()
 
@@ -135,7 +144,7 @@ class PreparedRun:
         progress: Progress | None = None,
         *,
         explain: Explain | None = None,
-        main_cause: Callable[..., dict[str, Any] | None] | None = None,
+        main_cause: FindCause | None = None,
     ) -> RunResult:
         """Simulate all plants, compute and compare metrics, and write the files.
 
@@ -188,7 +197,7 @@ class PreparedRun:
         done: _Simulated,
         progress: Progress | None,
         explain: Explain | None,
-        main_cause: Callable[..., dict[str, Any] | None] | None,
+        main_cause: FindCause | None,
     ) -> RunResult:
         scenario = self.scenario
         attribution = None
@@ -206,7 +215,7 @@ class PreparedRun:
         cause = None
         if main_cause is not None and not (done.diverged or attribution):
             cause = main_cause(scenario, done.trajectories)
-        metrics: dict[str, object] = {}
+        metrics: RunMetrics = {}
         # All files are replaced together at the end, so the files of an earlier run
         # survive an interruption or a full disk.
         with replace_files(self.folder, _ALL_PRODUCTS) as fresh:
@@ -240,8 +249,8 @@ class PreparedRun:
         trajectories: Mapping[str, Trajectory],
         walls: Mapping[str, float],
         attribution: Attribution | None = None,
-        cause: dict[str, Any] | None = None,
-    ) -> tuple[dict[str, Any], RunContent]:
+        cause: MainCause | None = None,
+    ) -> tuple[RunMetrics, RunContent]:
         """Return the entries of metrics.json, and the data for report and recording.
 
         Args:
@@ -256,7 +265,7 @@ class PreparedRun:
             factor = scenario.file.comparison.gap_factor
             both = (trajectories[plant] for plant in PLANTS)
             comparison = difference(*both, gap_factor=factor)
-        metrics: dict[str, Any] = {
+        metrics: RunMetrics = {
             "scenario": scenario.name,
             "robot": scenario.robot.name,
             "plants": {
@@ -287,8 +296,8 @@ class PreparedRun:
         spec = [plant.spec for plant, _ in self.pairs.values()][-1]
         return metrics, RunContent(spec, drawn, comparison, differences, scenario.world)
 
-    def _contact_entries(self, runs: Mapping[str, Trajectory]) -> dict[str, object]:
-        entries: dict[str, object] = {}
+    def _contact_entries(self, runs: Mapping[str, Trajectory]) -> RunMetrics:
+        entries: RunMetrics = {}
         ignoring = [kind for kind, run in runs.items() if ignores_obstacles(run)]
         if ignoring:
             entries["ignores_obstacles"] = ignoring
@@ -306,8 +315,8 @@ class PreparedRun:
         return entries
 
     def _judged(
-        self, metrics: dict[str, Any], runs: Mapping[str, Trajectory]
-    ) -> dict[str, Any]:
+        self, metrics: RunMetrics, runs: Mapping[str, Trajectory]
+    ) -> RunMetrics:
         """Return the entries of metrics.json that concern expectations."""
         scenario = self.scenario
         # Expectations about a plant that did not run are not checked.
@@ -318,7 +327,7 @@ class PreparedRun:
         expected = [
             item for item in scenario.expect if item.subject in available or complete
         ]
-        entries: dict[str, Any] = {}
+        entries: RunMetrics = {}
         if any(item.within for item in expected):
             entries["intervals"] = stored_intervals(scenario)
         known = metrics | entries
@@ -335,7 +344,7 @@ class PreparedRun:
     def _write(
         self,
         fresh: Path,
-        metrics: dict[str, Any],
+        metrics: RunMetrics,
         content: RunContent,
         attribution: Attribution | None,
     ) -> None:
@@ -371,7 +380,7 @@ def twin_contact(scenario: Scenario) -> str | None:
     return contact
 
 
-def stored_intervals(scenario: Scenario) -> dict[str, Any]:
+def stored_intervals(scenario: Scenario) -> StoredIntervals:
     """Return the intervals that `srs-twin uncertainty SCENARIO --write` has stored.
 
     The interval file is looked up first in the current folder, and then among the
@@ -442,7 +451,7 @@ def _notable(trajectory: Trajectory) -> list[dict[str, object]]:
 
 def _compare_with_measured(
     measured: Trajectory,
-    metrics: dict[str, Any],
+    metrics: RunMetrics,
     trajectories: Mapping[str, Trajectory],
 ) -> dict[str, MeasuredDifference]:
     differences = {
@@ -465,7 +474,7 @@ def _can_be_explained(done: _Simulated) -> bool:
     return all(row["com_speed_m_s"] is not None for row in before["plants"].values())
 
 
-def _before_contact(runs: Mapping[str, Trajectory]) -> dict[str, Any] | None:
+def _before_contact(runs: Mapping[str, Trajectory]) -> PartMetrics | None:
     """Return speeds and yaw rates before the first contact, or None if there is none.
 
     Speed and yaw rate are None if too few whole gait periods precede the contact.
@@ -505,7 +514,7 @@ class ComparedRuns(Comparison):
 
     title: str
     trajectories: Mapping[str, Trajectory]
-    results: Mapping[str, object]
+    results: RunMetrics
     spec: RobotSpec
 
     def __str__(self) -> str:

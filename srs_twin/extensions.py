@@ -24,12 +24,16 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 from importlib import import_module
+from importlib.machinery import ModuleSpec
 from importlib.util import find_spec, spec_from_file_location
 from inspect import isabstract
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from srs_twin.errors import OUTSIDE, InputError, UnknownNameError, describe_error
+
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution
 
 COMMANDS = {
     "export": "srs_twin.recordings.commands:export",
@@ -252,7 +256,9 @@ class _PluginFinder:
     """Import hook for plug-in files, which runs after all other import hooks."""
 
     @staticmethod
-    def find_spec(name: str, path: object = None, target: object = None) -> Any:
+    def find_spec(
+        name: str, path: object = None, target: object = None
+    ) -> ModuleSpec | None:
         file = plugins().get(name, "")
         if file.endswith(".py"):
             return spec_from_file_location(name, file)
@@ -262,17 +268,17 @@ class _PluginFinder:
 sys.meta_path.append(_PluginFinder)
 
 
-def owners() -> dict[str, Any]:
+def owners() -> dict[str, Distribution]:
     """Return distributions with ``srs_twin.*`` entry points, keyed by package name."""
     # An empty entry in sys.path stands for the current folder, which is not trusted.
     return _owners(tuple(filter(None, sys.path)))
 
 
 @cache
-def _owners(path: tuple[str, ...]) -> dict[str, Any]:
+def _owners(path: tuple[str, ...]) -> dict[str, Distribution]:
     from importlib.metadata import distributions
 
-    found: dict[str, Any] = {}
+    found: dict[str, Distribution] = {}
     for distribution in distributions(path=list(path)):
         entries = [
             each

@@ -19,7 +19,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -599,13 +599,14 @@ def _record_start(
     controllers: Sequence[Controller],
     duration: float,
     record_hz: float,
-    **start: Any,
+    poses: Sequence[Pose] | None,
+    seed: int,
 ) -> list[Recorder]:
     pairs = zip(batch.twins, controllers, strict=True)
     recorders = [
         Recorder(twin, controller, record_hz, duration) for twin, controller in pairs
     ]
-    resting = batch.reset(**start)
+    resting = batch.reset(poses=poses, seed=seed)
     for k, recorder in enumerate(recorders):
         check_start(recorder.plant, resting.at(k))
         recorder.add(resting.at(k))

@@ -7,17 +7,19 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, BinaryIO, ClassVar
 
 import numpy as np
 
 from srs_twin.compute.arrays import Array
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.extensions import PAGES, load
+from srs_twin.io.files import StrPath
 from srs_twin.io.untrusted import read_table
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow
 
 _COLUMNS_OF_UNIT = {
     "s": "time",
@@ -209,7 +211,7 @@ class Trajectory(HtmlResult):
         frame.attrs["units"] = {name: self.unit(name) for name in self.columns}
         return frame
 
-    def to_parquet(self, path: Any) -> None:
+    def to_parquet(self, path: StrPath | BinaryIO) -> None:
         """Write the trajectory to a Parquet file or a file-like object.
 
         Equal trajectories produce identical files. The metadata of the Parquet fields
@@ -252,7 +254,7 @@ class Trajectory(HtmlResult):
         pq.write_table(table, path, **options, column_encoding=encoding)
 
     @classmethod
-    def from_parquet(cls, path: Any) -> Trajectory:
+    def from_parquet(cls, path: StrPath | BinaryIO) -> Trajectory:
         """Read a trajectory from a file that was written by `to_parquet`.
 
         Raises:
@@ -291,7 +293,7 @@ class Trajectory(HtmlResult):
         return cls(columns, units, events, metadata)
 
 
-def _check_schema(schema: Any) -> None:
+def _check_schema(schema: pyarrow.Schema) -> None:
     if not {b"srs_twin.events", b"srs_twin.metadata"} <= (schema.metadata or {}).keys():
         raise TypeError("the Parquet file has no metadata of srs-twin")
     for column in schema:
@@ -302,7 +304,7 @@ def _check_schema(schema: Any) -> None:
             )
 
 
-def _to_array(name: str, column: Any) -> Array:
+def _to_array(name: str, column: pyarrow.ChunkedArray) -> Array:
     if column.null_count:
         raise TypeError(f"column '{name}' has {column.null_count} missing values")
     return np.asarray(column.to_numpy())

@@ -12,7 +12,7 @@ import io
 import os
 import sys
 import warnings
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from srs_twin.cli.console import (
     INTERRUPTED,
@@ -85,7 +85,7 @@ def main(argv: list[str] | None = None) -> None:
     gc.set_threshold(_GC_THRESHOLD)
     # Skipping the final garbage collection saves 0.7 s at exit.
     atexit.register(gc.freeze)
-    warnings.formatwarning = _format_warning  # type: ignore[assignment]
+    warnings.formatwarning = _format_warning
     try:
         arguments = sys.argv[1:] if argv is None else argv
         for argument in arguments:
@@ -186,7 +186,9 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
     ):
         return stream
     stream.flush()
-    file: Any = _StandardStream(stream.fileno(), "wb", closefd=False)
+    file: io.FileIO | io.BufferedWriter = _StandardStream(
+        stream.fileno(), "wb", closefd=False
+    )
     if not stream.write_through:
         file = io.BufferedWriter(file)
     options = {
@@ -196,7 +198,13 @@ def _without_broken_pipes(stream: TextIO) -> TextIO:
     return io.TextIOWrapper(file, **options)
 
 
-def _format_warning(message: Any, category: type[Warning], *location: Any) -> str:
+def _format_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    line: str | None = None,
+) -> str:
     if category in _SHORT_WARNINGS:
         return as_started(f"warning: {message}\n")
-    return _PYTHON_FORMATWARNING(message, category, *location)
+    return _PYTHON_FORMATWARNING(message, category, filename, lineno, line)

@@ -6,11 +6,12 @@ from collections import Counter
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from srs_twin.errors import SrsError
 
 if TYPE_CHECKING:
+    from srs_twin.comparison.metrics import RunMetrics
     from srs_twin.experiment import RunResult
     from srs_twin.scenario.scenario import Scenario
 
@@ -34,7 +35,7 @@ class CaseResult:
     wall_s: float = 0.0
 
     @property
-    def metrics(self) -> Mapping[str, Any]:
+    def metrics(self) -> RunMetrics:
         """Contents of metrics.json, or {} if the run is incomplete."""
         if self.run is None:
             return {}

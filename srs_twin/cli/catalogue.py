@@ -194,7 +194,7 @@ def show(
             print(line)
 
 
-def _resolved(name: str) -> dict[str, Any]:
+def _resolved(name: str) -> dict[str, object]:
     from srs_twin.robot.file import load_robot_file
     from srs_twin.scenario.loading import load_scenario
 
@@ -229,7 +229,7 @@ def is_robot(name: str) -> bool:
 
 def _leaves(
     data: Any, loc: tuple[str | int, ...] = ()
-) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+) -> Iterator[tuple[tuple[str | int, ...], object]]:
     """Yield the path and the value of each leaf in nested data.
 
     A value with a unit and a source counts as a single leaf.
@@ -244,7 +244,7 @@ def _leaves(
         yield loc, data
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     if isinstance(value, str):
         return value
     return json.dumps(value)

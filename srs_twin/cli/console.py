@@ -13,13 +13,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
 
 from srs_twin.errors import WriteError
 from srs_twin.io.files import data_root, escape_unprintable
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress, TaskID
     from rich.table import Table
     from rich.text import Text
 
@@ -98,7 +99,9 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
 
     # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
     # remains ignored.
-    defaults: dict[int, Any] = {
+    defaults: dict[
+        signal.Signals, Callable[[int, FrameType | None], object] | signal.Handlers
+    ] = {
         signal.SIGINT: signal.default_int_handler,
         signal.SIGTERM: signal.SIG_DFL,
     }
@@ -194,8 +197,8 @@ class Display(ABC):
         self._quiet = quiet
         self._start = time.monotonic()
         self._next_line = self.first_line_s
-        self._progress: Any = None
-        self._bars: dict[str, Any] = {}
+        self._progress: Progress | None = None
+        self._bars: dict[str, TaskID] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -247,6 +250,14 @@ class Display(ABC):
         self._progress.update(self._bars[title], completed=fraction, status=status)
 
 
+class HasExitCode(Protocol):
+    """Result of a run, such as a row of a sweep."""
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of the run, or 0 if it succeeded."""
+
+
 class RunCounter(Display):
     """Progress display for several runs, called after each completed run."""
 
@@ -277,7 +288,7 @@ class RunCounter(Display):
         self.total = total
         self(failed=False)
 
-    def follow(self, title: str, total: int, row: Any) -> None:
+    def follow(self, title: str, total: int, row: HasExitCode | None) -> None:
         """Count a completed run, or begin a new part of a study if `row` is None."""
         if row is None:
             self.title = title

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import typer
 
@@ -283,12 +283,16 @@ def scenario(
     title = f"{name}: straight at {frequency:g} Hz"
     from srs_twin.scenario.loading import load_scenario
 
-    values: dict[str, Any] = {
-        "robot": json.dumps(robot),
-        "frequency": frequency,
-        "duration": duration,
-    }
-    path = _write("scenario.yaml", name, out, load_scenario, title=title, **values)
+    path = _write(
+        "scenario.yaml",
+        name,
+        out,
+        load_scenario,
+        title=title,
+        robot=json.dumps(robot),
+        frequency=frequency,
+        duration=duration,
+    )
     _print_next_command(path, f"srs-twin compare {path}")
 
 
@@ -357,10 +361,10 @@ def _write(
     template: str,
     name: str,
     out: str | None,
-    check: Callable[[Path], Any],
+    check: Callable[[Path], object],
     *,
     doubts: Sequence[str] = (),
-    **values: Any,
+    **values: object,
 ) -> Path:
     """Write a file from a template, and remove the file if the check fails.
 

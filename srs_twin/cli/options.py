@@ -15,10 +15,12 @@ from srs_twin.errors import check_choice
 from srs_twin.extensions import PLUGINS, allow_plugin
 
 if TYPE_CHECKING:
+    from typer.models import ArgumentInfo, OptionInfo
+
     from srs_twin.io.documents import Override
 
 
-def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
+def option(declaration: str, text: str | None = None, **settings: Any) -> OptionInfo:
     """Define a command option.
 
     Args:
@@ -29,7 +31,10 @@ def option(declaration: str, text: str | None = None, **settings: Any) -> Any:
     words = declaration.split()
     flags = [word for word in words if word.startswith("-")]
     metavar = " ".join(word for word in words if not word.startswith("-"))
-    return typer.Option(*flags, metavar=metavar or None, help=text, **settings)
+    info: OptionInfo = typer.Option(
+        *flags, metavar=metavar or None, help=text, **settings
+    )
+    return info
 
 
 class OptionRange(NamedTuple):
@@ -41,7 +46,7 @@ class OptionRange(NamedTuple):
 
 def argument(
     metavar: str, text: str | None = None, *, shipped: Sequence[str] = ()
-) -> Any:
+) -> ArgumentInfo:
     """Define a command argument.
 
     Args:
@@ -61,10 +66,13 @@ def argument(
         ]
 
     completion = complete if shipped else None
-    return typer.Argument(metavar=metavar, help=text, autocompletion=completion)
+    info: ArgumentInfo = typer.Argument(
+        metavar=metavar, help=text, autocompletion=completion
+    )
+    return info
 
 
-def workers_option(declaration: str) -> Any:
+def workers_option(declaration: str) -> OptionInfo:
     """Define the option that sets the number of parallel runs."""
     return option(
         declaration,
@@ -125,7 +133,7 @@ _FRICTION = (
 FloorOption = Annotated[str | None, option("--friction-law NAME", _FRICTION)]
 
 
-def print_json(document: Any) -> None:
+def print_json(document: object) -> None:
     """Print a JSON document on stdout, with NumPy arrays as lists."""
     import json
 

@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -41,6 +41,7 @@ from srs_twin.errors import InputError, SrsError
 from srs_twin.extensions import plugins
 
 if TYPE_CHECKING:
+    from srs_twin.experiment import Explain, FindCause
     from srs_twin.io.documents import Override
     from srs_twin.scenario.scenario import Scenario
 
@@ -93,18 +94,20 @@ def run_case(
     from srs_twin.experiment import prepare
 
     start = time.perf_counter()
-    options: dict[str, Any] = {}
+    explain_with: Explain | None = None
+    find_cause: FindCause | None = None
     if explain:
         from srs_twin.attribution import explain as explain_difference
 
-        options["explain"] = explain_difference
+        explain_with = explain_difference
     elif plants is not None and len(plants) > 1:
         from srs_twin.attribution import main_cause
 
-        options["main_cause"] = main_cause
+        find_cause = main_cause
     scenario, folder = task
     try:
-        result = prepare(scenario, folder, plants=plants).execute(progress, **options)
+        prepared = prepare(scenario, folder, plants=plants)
+        result = prepared.execute(progress, explain=explain_with, main_cause=find_cause)
     except InputError as error:
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.failed_attributions)

@@ -18,6 +18,7 @@ from srs_twin.viewing.plots.labels import metric_title
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from srs_twin.comparison.metrics import RunMetrics
     from srs_twin.experiment import RunResult
     from srs_twin.scenario.expectation import ExpectationRow
 
@@ -37,7 +38,7 @@ _ZERO = 5e-5
 """Threshold below which a difference is printed as 0, in m, m/s, rad or rad/s."""
 
 
-def rows(metrics: Mapping[str, Any]) -> list[list[str]]:
+def rows(metrics: RunMetrics) -> list[list[str]]:
     """Return the rows of the metrics table.
 
     The columns contain the metric, the unit, the value for each plant, the difference,
@@ -133,7 +134,7 @@ def _signed(value: float) -> str:
     return "0"
 
 
-def _number(value: float | str | None) -> str:
+def _number(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, str):
@@ -141,7 +142,7 @@ def _number(value: float | str | None) -> str:
     return f"{value:.4g}"
 
 
-def event_lines(metrics: Mapping[str, Any]) -> list[str]:
+def event_lines(metrics: RunMetrics) -> list[str]:
     """Return one line of text for each event, except for contacts."""
     return [
         f"{event['kind']:6} {plant} at {event['time']:.4g} s: {event['text']}"
@@ -153,7 +154,7 @@ def event_lines(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def expectation_lines(
-    metrics: Mapping[str, Any], verdicts: Container[str] = STATE_LABELS
+    metrics: RunMetrics, verdicts: Container[str] = STATE_LABELS
 ) -> list[str]:
     """Return one line of text for each expectation whose state is in `verdicts`."""
     return [
@@ -163,7 +164,7 @@ def expectation_lines(
     ]
 
 
-def needs_explanation(metrics: Mapping[str, Any]) -> bool:
+def needs_explanation(metrics: RunMetrics) -> bool:
     """Return whether the plants differ unexpectedly and the cause is unknown."""
     missed = {
         row["metric"]

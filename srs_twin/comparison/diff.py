@@ -14,7 +14,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
@@ -23,6 +23,9 @@ from srs_twin.io.arguments import checked
 from srs_twin.io.files import METRICS, StrPath, display_path, require_file
 from srs_twin.io.untrusted import parse_json, read_json, read_table
 from srs_twin.io.validation import StrictModel, load_model
+
+if TYPE_CHECKING:
+    import pyarrow
 
 REL = 1e-6
 """Default relative tolerance, which allows for differences between processor types."""
@@ -320,7 +323,7 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, Leaf]]:
 
 
 def _read_sweep(path: Path) -> tuple[list[tuple[ValueKey, Leaf]], dict[str, str]]:
-    def check(schema: Any) -> None:
+    def check(schema: pyarrow.Schema) -> None:
         if b"srs_twin.sweep" not in (schema.metadata or {}):
             raise ValueError("the Parquet file was not written by a sweep")
 

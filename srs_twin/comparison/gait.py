@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -272,7 +271,7 @@ pneumatic_cost_of_transport: pneumatic power divided by weight and speed
 
 def energy_metrics(
     trajectory: Trajectory, window: GaitWindow, speed: float
-) -> dict[str, Any]:
+) -> dict[str, float | None]:
     """Compute power and cost of transport (`ENERGY_MEANINGS`) at a mean speed (m/s).
 
     The mechanical power is dissipated by friction and in the segments. The pneumatic
@@ -281,7 +280,7 @@ def energy_metrics(
     also None if the mass is unknown or the speed is 0.
     """
     mass = positive_number(trajectory, "mass_kg")
-    metrics: dict[str, Any] = dict.fromkeys(ENERGY_MEANINGS)
+    metrics: dict[str, float | None] = dict.fromkeys(ENERGY_MEANINGS)
     if trajectory.has("internal_loss"):
         metrics["internal_power_w"] = _mean_rate(trajectory, window, "internal_loss")
     for source, power, cost in (
@@ -289,9 +288,10 @@ def energy_metrics(
         ("pneumatic_energy", "pneumatic_power_w", "pneumatic_cost_of_transport"),
     ):
         if trajectory.has(source):
-            metrics[power] = _mean_rate(trajectory, window, source)
+            rate = _mean_rate(trajectory, window, source)
+            metrics[power] = rate
             if mass is not None and speed != 0:
-                metrics[cost] = metrics[power] / (mass * GRAVITY * abs(speed))
+                metrics[cost] = rate / (mass * GRAVITY * abs(speed))
     return metrics
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NotRequired, TypedDict
 
 import numpy as np
 
@@ -67,6 +67,84 @@ from srs_twin.extensions import (
     registered,
 )
 from srs_twin.trajectory import Trajectory
+
+PlantMetrics = dict[str, Any]
+"""Value of each metric, which is a number, a boolean, a list, or None if undefined."""
+
+
+class PartMetrics(TypedDict, total=False):
+    """Metrics of a part of a run.
+
+    Attributes:
+        plants: metrics of each plant, keyed by plant name.
+        end_s: end of the part, s. The entry is absent if the part is the whole run.
+    """
+
+    plants: dict[str, PlantMetrics]
+    end_s: float
+
+
+class StoredIntervals(TypedDict, total=False):
+    """Uncertainty intervals that `experiment.stored_intervals` has found."""
+
+    stale: str | None
+    file: str
+    renew: str
+    plants: Mapping[str, Mapping[str, object]]
+    segments: Mapping[str, Sequence[float]] | None
+
+
+class MainCause(TypedDict):
+    """Effect of compliant bends, computed by `attribution.main_cause`.
+
+    Attributes:
+        name: name of the assumption.
+        window_s: duration of the part without contact, s. The entry is absent if the
+            effects cover the whole run.
+    """
+
+    name: str
+    com_speed_m_s: float
+    yaw_rate_rad_s: float
+    window_s: NotRequired[float]
+
+
+class RunMetrics(PartMetrics, total=False):
+    """Content of metrics.json. Entries that do not apply to a run are absent.
+
+    Attributes:
+        comparison: differences between the plants, or None if only one plant ran.
+        events: faults, contacts and early ends of each run, keyed by plant name.
+        changes: changed fields of the scenario (`scenario.modified.Changes`).
+        ignores_obstacles: plants that ignore the obstacles in the scenario.
+        before_contact: speeds and yaw rates before the first contact.
+        body_overlap_m: size of the largest overlap of body parts, keyed by plant name.
+        residuals: differences from the recording, keyed by plant name.
+        attribution: result of `Attribution.document`.
+        cause: result of `attribution.main_cause`.
+        preset: preset of the twin.
+        expectations: results of the expectations (`expectation.ExpectationRow`).
+        left_out: expectations that changed fields invalidate.
+        versions: versions of the packages, keyed by package name.
+    """
+
+    scenario: str
+    robot: str
+    comparison: PlantMetrics | None
+    events: Mapping[str, Sequence[Mapping[str, object]]]
+    changes: Sequence[Mapping[str, object]]
+    ignores_obstacles: Sequence[str]
+    before_contact: PartMetrics
+    body_overlap_m: Mapping[str, float]
+    residuals: Mapping[str, object]
+    attribution: Mapping[str, Any]
+    cause: MainCause
+    preset: str
+    intervals: StoredIntervals
+    expectations: list[Any]
+    left_out: Sequence[Mapping[str, object]]
+    versions: Mapping[str, str]
+
 
 RELATIVE = {
     "com_speed_m_s",
@@ -315,7 +393,7 @@ _LEARNT = (
 )
 
 
-def headline(metrics: Mapping[str, Any]) -> str:
+def headline(metrics: RunMetrics) -> str:
     """Summarise the results in a few sentences.
 
     The summary begins with contacts with obstacles or objects. It then compares the
@@ -340,7 +418,7 @@ def headline(metrics: Mapping[str, Any]) -> str:
     return " ".join(sentences)
 
 
-def _contacts(metrics: Mapping[str, Any]) -> Iterator[str]:
+def _contacts(metrics: RunMetrics) -> Iterator[str]:
     names = {"twin": "the twin", "analytical": "the model"}
     plants = {name: plant for name, plant in metrics["plants"].items() if name in names}
     if any(plant.get("contacts") for plant in plants.values()):
@@ -352,7 +430,7 @@ def _contacts(metrics: Mapping[str, Any]) -> Iterator[str]:
         yield f"{'; '.join(texts).capitalize()}."
 
 
-def _meeting(metrics: Mapping[str, Any], name: str) -> str:
+def _meeting(metrics: RunMetrics, name: str) -> str:
     plant = metrics["plants"][name]
     events = metrics["events"][name]
     begins = [event["time"] for event in events if event["kind"] in CONTACT_EVENTS]
@@ -370,7 +448,7 @@ def _meeting(metrics: Mapping[str, Any], name: str) -> str:
     return f"{text} at {begins[0]:.3g} s, for {plant['contact_time_s']:.2g} s"
 
 
-def _summary(metrics: Mapping[str, Any]) -> str:
+def _summary(metrics: RunMetrics) -> str:
     plants = metrics["plants"]
     model = plants.get("analytical")
     twin = plants.get("twin")
@@ -380,7 +458,7 @@ def _summary(metrics: Mapping[str, Any]) -> str:
     return f"The {name} {_summary_of_one(model or twin or {})}."
 
 
-def _summary_of_one(plant: Mapping[str, Any]) -> str:
+def _summary_of_one(plant: PlantMetrics) -> str:
     travel = plant.get("travel_speed_m_s")
     if travel is not None:
         return f"travels at {travel:.3g} m/s, {_direction(plant)} of its heading"
@@ -403,7 +481,7 @@ def _summary_of_one(plant: Mapping[str, Any]) -> str:
 
 
 def _summary_of_both(
-    metrics: Mapping[str, Any], model: Mapping[str, Any], twin: Mapping[str, Any]
+    metrics: RunMetrics, model: PlantMetrics, twin: PlantMetrics
 ) -> str:
     def both_have(metric: str) -> bool:
         return model.get(metric) is not None and twin.get(metric) is not None
@@ -437,7 +515,7 @@ def _summary_of_both(
     )
 
 
-def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
+def _crawling(metrics: RunMetrics, part: PartMetrics) -> str:
     text = _compared(metrics, part, "com_speed_m_s", "m/s")
     rates = [
         abs(part["plants"][name].get("yaw_rate_rad_s") or 0.0)
@@ -448,7 +526,7 @@ def _crawling(metrics: Mapping[str, Any], part: Mapping[str, Any]) -> str:
     return text
 
 
-def _over_segments(metrics: Mapping[str, Any]) -> str:
+def _over_segments(metrics: RunMetrics) -> str:
     ranges = (metrics.get("intervals") or {}).get("segments")
     reference = metrics["plants"]["analytical"]["com_speed_m_s"]
     if not ranges or reference < ZERO:
@@ -469,13 +547,13 @@ def _over_segments(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def _direction(plant: Mapping[str, Any]) -> str:
+def _direction(plant: PlantMetrics) -> str:
     direction = math.degrees(plant["travel_direction_rad"])
     side = "left" if direction > 0 else "right"
     return f"{abs(direction):.0f}° to the {side}"
 
 
-def _arrives(plant: Mapping[str, Any]) -> str:
+def _arrives(plant: PlantMetrics) -> str:
     reached = "reaches its goal" if plant["goal_reached"] else "does not reach its goal"
     cross_track = plant.get("cross_track_rms_m")
     if cross_track is None:
@@ -483,9 +561,7 @@ def _arrives(plant: Mapping[str, Any]) -> str:
     return f"{reached}, {1e3 * cross_track:.0f} mm RMS from its path"
 
 
-def _compared(
-    metrics: Mapping[str, Any], part: Mapping[str, Any], metric: str, unit: str
-) -> str:
+def _compared(metrics: RunMetrics, part: PartMetrics, metric: str, unit: str) -> str:
     """Compare a metric of the twin with the model, and name the main cause.
 
     The argument `part` contains the metrics to compare, either for the whole run or for
@@ -546,7 +622,7 @@ def _main_cause(
 
 
 def _causes(
-    metrics: Mapping[str, Any], metric: str, window: float | None
+    metrics: RunMetrics, metric: str, window: float | None
 ) -> list[tuple[str, float]]:
     effects = []
     if (attribution := metrics.get("attribution")) is not None:
@@ -556,7 +632,11 @@ def _causes(
                 (share["name"], share["value"][k]) for share in attribution["shares"]
             ]
     elif (cause := metrics.get("cause")) and cause.get("window_s") == window:
-        effects = [(cause["name"], cause[metric])]
+        changes = {
+            "com_speed_m_s": cause["com_speed_m_s"],
+            "yaw_rate_rad_s": cause["yaw_rate_rad_s"],
+        }
+        effects = [(cause["name"], changes[metric])]
     return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 
@@ -581,7 +661,7 @@ _BENCH = f"""
 _COMPARISON = ("shape_rms_m", "path_rms_m", "bend_rms_rad", *SPATIAL_DIFFERENCES)
 
 
-def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
+def chosen(plants: Mapping[str, PlantMetrics]) -> Sequence[str]:
     """Return the metrics in the short table, which depends on the kind of run."""
 
     def measured(*names: str) -> bool:
@@ -602,15 +682,15 @@ def chosen(plants: Mapping[str, Mapping[str, Any]]) -> Sequence[str]:
     return [*usual, *additional, *_COMPARISON]
 
 
-def tidy(metric: str, value: Any) -> Any:
+def tidy(metric: str, value: object) -> object:
     """Convert a metric value for display.
 
     Booleans become "yes" or "no", and negligible rates and differences become 0.
     """
     if is_yes_no(metric) and value is not None:
         return "yes" if value else "no"
-    rate = isinstance(value, float) and metric.endswith(("_m_s", "_rad_s", "_abs"))
-    if rate and abs(value) < ZERO:
+    is_rate = metric.endswith(("_m_s", "_rad_s", "_abs"))
+    if is_rate and isinstance(value, float) and abs(value) < ZERO:
         return 0.0
     return value
 
@@ -626,7 +706,7 @@ class ResultRow(NamedTuple):
 
 
 def result_rows(
-    metrics: Mapping[str, Any], names: Iterable[str], text: Callable[[Any], str]
+    metrics: RunMetrics, names: Iterable[str], text: Callable[[object], str]
 ) -> Iterator[ResultRow]:
     """Yield the rows of a results table, omitting metrics without a value."""
     units = all_units()
@@ -646,7 +726,7 @@ def result_rows(
 
 
 def _differences(
-    metrics: Mapping[str, Any], metric: str, text: Callable[[Any], str]
+    metrics: RunMetrics, metric: str, text: Callable[[object], str]
 ) -> tuple[str, str]:
     """Format twin − analytical in the unit of the metric and in per cent.
 
@@ -688,7 +768,7 @@ _GAIT_METRICS = (
 
 def plant_metrics(
     trajectory: Trajectory, *, wall_s: float | None = None
-) -> dict[str, Any]:
+) -> PlantMetrics:
     """Compute the metrics of one run.
 
     Gait metrics are means over whole gait periods after a warm-up of two periods
@@ -724,7 +804,7 @@ def plant_metrics(
         InputError: columns or metadata are missing or unusable.
     """
     check_columns(trajectory, "com_x", "com_y", "heading", "bend")
-    metrics: dict[str, Any] = dict.fromkeys(_GAIT_METRICS)
+    metrics: PlantMetrics = dict.fromkeys(_GAIT_METRICS)
     metrics |= dict.fromkeys((*TRACKING_UNITS, *LEARNING_UNITS, *LEARNING_LIST_UNITS))
     window = GaitWindow.from_trajectory(trajectory)
     if window is not None:

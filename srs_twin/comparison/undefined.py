@@ -11,14 +11,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from srs_twin.comparison.contacts import CONTACT_UNITS, OBJECT_UNITS
 from srs_twin.comparison.gait import SPATIAL_UNITS, GaitWindow
 from srs_twin.comparison.learning import LAST_PERIODS, LEARNING_UNITS, is_learning
-from srs_twin.comparison.metrics import MEASURED_UNITS
+from srs_twin.comparison.metrics import MEASURED_UNITS, PlantMetrics, RunMetrics
 from srs_twin.comparison.sampling import metric_groups
 from srs_twin.comparison.tracking import READING_UNITS, TRACKING_UNITS, ReadingCurve
 from srs_twin.trajectory import Trajectory
@@ -79,7 +78,7 @@ class Undefined:
 def why_undefined(
     metric: str,
     subject: str,
-    metrics: Mapping[str, Any],
+    metrics: RunMetrics,
     runs: Mapping[str, Trajectory],
 ) -> Undefined | None:
     """Return the reason why a metric of a run is undefined.
@@ -171,9 +170,7 @@ def _tracking(
     return Undefined("the reference is not a single step")
 
 
-def _learning(
-    metric: str, values: Mapping[str, Any], run: Trajectory
-) -> Undefined | None:
+def _learning(metric: str, values: PlantMetrics, run: Trajectory) -> Undefined | None:
     if not is_learning(run):
         return Undefined("the run has no iterative learning")
     periods = len(values.get("duty") or ())

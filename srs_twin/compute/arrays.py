@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import ThreadpoolController
 
 from srs_twin.errors import InputError
@@ -24,7 +24,7 @@ LARGEST_PLAUSIBLE = 1e9
 _BLAS_LOCK = threading.RLock()
 
 
-def is_plausible(*quantities: Any) -> bool:
+def is_plausible(*quantities: float | np.ndarray) -> bool:
     """Return whether the magnitudes of all elements are below `LARGEST_PLAUSIBLE`."""
     # In almost all cases, the sum of squares is sufficient and takes half a microsecond
     # per array, without warnings.
@@ -33,7 +33,7 @@ def is_plausible(*quantities: Any) -> bool:
     return all(first_implausible(values) is None for values in quantities)
 
 
-def first_implausible(values: Any) -> float | None:
+def first_implausible(values: ArrayLike) -> float | None:
     """Return the first implausible element, or None if all elements are plausible."""
     flat = np.ravel(values)
     wrong = flat[~(np.abs(flat) < LARGEST_PLAUSIBLE)]
@@ -42,7 +42,7 @@ def first_implausible(values: Any) -> float | None:
     return None
 
 
-def check_positive(name: str, value: Any, unit: str = "") -> None:
+def check_positive(name: str, value: ArrayLike, unit: str = "") -> None:
     """Check that a number, or every element of an array, is finite and above 0.
 
     The error message contains the name and the unit.

@@ -27,6 +27,8 @@ from numba import njit, typeof, types
 from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
+from numba.core.cpu import CPUContext
+from numba.core.typing.context import BaseContext
 from numba.extending import lower_builtin, overload, type_callable
 
 from srs_twin.errors import CacheWarning
@@ -74,11 +76,11 @@ class _PartLibrary(JITCodeLibrary):
         self._codegen._engine.finalize_object()
         self._finalized = True
 
-    def _get_module_for_linking(self) -> Any:
+    def _get_module_for_linking(self) -> llvm.ModuleRef:
         self._ensure_finalized()
         if self._shared_module is None:
             module = self._final_module.clone()
-            libraries: dict[Any, None] = {}
+            libraries: dict[JITCodeLibrary, None] = {}
             self._collect(libraries)
             for library in list(libraries)[1:]:
                 is_part = isinstance(library, _PartLibrary)
@@ -97,7 +99,7 @@ class _PartLibrary(JITCodeLibrary):
             self._shared_module = module
         return self._shared_module
 
-    def _collect(self, libraries: dict[Any, None]) -> None:
+    def _collect(self, libraries: dict[JITCodeLibrary, None]) -> None:
         if self in libraries:
             return
         libraries[self] = None
@@ -112,7 +114,11 @@ class _PartCompiler(Compiler):
     """Numba compiler that stores its result in a `_PartLibrary`."""
 
     def __init__(
-        self, typing_context: Any, target_context: Any, _: Any, *rest: Any
+        self,
+        typing_context: object,
+        target_context: CPUContext,
+        _: object,
+        *rest: object,
     ) -> None:
         library = _PartLibrary(target_context.codegen(), "part")
         super().__init__(typing_context, target_context, library, *rest)  # type: ignore[no-untyped-call]  # numba has no types
@@ -120,7 +126,7 @@ class _PartCompiler(Compiler):
 
 # For functions whose arguments are records of arrays, compiling the Python wrapper
 # would take longer than compiling the function.
-_PART_OPTIONS: Any = _OPTIONS | {
+_PART_OPTIONS = _OPTIONS | {
     "no_cpython_wrapper": True,
     "pipeline_class": _PartCompiler,
 }
@@ -141,7 +147,7 @@ class Kernel:
         self.entry = _with_cache(njit(**_OPTIONS, **options)(function), function)
         self.part = njit(**_PART_OPTIONS, **options)(function)
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: object) -> Any:
         """Call the function from Python."""
         return self.entry(*arguments)
 
@@ -197,7 +203,7 @@ def is_given(kind: types.Type) -> bool:
     return not isinstance(kind, types.NoneType)
 
 
-def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Function:
+def compiled_if(condition: Callable[[Any], bool], otherwise: object = None) -> Function:
     """Return a decorator like `kernel_only` that skips calls if a condition is false.
 
     The condition is evaluated for the Numba type of the first argument. If it is false,
@@ -207,13 +213,13 @@ def compiled_if(condition: Callable[[Any], bool], otherwise: Any = None) -> Func
     def decorate(function: Function) -> Function:
         kernel: Any = kernel_only(function)
 
-        def call(*arguments: Any) -> None:
+        def call(*arguments: object) -> None:
             raise NotImplementedError(
                 f"{function.__name__} must be called from a kernel"
             )
 
         @type_callable(call)
-        def infer(context: Any) -> Function:
+        def infer(context: BaseContext) -> Function:
             def result(*arguments: types.Type) -> types.Type:
                 kind: types.Type = typeof(otherwise)
                 if condition(arguments[0]):
@@ -258,7 +264,7 @@ class _Cache(FunctionCache):
     are pickles, which can execute code.
     """
 
-    def load_overload(self, sig: object, target_context: object) -> Any:
+    def load_overload(self, sig: object, target_context: object) -> object:
         # The digest is computed here, because all names that the function uses are
         # defined when the function is called for the first time.
         self._cache_file._source_stamp = _source_stamp(self._py_func)

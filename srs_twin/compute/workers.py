@@ -404,7 +404,7 @@ def _worker_main(pipe: Connection, program: bytes, plugins: str) -> None:
     threading.Thread(
         target=_receive_arguments, args=(pipe, arguments), daemon=True
     ).start()
-    task: list[Any] = []
+    task: list[Callable[[object], object]] = []
     with suppress(OSError):  # the parent process no longer reads results
         pipe.send_bytes(_call_and_pickle(lambda: task.append(pickle.loads(program))))
         while True:

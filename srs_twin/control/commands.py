@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -181,7 +181,7 @@ class ScheduledOffset(Controller):
         self.finished = self._inner.finished
         return valves
 
-    def signals(self) -> dict[str, Any]:
+    def signals(self) -> dict[str, float | np.ndarray]:
         """See `Controller.signals`."""
         return self._inner.signals()
 

@@ -320,7 +320,7 @@ class Gait(Controller):
         push = left[..., None] * self._axes[:, 0] + up[..., None] * self._axes[:, 1]
         return np.where(push > 1e-9, 1, -1).astype(np.int8)
 
-    def signals(self) -> dict[str, float]:
+    def signals(self) -> dict[str, float | np.ndarray]:
         """Return the steering offset φ."""
         return {"offset": self._offset}
 

@@ -20,7 +20,7 @@ chamber can reach this minimum.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -196,7 +196,7 @@ class ILC(Controller):
         valves: np.ndarray = np.minimum(self._gait.valves_at(time), pulses)
         return valves
 
-    def signals(self) -> dict[str, Any]:
+    def signals(self) -> dict[str, float | np.ndarray]:
         """Return the duty cycles, the amplitudes (rad) and the steering offset.
 
         Unknown amplitudes are NaN.

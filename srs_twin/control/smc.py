@@ -58,7 +58,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -193,7 +193,7 @@ class SlidingMode(Controller):
         self._sigma = np.zeros(spec.segments)
         self._events: list[Event] = []
 
-    def signals(self) -> dict[str, Any]:
+    def signals(self) -> dict[str, float | np.ndarray]:
         """Return the reference (rad), the error e (rad) and σ (rad/s).
 
         The reference refers to the end of the tick, at which signals are recorded. The
@@ -269,7 +269,7 @@ class DirectSMC(SlidingMode):
         ).astype(np.int8)
         return np.stack([valves, -valves], axis=-1)
 
-    def signals(self) -> dict[str, Any]:
+    def signals(self) -> dict[str, float | np.ndarray]:
         """Return the signals of `SlidingMode`, and the filtered bend rate (rad/s)."""
         return super().signals() | {"rate": self._rate}
 
@@ -332,7 +332,7 @@ class IterativeSMC(SlidingMode):
             np.stack([(1 + self._mu) / 2, (1 - self._mu) / 2], axis=-1)
         )
 
-    def signals(self) -> dict[str, Any]:
+    def signals(self) -> dict[str, float | np.ndarray]:
         """Return the signals of `SlidingMode`, the variable μ and the duty cycles."""
         plus, minus = self._pulses.duty.T
         return super().signals() | {

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Protocol, TypeVar
+from typing import Annotated, ClassVar, Literal, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -329,12 +329,17 @@ class FitFile(StrictModel, HtmlResult):
 
 
 def fit_file(
-    estimate: FitEstimate, *, data: Sequence[DataSet], **about: Any
+    estimate: FitEstimate,
+    *,
+    name: str,
+    title: str,
+    robot: str,
+    method: Method,
+    command: str,
+    versions: dict[str, str],
+    data: Sequence[DataSet],
 ) -> FitFile:
-    """Create a fit file from an estimate.
-
-    The keyword arguments `about` are name, title, robot, method, command and versions.
-    """
+    """Create a fit file from an estimate."""
     check_disjoint(data)
     rows = with_value(estimate.parameters)
     matrix = estimate.correlation[np.ix_(rows, rows)]
@@ -347,7 +352,12 @@ def fit_file(
         misfit=[line[:1000] for line in estimate.misfit] or None,
     )
     return FitFile(
-        **about,
+        name=name,
+        title=title,
+        robot=robot,
+        method=method,
+        command=command,
+        versions=versions,
         data=[DataEntry(**asdict(entry)) for entry in data],
         held={key: _rounded(value) for key, value in estimate.held.items()},
         parameters=[_parameter_entry(parameter) for parameter in estimate.parameters],

@@ -152,7 +152,7 @@ def _used_parameters(fit: FitFile, weak: bool) -> list[ParameterEntry]:
     ]
 
 
-def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any]]:
+def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, object]]:
     if section == "modules":
         name = _record_key(key)
         values = spec.modules.array(name.removesuffix("_rad")).tolist()
@@ -162,7 +162,7 @@ def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, Any
     if section == "mass":
         masses = list(spec.mass.connectors)
         is_uniform = len(set(masses)) == 1
-        records = {
+        records: dict[str, dict[str, object]] = {
             "connectors_kg": {
                 "value": masses[0] if is_uniform else masses,
                 "unit": "kg",

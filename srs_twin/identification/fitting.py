@@ -59,7 +59,7 @@ class DataOptions:
     validate: ValidateOption = None
     pressure: PressureOption = None
 
-    def given(self) -> dict[str, Any]:
+    def given(self) -> dict[str, object]:
         """Return the options as arguments for the functions in `calibration`."""
         if self.pressure is not None and not 0.1 <= self.pressure <= 2000.0:
             raise InputError(

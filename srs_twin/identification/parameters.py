@@ -18,7 +18,6 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.robot.rules import WHEEL_FRACTION
@@ -183,20 +182,30 @@ def _checked_accessor(spec: RobotSpec, name: str) -> tuple[_Accessor, int]:
 
 
 def _scalar(
-    section: str, attribute: str, unit: str, low: float, high: float, **more: Any
+    section: str,
+    attribute: str,
+    unit: str,
+    low: float,
+    high: float,
+    scale: float | None = None,
 ) -> _Accessor:
     def get(spec: RobotSpec, k: int) -> float:
         return float(getattr(getattr(spec, section), attribute))
 
     def put(spec: RobotSpec, value: float, k: int) -> RobotSpec:
-        changed: Any = replace(getattr(spec, section), **{attribute: value})
+        changed = replace(getattr(spec, section), **{attribute: value})
         return replace(spec, **{section: changed})
 
-    return _Accessor(unit, low, high, get, put, **more)
+    return _Accessor(unit, low, high, get, put, scale)
 
 
 def _module(
-    attribute: str, side: int | None, unit: str, low: float, high: float, **more: Any
+    attribute: str,
+    side: int | None,
+    unit: str,
+    low: float,
+    high: float,
+    scale: float | None = None,
 ) -> _Accessor:
     place = () if side is None else (side,)
 
@@ -209,7 +218,7 @@ def _module(
         arrays[attribute][k, *place] = value
         return replace(spec, variation=Modules.from_arrays(**arrays))
 
-    return _Accessor(unit, low, high, get, put, numbered="segment", **more)
+    return _Accessor(unit, low, high, get, put, scale, numbered="segment")
 
 
 def _mean_mass(spec: RobotSpec, k: int) -> float:

@@ -126,6 +126,6 @@ def _plants(
     return {name: settings[name] for name in names or settings}
 
 
-def _expectations(path: StrPath) -> list[Any]:
+def _expectations(path: StrPath) -> list[dict[str, object]]:
     file = load_model(ExpectationsFile, require_file(Path(path)))
     return [entry.model_dump(mode="json", exclude_none=True) for entry in file.expect]

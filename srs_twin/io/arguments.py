@@ -24,9 +24,9 @@ from typing import (
 
 from srs_twin.errors import InputError
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Function = TypeVar("Function", bound=Callable[..., object])
 
-_CONVERSIONS = {float: "__float__", int: "__index__"}
+_CONVERSIONS: Mapping[object, str] = {float: "__float__", int: "__index__"}
 """Special methods that convert objects such as NumPy scalars to numbers, keyed by
 number type."""
 
@@ -57,7 +57,7 @@ def checked(function: Function) -> Function:
     owner = function.__qualname__.removesuffix(".__init__")
 
     @wraps(function)
-    def call(*arguments: Any, **keywords: Any) -> Any:
+    def call(*arguments: object, **keywords: object) -> object:
         check_types(
             owner, function, dict(zip(names, arguments, strict=False)) | keywords
         )
@@ -67,7 +67,7 @@ def checked(function: Function) -> Function:
 
 
 def check_types(
-    owner: str, annotated: Callable[..., Any], values: Mapping[str, object]
+    owner: str, annotated: Callable[..., object], values: Mapping[str, object]
 ) -> None:
     """Check values against the type annotations of a function or class."""
     kinds = _kinds(annotated)
@@ -80,11 +80,11 @@ def check_types(
 
 
 @cache
-def _kinds(annotated: Callable[..., Any]) -> dict[str, Any]:
+def _kinds(annotated: Callable[..., object]) -> dict[str, object]:
     return get_type_hints(annotated)
 
 
-def _accepts(kind: Any, value: object) -> bool:
+def _accepts(kind: object, value: object) -> bool:
     """Return whether a value fits a type, without checking the elements of mappings."""
     origin = get_origin(kind) or kind
     parts = get_args(kind)

@@ -77,7 +77,7 @@ class Override:
 
     label: str
     loc: Loc
-    value: Any
+    value: object
 
     @classmethod
     def parse(cls, label: str, field: str, value: str) -> Override:
@@ -111,7 +111,7 @@ def _field_path(label: str, name: str) -> Loc:
     return parse_path(name)
 
 
-Overrides = Mapping[str, Any] | Sequence[Override]
+Overrides = Mapping[str, object] | Sequence[Override]
 """Sequence of overrides, or mapping from dotted field names to values."""
 
 

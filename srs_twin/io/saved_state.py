@@ -288,7 +288,7 @@ def _encode(value: object, arrays: dict[str, np.ndarray]) -> object:
     )
 
 
-def _decode(value: Any, arrays: Mapping[str, np.ndarray]) -> Any:
+def _decode(value: object, arrays: Mapping[str, np.ndarray]) -> Any:
     if not isinstance(value, dict):
         return value
     kind = value["@"]

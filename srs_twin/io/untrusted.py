@@ -24,12 +24,12 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import decode_text, display_path, require_file
+from srs_twin.io.files import StrPath, decode_text, display_path, require_file
 
 if TYPE_CHECKING:
     import pyarrow
@@ -156,7 +156,9 @@ base64."""
 
 
 def read_table(
-    path: Any, kind: str, check: Callable[[pyarrow.Schema], None] = lambda schema: None
+    path: StrPath | BinaryIO,
+    kind: str,
+    check: Callable[[pyarrow.Schema], None] = lambda schema: None,
 ) -> pyarrow.Table:
     """Read a Parquet file after checking its sizes.
 

@@ -169,7 +169,7 @@ class Simulation:
             is_spatial = load_robot_file(robot).is_spatial
             pneumatics = "lag" if is_spatial else "orifice"
         modules = {"gain_spread": self.gain_spread} | self.changes.get("modules", {})
-        document: dict[str, Any] = {
+        document: dict[str, object] = {
             "robot": {"base": robot, **self.changes, "modules": modules},
             "duration_s": 1.0,
             "seed": seed,

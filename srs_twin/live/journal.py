@@ -10,7 +10,7 @@ import struct
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from srs_twin.live.messages import (
 )
 from srs_twin.live.natnet import is_place
 from srs_twin.recordings.formats.bags import MCAP_MAGIC, stream_messages
+from srs_twin.recordings.formats.topics import BagMessage
 
 LONGEST_GAP_S = 60.0
 """Longest pause that playback reproduces, s. Longer pauses are skipped."""
@@ -184,7 +185,7 @@ def journal_messages(
 
 def _records(
     whole: memoryview, skip: Callable[[BadMessageError], None]
-) -> Iterator[Any]:
+) -> Iterator[BagMessage]:
     try:
         yield from stream_messages(whole)
     except Exception as error:  # A damaged file can raise any exception.

@@ -23,7 +23,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any, Self, TextIO
 
 import numpy as np
 
@@ -48,6 +48,7 @@ from srs_twin.live.messages import (
 
 if TYPE_CHECKING:
     from paho.mqtt import client as mqtt
+    from paho.mqtt.reasoncodes import ReasonCode
 
 LOOPBACK = "127.0.0.1"
 _MOST_WAITING = 100_000
@@ -112,7 +113,7 @@ class Link(ABC):
     def close(self) -> None:
         """Close the connection and end the thread."""
 
-    def __enter__(self) -> Any:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -316,7 +317,7 @@ class MqttLink(Link):
         client: Any,
         _data: object,
         _flags: object,
-        reason: Any,
+        reason: ReasonCode,
         _properties: object,
     ) -> None:
         self.connected = not reason.is_failure
@@ -334,7 +335,9 @@ class MqttLink(Link):
     def _on_disconnect(self, *_: object) -> None:
         self.connected = False
 
-    def _on_message(self, _client: object, _data: object, message: Any) -> None:
+    def _on_message(
+        self, _client: object, _data: object, message: mqtt.MQTTMessage
+    ) -> None:
         arrived = clock()
         try:
             kind = self._topics.get(message.topic, "")

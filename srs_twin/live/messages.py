@@ -9,7 +9,6 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from pydantic_core import to_json
@@ -164,7 +163,7 @@ def _plain(values: np.ndarray) -> list[float]:
 
 def decode(
     kind: str,
-    payload: bytes,
+    payload: bytes | bytearray,
     *,
     source: str,
     arrived: float,
@@ -207,7 +206,7 @@ def decode(
     return Message(kind, source, sent, arrived, values)
 
 
-def _document(payload: bytes) -> Mapping[str, Any]:
+def _document(payload: bytes | bytearray) -> Mapping[str, object]:
     if len(payload) > LARGEST_BYTES:
         raise BadMessageError(f"the message has more than {LARGEST_BYTES} bytes")
     try:
@@ -224,7 +223,7 @@ def _document(payload: bytes) -> Mapping[str, Any]:
     return document
 
 
-def _text(document: Mapping[str, Any], kind: str) -> str:
+def _text(document: Mapping[str, object], kind: str) -> str:
     text = document.get("text", "")
     if not isinstance(text, str) or len(text) > _LONGEST_TEXT:
         raise BadMessageError(

@@ -20,7 +20,6 @@ import copy
 import math
 from collections.abc import Mapping
 from itertools import combinations_with_replacement
-from typing import Any
 
 import numpy as np
 
@@ -189,7 +188,7 @@ class LocalConnection(Stateful):
         self._block = np.zeros(3)
         self.weights = np.asarray(np.linalg.solve(self._normal(), self._sums))
 
-    def load_state_dict(self, memory: Mapping[str, Any]) -> None:
+    def load_state_dict(self, memory: Mapping[str, object]) -> None:
         """Restore saved values."""
         super().load_state_dict(memory)
         if self._frames >= _BLOCK:

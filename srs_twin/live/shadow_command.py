@@ -244,11 +244,11 @@ def _session(
 ) -> tuple[Session, str]:
     from srs_twin.live.journal import McapLink
     from srs_twin.live.links import typed_words
-    from srs_twin.live.session import Session
+    from srs_twin.live.session import Keys, Session
 
     links: list[Link] = []
     commands: MqttLink | None = None
-    keys: Any = tuple
+    keys: Keys = tuple
     if options.mcap is not None:
         journal = McapLink(
             options.mcap, lab.topic_name, twin.spec.segments, speed=options.speed

@@ -313,7 +313,7 @@ class Plant(Claimable, Stateful, ABC):
         """
         raise InputError(f"plant '{self.name}' can only start straight and at rest")
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Return the settings that a saved state must share, as JSON values."""
         return {**self.describe(), "robot_digest": short_digest(self.spec)}
 
@@ -387,7 +387,7 @@ class Plant(Claimable, Stateful, ABC):
         """
         return np.zeros((self.spec.segments, self.spec.chambers), dtype=int)
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """Return the settings that are stored with a recorded run, as JSON values."""
         return {"plant": self.name, "robot": self.spec.name, "tick_s": self.tick}
 
@@ -426,12 +426,12 @@ class PneumaticPlant(Plant):
         self._supply = supply
         return supply
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Return the settings as in `Plant.identity`, but without stuck valves."""
         settings = super().identity()
         chambers = {
             key: value
-            for key, value in settings["pneumatics"].items()
+            for key, value in self.pneumatics.describe().items()
             if key != "stuck_valves"
         }
         return settings | {"pneumatics": chambers, "supply_pa": self._supply}
@@ -457,7 +457,7 @@ class PneumaticPlant(Plant):
         """See `Plant.openings`."""
         return self.pneumatics.openings
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Plant.describe`."""
         air = {"pneumatics": self.pneumatics.describe(), "layout": self.layout}
         return super().describe() | air | {"sensor": self.sensor.describe()}
@@ -537,7 +537,11 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
     # All other fields are computed from the fields that are checked here. Scalars are
     # compared in Python, because a NumPy function takes as long for a scalar as for an
     # array.
-    scalars: tuple[Any, ...] = (state.heading, state.work, state.pneumatic_energy)
+    scalars: tuple[Any, ...] = (
+        state.heading,
+        state.work,
+        state.pneumatic_energy,
+    )
     single = not isinstance(state.time, np.ndarray)
     if single:
         scalars_plausible = all(abs(value) < LARGEST_PLAUSIBLE for value in scalars)
@@ -556,7 +560,7 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
     return state
 
 
-def check_before_step(plant: str, time: float, *state: Any) -> None:
+def check_before_step(plant: str, time: float, *state: float | np.ndarray) -> None:
     """Check that all values of a state are plausible before a time step.
 
     A time step may hide a value that has diverged. For example, MuJoCo replaces an

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from matplotlib import colormaps
@@ -198,8 +198,7 @@ def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
     time = np.linspace(0, 1, 400)
     decay = slow * np.exp(-time / slow) - fast * np.exp(-time / fast)
     bend = float(runs["analytical"]["bend_1"][-1]) * (1 - decay / (slow - fast))
-    style: dict[str, Any] = {"color": "0.2", "linestyle": ":", "linewidth": 1.0}
-    axes.plot(time, bend, **style, label="Eq. 14 (E1, E2)")
+    axes.plot(time, bend, ":", color="0.2", linewidth=1.0, label="Eq. 14 (E1, E2)")
     axes.set_xlim(0, 1)
     axes.legend(loc="lower right", fontsize=8, frameon=False)
     return figure

@@ -27,7 +27,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from srs_twin.experiment import INTERVALS
 from srs_twin.io.files import data_root, write_text
@@ -49,6 +49,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from srs_twin.reproduction.figures import FigureEntry
+    from srs_twin.studies.uncertainty.metric_uncertainty import (
+        MetricDocument,
+        UncertaintyDocument,
+    )
 
 FACTORS = ("verification", "validation", "input pedigree", "uncertainty", "robustness")
 UNVALIDATED = "not validated against hardware"
@@ -132,7 +136,7 @@ def _count_met(
 
 
 def verification_grade(
-    law_counts: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
+    law_counts: tuple[int, int], intervals: Sequence[UncertaintyDocument]
 ) -> Grade:
     """Return the verification grade.
 
@@ -185,7 +189,7 @@ def _pedigree(robots: Sequence[str]) -> Grade:
     return Grade(grade, f"{measured} of {len(records)} parameters measured")
 
 
-def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
+def _uncertainty(intervals: Sequence[UncertaintyDocument]) -> Grade:
     if not intervals:
         return Grade(0, "no intervals")
     document = intervals[0]
@@ -199,7 +203,7 @@ def _uncertainty(intervals: Sequence[Mapping[str, Any]]) -> Grade:
 
 
 def _robustness(
-    trends: tuple[int, int], intervals: Sequence[Mapping[str, Any]]
+    trends: tuple[int, int], intervals: Sequence[UncertaintyDocument]
 ) -> Grade:
     met, rows = trends
     text = f"{met} of {rows} orders and trends met" if rows else "no published trends"
@@ -215,10 +219,9 @@ def _robustness(
     return Grade(1 if rows else 0, text)
 
 
-def _target(document: Mapping[str, Any]) -> Mapping[str, Any]:
+def _target(document: UncertaintyDocument) -> MetricDocument:
     target = document["target"]
-    metric: Mapping[str, Any] = document["plants"][target["plant"]][target["metric"]]
-    return metric
+    return document["plants"][target["plant"]][target["metric"]]
 
 
 USES = ("law", "holdout", "shape", "fit")

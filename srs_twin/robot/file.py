@@ -39,6 +39,7 @@ from srs_twin.robot.sections import (
     GeometryFile,
     MassFile,
     ModulesFile,
+    Number,
     SupplySection,
     TailFile,
 )
@@ -146,7 +147,7 @@ class RobotFile(StrictModel):
     """Correlations between uncertain numbers, for example from a fit (default: none).
     """
 
-    def records(self) -> dict[str, Record[Any, Any]]:
+    def records(self) -> dict[str, Number]:
         """Return all records, keyed by paths such as "bending.stiffness_nm_per_rad"."""
         return {
             f"{name}.{key}": record
@@ -432,7 +433,7 @@ class RobotFile(StrictModel):
 
 
 def _prior_violations(
-    record: Record[Any, Any], bounds: tuple[float, float] | None
+    record: Number, bounds: tuple[float, float] | None
 ) -> Iterator[str]:
     prior = record.uncertain
     value = record.value
@@ -614,7 +615,7 @@ def _add_warnings(document: Document, prefix: Loc, mistakes: Mapping[str, str]) 
 
 
 def find_unit_mistakes(
-    robot: RobotFile, base: RobotFile | None = None, override: Mapping[str, Any] = {}
+    robot: RobotFile, base: RobotFile | None = None, override: Mapping[str, object] = {}
 ) -> dict[str, str]:
     """Return a message for each number with a doubtful unit, keyed by path.
 
@@ -649,7 +650,9 @@ def find_unit_mistakes(
 
 
 def _merge_override(
-    base: Mapping[str, Any], override: Mapping[str, Any], source: Callable[[Loc], str]
+    base: Mapping[str, Any],
+    override: Mapping[str, object],
+    source: Callable[[Loc], str],
 ) -> dict[str, Any]:
     """Merge an override into the data of its base robot.
 

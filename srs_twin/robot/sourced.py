@@ -19,6 +19,7 @@ from pydantic import (
     model_serializer,
     model_validator,
 )
+from pydantic.fields import FieldInfo
 
 from srs_twin.io.validation import StrictModel, attribute_docstrings
 
@@ -157,7 +158,9 @@ class Uncertain(StrictModel):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_missing(
+        self, inner: SerializerFunctionWrapHandler
+    ) -> dict[str, object]:
         return {key: value for key, value in inner(self).items() if value is not None}
 
     def quantile(
@@ -211,7 +214,9 @@ class Record(StrictModel, Generic[Value, Unit]):
     """Prior distribution of the number (default: none, for an exact number)."""
 
     @model_serializer(mode="wrap")
-    def _without_missing(self, inner: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _without_missing(
+        self, inner: SerializerFunctionWrapHandler
+    ) -> dict[str, object]:
         return {
             key: value
             for key, value in inner(self).items()
@@ -219,14 +224,15 @@ class Record(StrictModel, Generic[Value, Unit]):
         }
 
     @classmethod
-    def model_parametrized_name(cls, params: tuple[Any, ...]) -> str:
+    def model_parametrized_name(cls, params: tuple[object, ...]) -> str:
         """Return a readable type name for JSON Schemas."""
         return "Record"
 
 
-def bounded(low: float, high: float) -> Any:
+def bounded(low: float, high: float) -> FieldInfo:
     """Return a pydantic field that restricts a number to an interval."""
-    return Field(ge=low, le=high)
+    field: FieldInfo = Field(ge=low, le=high)
+    return field
 
 
 class _NumberField(NamedTuple):
@@ -319,8 +325,8 @@ class Records(StrictModel):
 
 
 def replace_value(
-    before: Mapping[str, Any] | None, value: Any, unit: str | None, source: str
-) -> dict[str, Any]:
+    before: Mapping[str, object] | None, value: object, unit: str | None, source: str
+) -> dict[str, object]:
     """Return a record with a new number and status "estimated", as plain data.
 
     Args:

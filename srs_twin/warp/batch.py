@@ -9,12 +9,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import fields, replace
-from typing import Any, NoReturn, SupportsIndex
+from typing import NoReturn, SupportsIndex
 
 import numpy as np
 import warp as wp
 
 from srs_twin.compute.claims import Claimable
+from srs_twin.control.gait import Gait
 from srs_twin.errors import DivergedError, EngineWarning, InputError, count_steps
 from srs_twin.plants.base import Pose, SnakeState
 from srs_twin.plants.twin.batch import check_one_per_run
@@ -176,7 +177,7 @@ class WarpBatch(Claimable):
         self._unobserved_steps += steps
         self._engine.run(steps, gait=gait)
 
-    def set_gaits(self, gaits: Sequence[Any]) -> None:
+    def set_gaits(self, gaits: Sequence[Gait]) -> None:
         """Set the gait (`control.gait.Gait`) of each run, for `run` and `follow`.
 
         Raises:
@@ -265,12 +266,14 @@ class WarpBatch(Claimable):
         """Copy the supply pressures of the twins to the device."""
         self._engine.update_supply_pressure()
 
-    def step(self, valves: Any) -> SnakeState:
+    def step(self, valves: np.ndarray | wp.array) -> SnakeState:
         """Advance all runs by one control tick, as in `TwinBatch.step`."""
         self.advance(valves, 1)
         return self.state
 
-    def advance(self, valves: Any, samples: int) -> list[SnakeState | None]:
+    def advance(
+        self, valves: np.ndarray | wp.array, samples: int
+    ) -> list[SnakeState | None]:
         """Advance all runs by one control tick, as in `TwinBatch.advance`.
 
         The valve states may be a NumPy array or a DLPack array on the device.
@@ -278,7 +281,7 @@ class WarpBatch(Claimable):
         self.command(valves)
         return self._run_observed(self._engine.steps, samples, gait=False)
 
-    def command(self, valves: Any) -> None:
+    def command(self, valves: np.ndarray | wp.array) -> None:
         """Set the valve states for the next control ticks.
 
         Args:
@@ -373,7 +376,7 @@ class WarpBatch(Claimable):
             count_steps("duration", duration, "time step", self._h), samples, gait=True
         )
 
-    def arrays(self) -> dict[str, Any]:
+    def arrays(self) -> dict[str, wp.array]:
         """Return qpos, qvel, pressure and valves as device arrays, keyed by name.
 
         The arrays have a leading axis of runs and support DLPack. Positions in `qpos`
@@ -449,12 +452,12 @@ class WarpBatch(Claimable):
             return history.at(slice(0, last))
         return None
 
-    def _observe(self) -> Any:
+    def _observe(self) -> wp.array:
         self._unobserved_steps = 0
         return self._engine.observe()
 
     def _history(
-        self, rows: list[Any], times: np.ndarray, steps: np.ndarray
+        self, rows: list[wp.array], times: np.ndarray, steps: np.ndarray
     ) -> SnakeState:
         # The fields of the result have leading axes of samples and runs. Forces are
         # averaged over `steps`, the number of time steps before each sample.

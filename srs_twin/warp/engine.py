@@ -62,7 +62,7 @@ class DeviceEngine:
         self,
         robots: Sequence[TwinSnake],
         robot_of_run: np.ndarray,
-        device: Any,
+        device: wp.Device,
         deterministic: bool,
     ) -> None:
         """Copy models, states and records to the device, and compile the kernels.
@@ -107,7 +107,7 @@ class DeviceEngine:
             structs = self._copy_records(data.qpos)
             self._allocate()
         self._kernels = build_kernels(structs, settings)
-        self._graphs: dict[bool, Any] = {}
+        self._graphs: dict[bool, wp.Graph] = {}
 
     def _allocate(self) -> None:
         slots = (self._worlds, self.slots, self._segments, 2)
@@ -259,7 +259,7 @@ class DeviceEngine:
         mjw.rne(model, data)
         self._start(k.finish_step, *friction, accumulators, self._energy_loss)
 
-    def _start(self, kernel: Any, *inputs: Any, axes: int = 1) -> None:
+    def _start(self, kernel: wp.Kernel, *inputs: object, axes: int = 1) -> None:
         threads = (self._worlds, self._segments)[:axes]
         wp.launch(kernel, dim=threads, inputs=inputs)
 
@@ -341,7 +341,7 @@ class DeviceEngine:
             for _ in range(steps):
                 wp.capture_launch(self._graphs[gait])
 
-    def observe(self) -> Any:
+    def observe(self) -> wp.array:
         """Return an observation with one row per world, and reset the force sums."""
         data = self.data
         model = self._model
@@ -360,7 +360,7 @@ class DeviceEngine:
         return out
 
 
-def allocated_bytes(data: Any) -> int:
+def allocated_bytes(data: mjw.Data) -> int:
     """Return the number of bytes of all device arrays in MuJoCo Warp data."""
     total = 0
     for item in fields(data):
@@ -372,7 +372,7 @@ def allocated_bytes(data: Any) -> int:
     return total
 
 
-def _set_individual_parameters(model: Any, models: list[mujoco.MjModel]) -> None:
+def _set_individual_parameters(model: mjw.Model, models: list[mujoco.MjModel]) -> None:
     # A field in which the models differ gets one value per world.
     distinct = {id(world_model): world_model for world_model in models}
     if len(distinct) == 1:

@@ -8,7 +8,7 @@ per world, or one thread per segment of each world.
 # allowed here.
 from collections.abc import Mapping
 from types import SimpleNamespace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
@@ -108,13 +108,13 @@ class Accumulators(NamedTuple):
     obstacle_sum: np.ndarray
 
 
-_OPTIONS: dict[str, Any] = {"enable_backward": False, "module": "unique"}
+_OPTIONS: dict[str, bool | str] = {"enable_backward": False, "module": "unique"}
 """Options of all kernels.
 
 Each kernel has its own Warp module, because its constants depend on the batch.
 """
 
-Kernels = dict[str, Any]
+Kernels = dict[str, wp.Kernel]
 
 
 def build_kernels(
@@ -188,7 +188,7 @@ def _valve_kernels(wave: WarpStruct, settings: StepSettings) -> Kernels:
 def _chamber_kernel(
     structs: Mapping[str, WarpStruct],
     settings: StepSettings,
-    functions: Mapping[str, Any],
+    functions: Mapping[str, wp.Function],
 ) -> Kernels:
     slot = functions["advance_slot"]
     apply_bend_law = functions["apply_bend_law"]
@@ -232,7 +232,7 @@ def _accumulation_kernel(
     structs: Mapping[str, WarpStruct],
     h: float,
     loaded: bool,
-    functions: Mapping[str, Any],
+    functions: Mapping[str, wp.Function],
 ) -> Kernels:
     internal_power = functions["internal_power"]
     preloaded_power = functions["preloaded_power"]
@@ -275,7 +275,7 @@ def _accumulation_kernel(
 
 
 def _observation_kernel(
-    structs: Mapping[str, WarpStruct], functions: Mapping[str, Any]
+    structs: Mapping[str, WarpStruct], functions: Mapping[str, wp.Function]
 ) -> Kernels:
     write_bodies = functions["write_bodies"]
     write_chambers = functions["write_chambers"]
@@ -484,7 +484,7 @@ def integrate_position(
 
 
 def _middle_kernels(
-    structs: Mapping[str, WarpStruct], h: float, set_mid_velocity: Any
+    structs: Mapping[str, WarpStruct], h: float, set_mid_velocity: wp.Function
 ) -> Kernels:
     Engines = structs["engine"].batched
     engine_of = structs["engine"].select
@@ -528,7 +528,7 @@ def _middle_kernels(
 
 
 def _friction_kernels(
-    structs: Mapping[str, WarpStruct], h: float, functions: Mapping[str, Any]
+    structs: Mapping[str, WarpStruct], h: float, functions: Mapping[str, wp.Function]
 ) -> Kernels:
     apply_stored_friction = functions["apply_stored_friction"]
     solve_friction = functions["solve_friction"]

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from srs_twin.plants.twin import friction_solve, spatial_algebra, stick_slip
 from srs_twin.pneumatics import chambers, lag
@@ -29,8 +30,8 @@ _TOLERANCES = {
 
 
 def as_warp_functions(
-    functions: Sequence[Callable[..., Any]], **translated: Any
-) -> dict[str, Any]:
+    functions: Sequence[Callable[..., object]], **translated: wp.Function
+) -> dict[str, wp.Function]:
     """Translate functions to Warp, and return all Warp functions keyed by name.
 
     Args:
@@ -104,7 +105,7 @@ def _no_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
     return
 
 
-def warp_functions() -> dict[str, Any]:
+def warp_functions() -> dict[str, wp.Function]:
     """Return the Warp versions of the chamber and friction functions, keyed by name."""
     functions = as_warp_functions(
         [
@@ -143,7 +144,7 @@ class WarpStruct(NamedTuple):
 
     single: Any
     batched: Any
-    select: Any
+    select: wp.Function
     inner: Mapping[str, WarpStruct]
 
 
@@ -156,8 +157,8 @@ def warp_struct(example: Any, without: Sequence[str] = ()) -> WarpStruct:
     """
     kind = type(example).__name__
     inner: dict[str, WarpStruct] = {}
-    single: dict[str, Any] = {}
-    batched: dict[str, Any] = {}
+    single: dict[str, object] = {}
+    batched: dict[str, object] = {}
     lines = [
         f"def select_{kind}(batched: Batched, i: int):",
         "    single = Single()",
@@ -184,7 +185,7 @@ def warp_struct(example: Any, without: Sequence[str] = ()) -> WarpStruct:
     return WarpStruct(names["Single"], names["Batched"], select, inner)
 
 
-def _struct(name: str, fields: Mapping[str, Any]) -> Any:
+def _struct(name: str, fields: Mapping[str, object]) -> Any:
     members = {"__annotations__": dict(fields), "__module__": __name__}
     return wp.struct(type(name, (), members))
 
@@ -192,7 +193,7 @@ def _struct(name: str, fields: Mapping[str, Any]) -> Any:
 _TRACTION = _struct("Traction", dict.fromkeys(stick_slip.Traction._fields, float))
 
 
-def stack_records(struct: WarpStruct, records: Sequence[Any], device: Any) -> Any:
+def stack_records(struct: WarpStruct, records: Sequence[Any], device: wp.Device) -> Any:
     """Stack the records of several worlds in one batched struct on a device."""
     batched = struct.batched()
     for name in records[0]._fields:
@@ -216,16 +217,16 @@ def single_record(struct: WarpStruct, record: Any) -> Any:
     return single
 
 
-def _type_and_ndim(value: Any) -> tuple[type, int]:
+def _type_and_ndim(value: ArrayLike) -> tuple[type, int]:
     array = np.asarray(value)
     return (float if array.dtype.kind == "f" else int), array.ndim
 
 
-def _function_from_source(source: str, namespace: Mapping[str, Any]) -> Any:
+def _function_from_source(source: str, namespace: Mapping[str, object]) -> wp.Function:
     name = source[4 : source.index("(")]
     file = f"<{__name__}.{name}>"
     linecache.cache[file] = len(source), None, source.splitlines(keepends=True), file
-    definitions: dict[str, Any] = dict(namespace)
+    definitions = dict(namespace)
     exec(compile(source, file, "exec"), definitions)
     definitions[name].__module__ = __name__
     return wp.func(definitions[name])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 
@@ -248,7 +248,7 @@ class AnalyticalSnake(PneumaticPlant):
         """Number of jumps between resting poses, always 0 in planar models."""
         return self.body.jumps
 
-    def describe(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, object]:
         """See `Plant.describe`."""
         options = self.options
         about = super().describe() | {
@@ -268,7 +268,7 @@ class AnalyticalSnake(PneumaticPlant):
             about["load"] = options.load
         return about
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """See `Plant.identity`."""
         identity = super().identity() | {"floor": short_digest(self.world.floor)}
         if self.has_contact:

@@ -38,7 +38,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from srs_twin.compute.compiled import compiled, inlined, kernel_only, overload_part
+from srs_twin.compute.compiled import (
+    Function,
+    compiled,
+    inlined,
+    kernel_only,
+    overload_part,
+)
 from srs_twin.plants.analytical.kinematics import COS, SIN, SPIN, VX, VY, X, Y
 from srs_twin.robot import friction
 from srs_twin.robot.friction import FRICTION_LAWS
@@ -457,7 +463,7 @@ def _unsymmetric_forces(body, mass, u, floor):  # type: ignore[no-untyped-def]
     return BodyForces(fx, fy, moment, power, xx, xy, xz, yx, yy, yz, zx, zy, zz)
 
 
-def _forces_of_case(case: int) -> Any:
+def _forces_of_case(case: int) -> Function:
     if case % len(FRICTION_LAWS) == _COSINE:
         return _unsymmetric_forces
     return _symmetric_forces

@@ -19,8 +19,8 @@ engine releases the global interpreter lock.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Sized
-from typing import Any
+from collections.abc import Sequence, Sized
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from srs_twin.compute.workers import Workers
 from srs_twin.errors import DivergedError, InputError, check_choice
 from srs_twin.io.arguments import checked
 from srs_twin.plants.base import Pose, SnakeState, check_commands
-from srs_twin.plants.twin.snake import TwinSnake
+from srs_twin.plants.twin.snake import TwinKeywords, TwinSnake
 from srs_twin.pneumatics import Pneumatics, Schedule
 from srs_twin.robot.spec import RobotSpec
 
@@ -55,7 +55,7 @@ class TwinBatch(Claimable):
 
     def __new__(
         cls,
-        *arguments: Any,
+        *arguments: Sequence[RobotSpec],
         engine: str = "cpu",
         device: str | None = None,
         **settings: Any,
@@ -87,7 +87,7 @@ class TwinBatch(Claimable):
         supply_pa: float | Sequence[float] | None = None,
         threads: int | None = None,
         engine: str = "cpu",
-        **settings: Any,
+        **settings: Unpack[TwinKeywords],
     ) -> None:
         """Build the twins of all runs.
 
@@ -265,7 +265,7 @@ def on_warp(
     threads: int | None = None,
     device: str | None = None,
     deterministic: bool = False,
-    **settings: Any,
+    **settings: Unpack[TwinKeywords],
 ) -> Any:
     """Build a `WarpBatch` from the arguments of `TwinBatch`."""
     return warp_batch()(
@@ -294,7 +294,7 @@ def _twins(
     workers: Workers,
     specs: Sequence[RobotSpec],
     supply_pa: float | Sequence[float] | None,
-    settings: Mapping[str, Any],
+    settings: TwinKeywords,
     *,
     once: bool = False,
 ) -> tuple[TwinSnake, ...]:

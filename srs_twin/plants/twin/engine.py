@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 
 
-def c_function(name: str, *more: Any) -> Any:
+def c_function(name: str, *more: types.Type) -> Any:
     """Return a C function of MuJoCo that compiled kernels can call.
 
     The C function takes the addresses of a model and its data, followed by arguments of
@@ -40,7 +40,7 @@ class EngineData(NamedTuple):
 
     model: int
     data: int
-    objects: Any
+    objects: tuple[object, ...] | None
     qpos: np.ndarray
     qvel: np.ndarray
     qfrc_applied: np.ndarray

@@ -447,7 +447,7 @@ class SnakePhysics(Stateful):
         mujoco.mj_getState(self.model, self.data, engine, _SAVED_STATE)
         return super().state_dict() | {"engine": engine}
 
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state: Mapping[str, object]) -> None:
         """Restore a saved state.
 
         Raises:

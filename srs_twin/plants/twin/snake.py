@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 
@@ -74,6 +74,21 @@ class Loads(NamedTuple):
     obstacle_force: np.ndarray
     body_work: np.ndarray
     internal_loss: np.ndarray
+
+
+class TwinKeywords(TypedDict, total=False):
+    """Keyword arguments of `TwinSnake` that all runs of a batch share."""
+
+    contact: Contact | ContactName
+    timestep: float | None
+    hinges_per_segment: int
+    tick: float | None
+    layout: str
+    pneumatics: str | Pneumatics
+    sensor: str | Sensor
+    world: World | None
+    base: str
+    numerics: Numerics
 
 
 class TwinSnake(PneumaticPlant):

@@ -22,7 +22,9 @@ probability exceeds 2.5 % if n is below `MIN_BOUNDING_SAMPLES`.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypedDict
 
 import numpy as np
 from scipy.stats import bootstrap
@@ -56,6 +58,75 @@ _RESAMPLINGS = 400
 _BATCH = 50
 
 
+class SensitivityDocument(TypedDict):
+    """Sensitivity indices of one quantity, with errors, and its best and worst rank."""
+
+    first: float
+    total: float
+    first_error: float
+    total_error: float
+    rank: Sequence[int]
+
+
+class MetricDocument(TypedDict):
+    """Distribution of a metric as JSON-compatible data (`MetricUncertainty`)."""
+
+    value: float
+    interval_50: Sequence[float]
+    interval_95: Sequence[float]
+    interval_50_error: Sequence[float]
+    interval_95_error: Sequence[float]
+    median: float
+    value_at_medians: float | None
+    samples: int
+    runs: int
+    u_input: float
+    u_num: float | None
+    sensitivity: Mapping[str, SensitivityDocument] | None
+    published: float | None
+    verdict: str | None
+
+
+class TargetDocument(TypedDict):
+    """Plant and metric whose uncertainty is explained."""
+
+    plant: str
+    metric: str
+
+
+class SwingDocument(TypedDict):
+    """Effect of one quantity as JSON-compatible data (`propagation.Swing`)."""
+
+    parameter: str
+    low: float
+    high: float
+    error: float
+
+
+class UncertaintyDocument(TypedDict):
+    """Result of an uncertainty study as JSON-compatible data.
+
+    Attributes:
+        plants: distribution of each metric, keyed by plant name and metric.
+        swings: effect of each quantity on the target metric.
+        segments: speed ranges of the twin, or None (`Propagation.segments`).
+    """
+
+    scenario: str
+    robot: str
+    changes: Sequence[object]
+    contact: str | None
+    plants: Mapping[str, Mapping[str, MetricDocument]]
+    measure_next: Sequence[object]
+    swings: Sequence[SwingDocument]
+    segments: Mapping[str, Sequence[float]] | None
+    warnings: Sequence[str]
+    target: TargetDocument
+    fidelity: Mapping[str, object]
+    priors: object
+    forms: Mapping[str, Sequence[object]]
+
+
 @dataclass(frozen=True)
 class SobolIndices:
     """Sensitivity indices of one metric.
@@ -86,13 +157,20 @@ class SobolIndices:
             )
         ]
 
-    def document(self, names: tuple[str, ...]) -> dict[str, object]:
+    def document(self, names: tuple[str, ...]) -> dict[str, SensitivityDocument]:
         """Return the indices and ranks of each quantity as JSON-compatible data."""
-        keys = ("first", "total", "first_error", "total_error")
         columns = np.array([self.first, self.total, *self.half_width]).T.tolist()
         return {
-            name: {**dict(zip(keys, column, strict=True)), "rank": list(rank)}
-            for name, column, rank in zip(names, columns, self.ranks(), strict=True)
+            name: {
+                "first": first,
+                "total": total,
+                "first_error": first_error,
+                "total_error": total_error,
+                "rank": list(rank),
+            }
+            for name, (first, total, first_error, total_error), rank in zip(
+                names, columns, self.ranks(), strict=True
+            )
         }
 
 
@@ -191,7 +269,7 @@ class MetricUncertainty:
             self.published, self.interval("interval_95"), self.errors[2:].tolist()
         )
 
-    def document(self, names: tuple[str, ...]) -> dict[str, object]:
+    def document(self, names: tuple[str, ...]) -> MetricDocument:
         """Return the distribution as JSON-compatible data, given the quantity names."""
         sensitivity = None
         if self.indices is not None:
@@ -199,7 +277,8 @@ class MetricUncertainty:
         verdict = self.verdict
         return {
             "value": self.value,
-            **{name: list(self.interval(name)) for name in RANGES},
+            "interval_50": list(self.interval("interval_50")),
+            "interval_95": list(self.interval("interval_95")),
             "interval_50_error": self.errors[:2].tolist(),
             "interval_95_error": self.errors[2:].tolist(),
             "median": self.median,

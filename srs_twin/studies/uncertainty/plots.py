@@ -9,6 +9,11 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from srs_twin.studies.uncertainty.metric_uncertainty import (
+    MetricDocument,
+    SwingDocument,
+    UncertaintyDocument,
+)
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import PUBLISHED_COLOR, drawing, finish, style_of
 
@@ -53,7 +58,7 @@ _ERROR: dict[str, Any] = {
 
 
 @drawing
-def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
+def draw_intervals(title: str, document: UncertaintyDocument) -> Figure:
     """Plot the intervals of the target metric and the effect of each quantity on it.
 
     The argument `document` is the return value of `Propagation.document`.
@@ -108,7 +113,7 @@ def draw_intervals(title: str, document: Mapping[str, Any]) -> Figure:
 
 
 def _draw_intervals(
-    axes: Axes, rows: Mapping[str, Mapping[str, Any]], metric: str
+    axes: Axes, rows: Mapping[str, MetricDocument], metric: str
 ) -> None:
     """Draw the 50 % and 95 % intervals, with error bars of two standard errors."""
     for y, (name, row) in enumerate(rows.items()):
@@ -143,16 +148,16 @@ def _draw_intervals(
 
 def _draw_swings(
     axes: Axes,
-    swings: Sequence[Mapping[str, Any]],
+    swings: Sequence[SwingDocument],
     plant: str,
-    row: Mapping[str, Any],
+    row: MetricDocument,
     metric: str,
 ) -> None:
     """Draw a bar for the effect of each quantity, hatched if the rank is uncertain."""
     style = style_of(plant)
     labels = []
     for y, swing in enumerate(reversed(swings)):
-        index = row["sensitivity"][swing["parameter"]]
+        index = (row["sensitivity"] or {})[swing["parameter"]]
         low, high = sorted((swing["low"], swing["high"]))
         best, worst = index["rank"]
         is_tied = best < worst
@@ -186,13 +191,13 @@ def _draw_swings(
     finish(axes, "", metric_label(metric))
 
 
-def _count_text(row: Mapping[str, Any]) -> str:
+def _count_text(row: MetricDocument) -> str:
     samples = row["samples"]
     runs = row["runs"]
     return f"{samples} samples" + (f", {runs} runs" if runs < samples else "")
 
 
-def _text_lines(document: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _text_lines(document: UncertaintyDocument) -> list[tuple[str, str]]:
     warnings = [f"Warning: {text}" for text in document["warnings"]]
     return [
         (line, color)

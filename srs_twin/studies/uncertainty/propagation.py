@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -48,6 +48,7 @@ from srs_twin.studies.uncertainty.metric_uncertainty import (
     RANGES,
     MetricUncertainty,
     SobolIndices,
+    UncertaintyDocument,
     predict_twin,
     sampling_errors,
 )
@@ -321,7 +322,7 @@ class Propagation:
             self.study.fractions, _fill_missing(self._target.samples)[:, None]
         )
 
-    def document(self) -> dict[str, object]:
+    def document(self) -> UncertaintyDocument:
         """Return the result as JSON-compatible data."""
         names = self.study.names
         plants = {
@@ -339,7 +340,15 @@ class Propagation:
             "contact": twin_contact(self.study.scenario),
             "plants": plants,
             "measure_next": list(map(asdict, self.measure_next())),
-            "swings": list(map(asdict, self.swings())),
+            "swings": [
+                {
+                    "parameter": swing.parameter,
+                    "low": swing.low,
+                    "high": swing.high,
+                    "error": swing.error,
+                }
+                for swing in self.swings()
+            ],
             "segments": self.segments,
             "warnings": self.warnings,
             "target": {"plant": plant, "metric": metric},
@@ -411,7 +420,7 @@ class Propagation:
         return failed
 
 
-def _rounded(data: Any) -> Any:
+def _rounded(data: object) -> object:
     if isinstance(data, dict):
         return {key: _rounded(value) for key, value in data.items()}
     if isinstance(data, list):

@@ -142,7 +142,7 @@ class UncertaintyStudy:
 
     def _sampled(
         self, fractions: np.ndarray, plant: str, step: float
-    ) -> Iterator[list[Any]]:
+    ) -> Iterator[list[Value]]:
         """Yield the row of values for each point u, with a stable time step."""
         parameters, choices = np.split(fractions, [len(self.priors.parameters)], axis=1)
         for values, chosen in zip(
@@ -156,8 +156,8 @@ class UncertaintyStudy:
             yield [*values, *(o[int(f * len(o))] for o, f in options), own_step]
 
     def _over_segments(
-        self, nominal: Sequence[Any], step: float
-    ) -> Iterator[list[Any]]:
+        self, nominal: Sequence[Value], step: float
+    ) -> Iterator[list[Value]]:
         """Yield all combinations of nominal and extreme stiffness and damping times."""
         places = [self.priors.paths.index(path) for path in (STIFFNESS, DAMPING)]
         levels = []
@@ -175,7 +175,7 @@ def on_plant(
     document: Mapping[str, Any],
     plant: str,
     settings: Mapping[str, object] | None = None,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return a scenario with a single plant and no expectations, as plain data.
 
     By default, the plant has the settings from the scenario.
@@ -200,7 +200,7 @@ def compliant_scenario(scenario: Scenario) -> Mapping[str, object] | None:
     return compliant.document
 
 
-def _field_value(document: object, name: str) -> object:
+def _field_value(document: object, name: str) -> Any:
     for key in name.split("."):
         if not isinstance(document, Mapping) or key not in document:
             raise UnknownNameError(

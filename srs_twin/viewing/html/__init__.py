@@ -41,7 +41,7 @@ class Picture(NamedTuple):
     caption: str
 
 
-def render(template: str, **content: Any) -> str:
+def render(template: str, **content: object) -> str:
     """Render an HTML template of this package.
 
     Strings in `content` are HTML-escaped, and `Markup` objects are inserted unchanged.
@@ -103,7 +103,7 @@ def image(content: bytes, kind: str, caption: str) -> Picture:
     )
 
 
-def cell(value: Any) -> str:
+def cell(value: object) -> str:
     """Format a JSON value for a table cell, with a dash for None."""
     match value:
         case None:

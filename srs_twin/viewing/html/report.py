@@ -6,12 +6,13 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
+    RunMetrics,
     all_units,
     chosen,
     headline,
@@ -67,7 +68,7 @@ def write_report(
     content: RunContent,
     *,
     scenario_title: str,
-    metrics: Mapping[str, Any],
+    metrics: RunMetrics,
     attribution: Attribution | None = None,
 ) -> None:
     """Write the report of one run as a self-contained HTML file.
@@ -103,7 +104,7 @@ def write_report(
 
 def notebook_run(
     title: str,
-    metrics: Mapping[str, Any],
+    metrics: RunMetrics,
     trajectories: Mapping[str, Trajectory],
     spec: RobotSpec,
 ) -> str:
@@ -119,7 +120,7 @@ def notebook_run(
 def page_of_run(trajectory: Trajectory) -> str:
     """Return the metrics and the path of a trajectory as HTML for a notebook."""
     plant = str(trajectory.metadata.get("plant", "run"))
-    metrics = {"plants": {plant: plant_metrics(trajectory)}}
+    metrics: RunMetrics = {"plants": {plant: plant_metrics(trajectory)}}
     lines = {
         "centre of mass": trajectory.com,
         "body at the end": trajectory.position[-1],
@@ -142,7 +143,7 @@ def page_of_comparison(comparison: Comparison) -> str:
     )
 
 
-def _results(metrics: Mapping[str, Any], names: Iterable[str]) -> Table:
+def _results(metrics: RunMetrics, names: Iterable[str]) -> Table:
     plants = metrics["plants"]
     published_values = published(metrics.get("expectations") or ())
     both = {"analytical", "twin"} <= plants.keys()
@@ -195,7 +196,7 @@ def _expectations(
     return Table(headings, rows, numbers=[3])
 
 
-def _attribution(attribution: Attribution | None) -> dict[str, Any]:
+def _attribution(attribution: Attribution | None) -> dict[str, object]:
     if attribution is None:
         return {"attribution": None}
     measures = [f"{title}, {unit}" for title, unit in MEASURES.values()]
@@ -278,7 +279,7 @@ def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
 
 
 def _settings(
-    spec: RobotSpec, trajectories: Mapping[str, Trajectory], versions: Mapping[str, Any]
+    spec: RobotSpec, trajectories: Mapping[str, Trajectory], versions: Mapping[str, str]
 ) -> dict[str, Table]:
     settings = {plant: run.metadata for plant, run in trajectories.items()}
     keys = dict.fromkeys(key for metadata in settings.values() for key in metadata)
@@ -328,8 +329,8 @@ def _robot_units() -> dict[str, str]:
     return {name: unit.replace("*", "·") for name, unit in units.items()}
 
 
-def _leaves(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    leaves: list[tuple[str, Any]] = []
+def _leaves(tree: Mapping[str, object], prefix: str = "") -> list[tuple[str, object]]:
+    leaves: list[tuple[str, object]] = []
     for name, value in tree.items():
         if isinstance(value, Mapping):
             leaves += _leaves(value, f"{prefix}{name}.")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import atexit
 import weakref
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
-from srs_twin.viewing.mujoco.opengl import new_context, usable_opengl
+from srs_twin.viewing.mujoco.opengl import OpenGLContext, new_context, usable_opengl
 from srs_twin.viewing.plots.style import unit_rgba
 
 _MAX_GEOMS = 20_000
@@ -119,7 +119,7 @@ class Canvas:
         return pixels[::-1]
 
 
-def _free(context: mujoco.MjrContext, opengl: Any) -> None:
+def _free(context: mujoco.MjrContext, opengl: OpenGLContext) -> None:
     opengl.make_current()
     context.free()
     opengl.free()

@@ -14,7 +14,6 @@ import time as wall
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 from srs_twin.control.base import Controller
 from srs_twin.control.commands import CommandedGait, GaitCommand, GaitLimits
@@ -90,7 +89,11 @@ class LiveSnake:
         self._modified = modified
         self._controller = None
         if scenario is not None:
-            self.twin: Any = scenario.build_plant("twin")
+            twin = scenario.build_plant("twin")
+            assert isinstance(twin, TwinSnake), (
+                "the kind of the plant ensures this type"
+            )
+            self.twin = twin
             limits = GaitLimits.for_robot(self.twin.spec)
             # The pneumatic model cannot exceed the supply pressure of the scenario.
             low, high = (min(limit, scenario.supply_pa) for limit in limits.pressure)

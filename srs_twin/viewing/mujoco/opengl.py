@@ -13,7 +13,7 @@ import os
 import subprocess
 import sys
 from functools import lru_cache
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
@@ -81,9 +81,21 @@ def usable_opengl() -> str:
     )
 
 
-def new_context(name: str, width: int, height: int) -> Any:
+class OpenGLContext(Protocol):
+    """OpenGL context of one of MuJoCo's backends."""
+
+    def make_current(self) -> None:
+        """Use the context in this thread."""
+
+    def free(self) -> None:
+        """Release the memory of the context."""
+
+
+def new_context(name: str, width: int, height: int) -> OpenGLContext:
     """Create an OpenGL context with the given backend and image size."""
-    return importlib.import_module(_MODULES[name]).GLContext(width, height)
+    module = importlib.import_module(_MODULES[name])
+    context: OpenGLContext = module.GLContext(width, height)
+    return context
 
 
 def _test(name: str) -> str:

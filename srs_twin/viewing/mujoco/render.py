@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import mujoco
 import numpy as np
@@ -33,7 +33,7 @@ from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES, drawin
 AddFrame = Callable[[np.ndarray], None]
 
 
-def encoder() -> Any:
+def encoder() -> ModuleType:
     """Import and return the video encoder PyAV."""
     try:
         import av

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import added_to
@@ -82,7 +83,8 @@ class Stage:
         if self.ghost is not None:
             geometry = scenario.robot.geometry
             self._ghost_line = body_line(self.ghost.run, geometry, _GHOST_CHORDS)
-        plant: Any = scenario.build_plant("twin", pneumatics="lag", sensor="ideal")
+        plant = scenario.build_plant("twin", pneumatics="lag", sensor="ideal")
+        assert isinstance(plant, TwinSnake), "the kind of the plant ensures this type"
         self.model = plant.physics.model
         self.data = mujoco.MjData(self.model)
         self._qpos = run.stack("qpos")

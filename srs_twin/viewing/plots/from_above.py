@@ -169,10 +169,11 @@ def draw_body(
         axes.add_patch(
             PathPatch(outline, facecolor=style.color, alpha=0.25, linewidth=0)
         )
-    look: dict[str, Any] = {"color": style.color, "zorder": 5}
     for ring in rings:
-        axes.plot(*ring.T, linestyle=style.dash, linewidth=1.0, **look)
-    axes.plot(*sample.position[0, 0], "o", markersize=2.5, **look)
+        axes.plot(
+            *ring.T, color=style.color, linestyle=style.dash, linewidth=1.0, zorder=5
+        )
+    axes.plot(*sample.position[0, 0], "o", color=style.color, markersize=2.5, zorder=5)
 
 
 def bounds(

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any
 
 from srs_twin.comparison.metrics import COMPARISON_UNITS, all_units
 from srs_twin.comparison.sampling import split_unit as split_metric
+from srs_twin.io.validation import Schema
 from srs_twin.robot.sourced import split_unit
 from srs_twin.scenario.file import with_extensions
 
@@ -126,11 +126,11 @@ def _title(path: str) -> str:
 
 
 @lru_cache(maxsize=1)
-def _schema() -> dict[str, Any]:
+def _schema() -> Schema:
     return with_extensions().model_json_schema()
 
 
-def _options(node: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+def _options(node: Schema) -> Iterator[Schema]:
     """Yield a schema node and all nodes that it references or lists as options."""
     yield node
     if "$ref" in node:

@@ -274,9 +274,8 @@ def _plot_learning(
             "linestyle": style.dash,
             "linewidth": 1.4,
         }
-        target: dict[str, Any] = {"color": color, "linestyle": ":", "linewidth": 0.8}
         bends.plot(periods, run.amplitude[:, j, side], **line)
-        bends.plot(periods, run.target[:, j, side], **target)
+        bends.plot(periods, run.target[:, j, side], ":", color=color, linewidth=0.8)
         duties.plot(periods, run.duty[:, j, side], **line)
 
 
@@ -473,12 +472,13 @@ def _write_values(
     span = max(float(high.max() - low.min()), 1e-12)
     digits = max(0, 1 - math.floor(math.log10(span)))
     axes.set_xlim(low.min() - 0.24 * span, high.max() + 0.24 * span)
-    style: dict[str, Any] = {"va": "center", "fontsize": 9}
     for row, bar in enumerate(bars):
         text = "0"
         if round(bar, digits):
             text = f"{bar:+.{digits}f}".replace("-", "−")
+        x = high[row] + 0.02 * span
+        side = "left"
         if bar < 0:
-            axes.text(low[row] - 0.02 * span, row, text, ha="right", **style)
-        else:
-            axes.text(high[row] + 0.02 * span, row, text, ha="left", **style)
+            x = low[row] - 0.02 * span
+            side = "right"
+        axes.text(x, row, text, ha=side, va="center", fontsize=9)

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 from matplotlib import rc_context, rcParams, rcParamsDefault
@@ -53,6 +53,15 @@ PLUS_RGB = rgb(PLUS_COLOR)
 MINUS_RGB = rgb(MINUS_COLOR)
 
 
+class LineStyle(TypedDict):
+    """Keyword arguments of `Axes.plot` for a line."""
+
+    color: str
+    linestyle: str
+    linewidth: float
+    label: str
+
+
 @dataclass(frozen=True)
 class Style:
     """Line style of a plant or another data source, with Okabe–Ito colours.
@@ -75,7 +84,7 @@ class Style:
         return rgb(self.color)
 
     @property
-    def line(self) -> dict[str, Any]:
+    def line(self) -> LineStyle:
         """Line style as keyword arguments for `Axes.plot`."""
         return {
             "color": self.color,

@@ -122,7 +122,7 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
         y = run[f"object_y_{k}"]
         turn = run[f"object_heading_{k}"] / 2
         rotation = np.stack([0 * turn, 0 * turn, np.sin(turn), np.cos(turn)], axis=-1)
-        shape: object = rr.Cylinders3D
+        shape: type[rr.Boxes3D | rr.Cylinders3D] = rr.Cylinders3D
         look: dict[str, object] = {"lengths": [2 * half], "radii": [item.size[0]]}
         if item.is_box:
             shape = rr.Boxes3D
@@ -316,7 +316,7 @@ def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
 def _send_solids(
     to: Entities,
     name: str,
-    shape: Any,
+    shape: type[rr.Boxes3D | rr.Cylinders3D],
     centres: np.ndarray,
     rotations: np.ndarray,
     **appearance: Any,

@@ -24,7 +24,7 @@ from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.util import find_spec
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 from urllib.parse import quote, urlsplit
 
 from srs_twin.errors import InputError
@@ -221,10 +221,17 @@ def serve_recordings(
 class _ProxyHandler(BaseHTTPRequestHandler):
     """Request handler that removes links to other hosts from Rerun's files."""
 
-    def __init__(self, source: str, query: str, *request: Any) -> None:
+    def __init__(
+        self,
+        source: str,
+        query: str,
+        connection: socket.socket,
+        client: tuple[str, int],
+        server: ThreadingHTTPServer,
+    ) -> None:
         self.source = source
         self.query = query
-        super().__init__(*request)
+        super().__init__(connection, client, server)
 
     def do_GET(self) -> None:
         url = urlsplit(self.path)

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -111,7 +111,7 @@ def preload_force(spec: RobotSpec, contact: PreloadedContact) -> np.ndarray:
     )
 
 
-def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
+def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, object]:
     """Return the attributes of contact pairs between the floor and wheels or skids.
 
     In `friction`, the coefficient along the heading precedes the coefficient across it.
@@ -121,7 +121,10 @@ def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, Any]:
     contact = settings.contact.for_robot(spec)
     low, high, depth, middle, power = _SOLIMP
     solimp = [low, high, depth * spec.scale.length, middle, power]
-    normal = {"solref": [settings.contact_time(spec), 1], "solimp": solimp}
+    normal: dict[str, object] = {
+        "solref": [settings.contact_time(spec), 1],
+        "solimp": solimp,
+    }
     if isinstance(contact, LoadedContact):
         return {"condim": 1} | normal
     across = mu_n / (1 + contact.preload_ratio)
