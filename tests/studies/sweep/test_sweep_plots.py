@@ -357,7 +357,7 @@ def test_every_metric_has_a_label_with_its_unit():
         (OFFSET, "steering offset"),
         ("duration_s", "simulated duration (s)"),
         ("plants.twin.timestep_s", "time step of the integrator, twin (s)"),
-        ("plants.twin.wheels", "wheels, twin"),
+        ("plants.twin.wheels", "wheels or skids, twin"),
         ("robot.bending.stiffness_nm_per_rad", "bending stiffness (N·m/rad)"),
         ("robot.friction.mu_n", "friction μ_n"),
         ("robot", "robot"),
