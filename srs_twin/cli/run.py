@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypedDict
 
 import typer
 
@@ -76,6 +76,11 @@ class ReportOptions:
 DEFAULT_REPORT = ReportOptions()
 
 
+class _Explanation(TypedDict, total=False):
+    explain: Explain
+    main_cause: FindCause
+
+
 def run_case(
     task: tuple[Scenario, Path],
     progress: Callable[[str, float], None] | None = None,
@@ -94,20 +99,18 @@ def run_case(
     from srs_twin.experiment import prepare
 
     start = time.perf_counter()
-    explain_with: Explain | None = None
-    find_cause: FindCause | None = None
+    options: _Explanation = {}
     if explain:
         from srs_twin.attribution import explain as explain_difference
 
-        explain_with = explain_difference
+        options["explain"] = explain_difference
     elif plants is not None and len(plants) > 1:
         from srs_twin.attribution import main_cause
 
-        find_cause = main_cause
+        options["main_cause"] = main_cause
     scenario, folder = task
     try:
-        prepared = prepare(scenario, folder, plants=plants)
-        result = prepared.execute(progress, explain=explain_with, main_cause=find_cause)
+        result = prepare(scenario, folder, plants=plants).execute(progress, **options)
     except InputError as error:
         return CaseResult(None, (error,), time.perf_counter() - start)
     errors = (*result.diverged, *result.failed_attributions)
