@@ -88,7 +88,9 @@ MAX_REPORTED = 3
 """Maximum number of designs reported for a study with one objective."""
 
 _OPTIMUM_DISTANCE = 0.1
-"""Minimum distance between two reported designs, measured like `_MIN_DISTANCE`."""
+"""Minimum distance between two reported designs, and of an explored design from all
+runs of the twin, measured like `_MIN_DISTANCE`.
+"""
 
 _CMA_FRACTION = 0.6
 """Fraction of the low-fidelity runs spent on random samples and CMA-ES."""
@@ -102,11 +104,6 @@ by interpolation. The same number is drawn from the whole design space.
 
 _EXPLORED = 2
 """Number of new candidates per round that fill gaps in a study with constraints."""
-
-_EXPLORED_DISTANCE = 0.05
-"""Minimum distance of an explored design from all runs of the twin, measured like
-`_MIN_DISTANCE`.
-"""
 
 _MIN_FEASIBILITY = 0.1
 """Minimum probability that an explored design satisfies the constraints."""
@@ -321,7 +318,7 @@ class _Search:
         """
         fractions = [run.fractions for run in candidates]
         distance = cdist(fractions, [run.fractions for run in self._twin_runs])
-        allowed = distance.min(axis=1) > _EXPLORED_DISTANCE
+        allowed = distance.min(axis=1) > _OPTIMUM_DISTANCE
         allowed &= self._feasibility(mean, sd) >= _MIN_FEASIBILITY
         allowed &= ~self._near_failures(fractions)
         if not allowed.any():
