@@ -148,7 +148,7 @@ def test_low_supply_pressure_is_reported_and_cleared_on_recovery():
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [7, 18])
 def test_first_strokes_of_compressible_chambers_are_not_a_loss_of_the_supply(seed):
-    """Before, all chambers that deviate from the first-order model seemed to lose pressure."""
+    """Chambers that deviate from the first-order model are not a loss of the supply."""
     run = Run(
         seed, 4.0, robot="gen2", frequency=2.0, cameras_s=4.0, pneumatics="orifice"
     )
