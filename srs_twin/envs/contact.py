@@ -20,13 +20,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import ClassVar, Unpack
 
 import numpy as np
 
 from srs_twin.control.gait import Gait
 from srs_twin.control.grasp import check_hold, hold_with
-from srs_twin.envs.crawling import Arena, CrawlEpisode, CrawlTask
+from srs_twin.envs.crawling import Arena, CrawlEpisode, CrawlKeywords, CrawlTask
 from srs_twin.envs.observed import (
     CAMERA,
     COSTS,
@@ -36,7 +36,7 @@ from srs_twin.envs.observed import (
     observation_groups,
     place_signals,
 )
-from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals
+from srs_twin.envs.task import Episode, RewardTerm, Signal, Signals, TaskKeywords
 from srs_twin.envs.variation import Robot
 from srs_twin.planning.camera import Camera
 from srs_twin.plants.twin.snake import TwinSnake
@@ -101,7 +101,11 @@ class PegsTask(CrawlTask):
     episode_class = PegsEpisode
 
     def __init__(
-        self, *, robot: Robot = ISOTROPIC_SKIN, limit_s: float = 12.0, **settings: Any
+        self,
+        *,
+        robot: Robot = ISOTROPIC_SKIN,
+        limit_s: float = 12.0,
+        **settings: Unpack[CrawlKeywords],
     ) -> None:
         """Create the task with a default of 3 hinges per segment.
 
@@ -115,8 +119,10 @@ class PegsTask(CrawlTask):
             1,
             friction=_FRICTION,
         )
-        settings = {"hinges_per_segment": 3, **settings}
-        super().__init__("Pegs", arena, robot=robot, limit_s=limit_s, **settings)
+        defaults: CrawlKeywords = {"hinges_per_segment": 3}
+        super().__init__(
+            "Pegs", arena, robot=robot, limit_s=limit_s, **(defaults | settings)
+        )
 
     def _observation_groups(self) -> dict[str, Signals]:
         groups = super()._observation_groups()
@@ -236,7 +242,7 @@ class GraspTask(CameraTask):
         robot: Robot = CHAIN,
         limit_s: float = 12.0,
         camera: Camera = CAMERA,
-        **settings: Any,
+        **settings: Unpack[TaskKeywords],
     ) -> None:
         """Create the task.
 
@@ -250,7 +256,8 @@ class GraspTask(CameraTask):
             UnknownNameError: a setting of the twin has an unknown name.
             InputError: the robot, fit, range or time limit is invalid.
         """
-        super().__init__(robot, limit_s, **{"timestep": TIMESTEP_S, **settings})
+        defaults: TaskKeywords = {"timestep": TIMESTEP_S}
+        super().__init__(robot, limit_s, **(defaults | settings))
         check_hold(HOLD, self.robot)
         self.camera = camera
         self.actions = (

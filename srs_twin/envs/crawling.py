@@ -22,7 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import ClassVar, Unpack
 
 import numpy as np
 
@@ -43,6 +43,7 @@ from srs_twin.envs.task import (
     RewardTerm,
     Signal,
     Signals,
+    TaskKeywords,
     abbreviate,
     as_finite_array,
 )
@@ -186,7 +187,7 @@ class CrawlEpisode(ObservedEpisode):
         self._offset = 0.0
         super().__init__(task, twin, state, seed)
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """See `Episode.identity`.
 
         The identity also contains a digest of the current world, because a reused twin
@@ -306,6 +307,24 @@ class SpatialCrawlEpisode(CrawlEpisode):
         return [*super()._last_command(), *self._pitch]
 
 
+class CrawlKeywords(TaskKeywords, total=False):
+    """Keyword arguments of `CrawlTask` except the robot and the time limit."""
+
+    camera: Camera
+
+
+class LimitedCrawlKeywords(CrawlKeywords, total=False):
+    """Keyword arguments of `CrawlTask` except the robot."""
+
+    limit_s: float
+
+
+class TaskSettings(LimitedCrawlKeywords, total=False):
+    """Keyword arguments of all tasks."""
+
+    robot: Robot
+
+
 class CrawlTask(CameraTask):
     """Task in which a snake crawls to a goal.
 
@@ -340,7 +359,7 @@ class CrawlTask(CameraTask):
         robot: Robot = "gen2",
         limit_s: float = 30.0,
         camera: Camera = CAMERA,
-        **settings: Any,
+        **settings: Unpack[TaskKeywords],
     ) -> None:
         """Create the task.
 
@@ -456,7 +475,12 @@ class SpatialCrawlTask(CrawlTask):
     spatial = True
     episode_class = SpatialCrawlEpisode
 
-    def __init__(self, *, robot: str = "spatial_example", **settings: Any) -> None:
+    def __init__(
+        self,
+        *,
+        robot: str = "spatial_example",
+        **settings: Unpack[LimitedCrawlKeywords],
+    ) -> None:
         """Create the task with the arguments of `CrawlTask`.
 
         Raises:

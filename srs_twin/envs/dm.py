@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from typing import Unpack
 
 import numpy as np
 
 from srs_twin.compute.claims import Claimable
+from srs_twin.envs.crawling import TaskSettings
 from srs_twin.envs.rendering import EpisodeRenderer
 from srs_twin.envs.task import (
     Episode,
@@ -158,7 +160,9 @@ class SnakeEnvironment(Claimable, control.Environment):  # type: ignore[misc]  #
     """dm_env environment of a task."""
 
 
-def load(task: str, *, seed: int | None = None, **settings: object) -> SnakeEnvironment:
+def load(
+    task: str, *, seed: int | None = None, **settings: Unpack[TaskSettings]
+) -> SnakeEnvironment:
     """Create the dm_env environment of a task.
 
     Args:

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import gymnasium
 import numpy as np
@@ -22,6 +22,7 @@ from gymnasium.vector import SyncVectorEnv
 
 from srs_twin.compute.claims import Claimable
 from srs_twin.compute.workers import Workers
+from srs_twin.envs.crawling import TaskSettings
 from srs_twin.envs.rendering import EpisodeRenderer
 from srs_twin.envs.task import (
     Episode,
@@ -59,7 +60,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         episode: current episode, or None before the first `reset`.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]
+    metadata: ClassVar[dict[str, object]] = {  # type: ignore[misc]
         "render_modes": list(RENDER_MODES),
         "render_fps": FPS,
     }
@@ -71,7 +72,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
-        **settings: Any,
+        **settings: Unpack[TaskSettings],
     ) -> None:
         """Create the environment.
 
@@ -98,8 +99,8 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         self._renderer = EpisodeRenderer(width, height)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+        self, *, seed: int | None = None, options: dict[str, object] | None = None
+    ) -> tuple[np.ndarray, dict[str, object]]:
         """Start an episode.
 
         Args:
@@ -119,7 +120,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         return self.start_episode(seed, self.draw_episode(seed, options))
 
     def draw_episode(
-        self, seed: int | None, options: dict[str, Any] | None
+        self, seed: int | None, options: dict[str, object] | None
     ) -> tuple[np.random.Generator, Episode]:
         """Draw an episode, and return the random number generator and the episode.
 
@@ -148,7 +149,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
 
     def start_episode(
         self, seed: int | None, drawn: tuple[np.random.Generator, Episode]
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+    ) -> tuple[np.ndarray, dict[str, object]]:
         """Start a drawn episode, and return its first observation and info.
 
         `seed` must be the seed that was passed to `draw_episode`.
@@ -227,6 +228,14 @@ def _checked_options(options: object) -> dict[str, Any]:
     return dict(options)
 
 
+class EnvSettings(TaskSettings, total=False):
+    """Optional keyword arguments of `SnakeEnv`."""
+
+    render_mode: str | None
+    width: int
+    height: int
+
+
 def space_of(signals: Signals) -> spaces.Box:
     """Return a box space with the bounds of the signals."""
     return spaces.Box(lower_bounds(signals), upper_bounds(signals), dtype=np.float32)
@@ -254,7 +263,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         threads: int | None = None,
         engine: str = "cpu",
         device: str | None = None,
-        **settings: Any,
+        **settings: Unpack[EnvSettings],
     ) -> None:
         """Create the environments.
 
@@ -287,8 +296,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         self,
         *,
         seed: int | Sequence[int | None] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+        options: dict[str, object] | None = None,
+    ) -> tuple[np.ndarray, dict[str, object]]:
         """Start an episode in every environment.
 
         Args:
@@ -329,7 +338,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
 
     def step(
         self, actions: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, object]]:
         """Step all environments.
 
         Args:
@@ -431,8 +440,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         observation, info = self.envs[k].reset()
         return StepResult(observation, 0.0, False, False, info)
 
-    def _merge_infos(self, infos: Any) -> dict[str, Any]:
-        merged: dict[str, Any] = {}
+    def _merge_infos(self, infos: Iterable[dict[str, object]]) -> dict[str, object]:
+        merged: dict[str, object] = {}
         for k, info in enumerate(infos):
             merged = self._add_info(merged, info, k)
         return merged

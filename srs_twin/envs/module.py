@@ -14,14 +14,14 @@ the whole episode, so no shaping term is needed.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
+from typing import Unpack
 
 import numpy as np
 
 from srs_twin.control.base import MAX_READING_RAD, SensorReadings
 from srs_twin.control.pwm import PulseWidthModulator
 from srs_twin.control.smc import CARRIER_HZ
-from srs_twin.envs.task import Episode, RewardTerm, Signal, Task
+from srs_twin.envs.task import Episode, RewardTerm, Signal, Task, TaskKeywords
 from srs_twin.errors import InputError
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.pneumatics.chambers import largest_bend
@@ -58,7 +58,11 @@ class ModuleTask(Task):
     )
 
     def __init__(
-        self, *, robot: str = "gen4_module", limit_s: float = 5.0, **settings: Any
+        self,
+        *,
+        robot: str = "gen4_module",
+        limit_s: float = 5.0,
+        **settings: Unpack[TaskKeywords],
     ) -> None:
         """Create the task.
 
@@ -72,9 +76,8 @@ class ModuleTask(Task):
             InputError: the robot has several segments, or the fit, range or time limit
                 is invalid.
         """
-        super().__init__(
-            robot, limit_s, **{"sensor": "hall", "timestep": TIMESTEP_S, **settings}
-        )
+        defaults: TaskKeywords = {"sensor": "hall", "timestep": TIMESTEP_S}
+        super().__init__(robot, limit_s, **(defaults | settings))
         spec = self.robot
         if spec.segments != 1:
             raise InputError(

@@ -42,7 +42,7 @@ from srs_twin.planning.camera import Camera
 from srs_twin.planning.follower import Conditions, Follower
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.planner import plan
-from srs_twin.planning.problem import Problem, Settings
+from srs_twin.planning.problem import Plan, Problem, Settings
 from srs_twin.planning.steering import PathTracking
 from srs_twin.plants.base import SnakeState
 from srs_twin.robot.spec import RobotSpec
@@ -270,7 +270,7 @@ class PathFollowing(_Baseline):
         world = World(tuple(_circles(values, pose)), self._arena.room, goal)
         measured = load_footprint(FOOTPRINT)
 
-        def replan(start: Pose, fraction: float = 1.0) -> Any:
+        def replan(start: Pose, fraction: float = 1.0) -> Plan:
             footprint = measured.reduced(TURN_FRACTION, fraction * MARGIN_M)
             return plan(Problem(start, goal, world, footprint), _PLANNER_SETTINGS)
 

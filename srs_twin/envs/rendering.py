@@ -6,12 +6,15 @@ indicate the chamber pressures.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
 
 from srs_twin.envs.task import Episode
+
+if TYPE_CHECKING:
+    from srs_twin.viewing.mujoco.canvas import Canvas
 
 _GOAL_LINE = 0.003
 """Ratio of half the line width of the goal ring to the camera distance."""
@@ -34,7 +37,7 @@ class EpisodeRenderer:
 
     def __init__(self, width: int, height: int) -> None:
         self.size = width, height
-        self._canvas: Any = None
+        self._canvas: Canvas | None = None
         self._model: mujoco.MjModel | None = None
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -60,6 +63,7 @@ class EpisodeRenderer:
         self._skins.show(episode.state.pressure, episode.twin.spec.supply.nominal)
         mujoco.mj_camlight(model, data)
         camera = _camera(episode)
+        assert self._canvas is not None, "created for the first model"
         image: np.ndarray = self._canvas.draw(
             data, camera, lambda scene: _add_goal(scene, episode, camera.distance)
         )

@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from inspect import signature
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Unpack
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from srs_twin.errors import (
 from srs_twin.io.files import StrPath
 from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.plants.base import SnakeState
-from srs_twin.plants.twin.snake import TwinSnake
+from srs_twin.plants.twin.snake import TwinSettings, TwinSnake
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import Goal, World
 
@@ -161,7 +161,16 @@ class StepResult(NamedTuple):
     reward: float
     terminated: bool
     truncated: bool
-    info: dict[str, Any]
+    info: dict[str, object]
+
+
+class TaskKeywords(TwinSettings, total=False):
+    """Optional keyword arguments of `Task`."""
+
+    fit: StrPath | None
+    ranges: Ranges | None
+    rewards: Mapping[str, float] | None
+    observations: Sequence[str] | None
 
 
 class Task(ABC):
@@ -199,7 +208,7 @@ class Task(ABC):
         ranges: Ranges | None = None,
         rewards: Mapping[str, float] | None = None,
         observations: Sequence[str] | None = None,
-        **twin_settings: Any,
+        **twin_settings: Unpack[TwinSettings],
     ) -> None:
         """Initialise the task.
 
@@ -319,7 +328,9 @@ class Task(ABC):
         spec: RobotSpec,
         last: Episode | None,
         world: World | None = None,
-        **own: Any,
+        *,
+        base: str = "free",
+        supply_pa: float | None = None,
     ) -> TwinSnake:
         solid = world is not None and world.has_obstacles
         if (
@@ -329,7 +340,12 @@ class Task(ABC):
         ):
             return last.twin
         return TwinSnake(
-            spec, tick=self.step_s, world=world, **own, **self._twin_settings
+            spec,
+            tick=self.step_s,
+            world=world,
+            base=base,
+            supply_pa=supply_pa,
+            **self._twin_settings,
         )
 
     @abstractmethod
@@ -428,7 +444,7 @@ class Episode(Stateful, ABC):
     def _initialise_from_state(self) -> None:
         """Reset the attributes that depend on the initial state."""
 
-    def identity(self) -> dict[str, Any]:
+    def identity(self) -> dict[str, object]:
         """Return the properties that a saved state must match, as JSON values."""
         return {"task": self._task.name, **self.twin.identity()}
 

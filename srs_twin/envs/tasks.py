@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Unpack
 
 from srs_twin.errors import UnknownNameError
 
 if TYPE_CHECKING:
+    from srs_twin.envs.crawling import TaskSettings
     from srs_twin.envs.task import Task
 
 TASKS = ("GoTo", "Obstacles", "Module", "Crawl3D", "Pegs", "Grasp")
 
 
-def make_task(name: str, **settings: Any) -> Task:
+def make_task(name: str, **settings: Unpack[TaskSettings]) -> Task:
     """Create the task with the given name.
 
     Args:
@@ -33,7 +35,7 @@ def make_task(name: str, **settings: Any) -> Task:
     arenas = {"GoTo": OPEN, "Obstacles": CIRCLES}
     if name in arenas:
         return CrawlTask(name, arenas[name], **settings)
-    tasks: dict[str, type[Task]] = {
+    tasks: dict[str, Callable[..., Task]] = {
         "Module": ModuleTask,
         "Crawl3D": SpatialCrawlTask,
         "Pegs": PegsTask,

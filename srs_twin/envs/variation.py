@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -25,7 +24,7 @@ from srs_twin.io.files import StrPath
 from srs_twin.robot.file import RobotFile, load_robot_file, robot_in
 from srs_twin.robot.spec import RobotSpec
 
-Robot = StrPath | Mapping[str, Any]
+Robot = StrPath | Mapping[str, object]
 Ranges = Mapping[str, tuple[float, float]]
 
 _SEED_COUNT = 2**32

@@ -279,7 +279,7 @@ class Follower(Controller):
             self.steering.begin(self._path)
         super().load_state_dict(memory)
 
-    def signals(self) -> dict[str, Any]:
+    def signals(self) -> dict[str, float | np.ndarray]:
         """Return the signals of the gait and of the follower.
 
         Pose signals are NaN before the first camera frame.

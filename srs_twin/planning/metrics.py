@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypedDict, cast
 
 import numpy as np
 
@@ -63,7 +63,54 @@ DISSERTATION_TIGHTEST = math.pi / 3 / 0.2
 """Curvature of the tightest turn in Section 5.2 (60 degrees over 0.2 m), 1/m."""
 
 
-def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
+class GoalRecord(TypedDict):
+    """Goal of a run that follows a plan, as in `Goal`."""
+
+    x: float
+    y: float
+    heading: float | None
+    radius: float
+
+
+class PlanRecord(TypedDict):
+    """Recorded plan.
+
+    Attributes:
+        segments: x, y, heading, curvature, length, offset and speed of each segment.
+    """
+
+    time: float
+    outcome: str
+    reason: str
+    nodes: int
+    segments: Sequence[Sequence[float]]
+
+
+class FootprintRecord(TypedDict):
+    """Recorded footprint, as in `Footprint`."""
+
+    name: str
+    title: str
+    offsets: Sequence[float]
+    curvatures: Sequence[float]
+    speeds: Sequence[float]
+    left: Sequence[float]
+    right: Sequence[float]
+    ahead: float
+    behind: float
+
+
+class FollowingRecord(TypedDict):
+    """Metadata of a follower."""
+
+    plans: Sequence[PlanRecord]
+    footprint: FootprintRecord
+    world: Mapping[str, object]
+    goal: GoalRecord
+    ending: str | None
+
+
+def following(trajectory: Trajectory) -> FollowingRecord | None:
     """Return the metadata of the follower, or None if the run has no follower."""
     control = trajectory.metadata.get("control")
     if isinstance(control, Mapping):
@@ -71,7 +118,7 @@ def following(trajectory: Trajectory) -> Mapping[str, Any] | None:
     else:
         metadata = None
     if isinstance(metadata, Mapping):
-        return metadata
+        return cast(FollowingRecord, metadata)
     return None
 
 
@@ -96,7 +143,7 @@ def legs(trajectory: Trajectory) -> Iterator[Leg]:
             yield Leg(slice(begin, end), segments_of(plan))
 
 
-def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
+def segments_of(plan: PlanRecord) -> tuple[Segment, ...]:
     """Return the path segments of a recorded plan."""
     from srs_twin.planning.path import Segment
     from srs_twin.robot.world import Pose
@@ -107,18 +154,19 @@ def segments_of(plan: Mapping[str, Any]) -> tuple[Segment, ...]:
     )
 
 
-def footprint_of(metadata: Mapping[str, Any]) -> Footprint:
+def footprint_of(metadata: FollowingRecord) -> Footprint:
     """Return the footprint that is recorded in the metadata of a follower."""
     from srs_twin.planning.footprint import Footprint
 
     data = metadata["footprint"]
-    columns = {
-        k: tuple(data[k]) for k in ("offsets", "curvatures", "speeds", "left", "right")
-    }
     return Footprint(
         data["name"],
         data["title"],
-        **columns,
+        offsets=tuple(data["offsets"]),
+        curvatures=tuple(data["curvatures"]),
+        speeds=tuple(data["speeds"]),
+        left=tuple(data["left"]),
+        right=tuple(data["right"]),
         ahead=data["ahead"],
         behind=data["behind"],
     )
@@ -179,7 +227,7 @@ def plan_metrics(
 
 
 def _arrival(
-    trajectory: Trajectory, metadata: Mapping[str, Any], *, overlapped: bool
+    trajectory: Trajectory, metadata: FollowingRecord, *, overlapped: bool
 ) -> dict[str, float | None]:
     goal = metadata["goal"]
     error = float(np.hypot(*(trajectory.com[-1] - (goal["x"], goal["y"]))))
@@ -209,7 +257,7 @@ def _mean_heading(trajectory: Trajectory) -> float:
 
 
 def _deviation(
-    trajectory: Trajectory, metadata: Mapping[str, Any]
+    trajectory: Trajectory, metadata: FollowingRecord
 ) -> dict[str, float | None]:
     deviations = list(_path_deviations(trajectory))
     if not deviations:

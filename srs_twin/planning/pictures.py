@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Rectangle
 
-from srs_twin.planning.metrics import following, footprint_of, segments_of
+from srs_twin.planning.metrics import GoalRecord, following, footprint_of, segments_of
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine, FollowedSignal, RunPictures
@@ -192,7 +192,7 @@ def plan_page(plan: Plan) -> str:
 
 
 def plan_lines(
-    segments: Sequence[Segment], footprint: Footprint, goal: Mapping[str, Any]
+    segments: Sequence[Segment], footprint: Footprint, goal: GoalRecord
 ) -> list[FloorLine]:
     """Return floor lines for the path, the edges of the footprint and the goal."""
     lines = []

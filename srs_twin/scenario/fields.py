@@ -42,7 +42,7 @@ FilePath = Annotated[str, Field(min_length=1, max_length=1000)]
 
 
 def quantity(
-    low: float, high: float, default: Any = ..., *, unit: str | None = None
+    low: float, high: float, default: object = ..., *, unit: str | None = None
 ) -> Any:
     """Define a bounded number in a `Section`.
 
@@ -134,7 +134,7 @@ class Section(StrictModel):
                 )
         return self
 
-    def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
+    def arguments(self, *constructors: Callable[..., object]) -> dict[str, Any]:
         """Return the arguments of the constructors in SI units.
 
         A key whose value is None is omitted if the constructor has a default. If
@@ -170,7 +170,7 @@ class Section(StrictModel):
         }
         return self.constructors[0](**given, **self.arguments())
 
-    def written(self) -> dict[str, Any]:
+    def written(self) -> dict[str, object]:
         """Return the section as plain data with all defaults."""
         return self.model_dump(mode="json", exclude_none=True, by_alias=True)
 
@@ -279,7 +279,7 @@ class ExtensionSection(Section):
         """Yield contradictions with other sections of the file."""
         return iter(())
 
-    def read(self, loading: Loading) -> Any:
+    def read(self, loading: Loading) -> object:
         """Read the section and return the product.
 
         This method is called before the controller is checked. It reports problems to
@@ -287,7 +287,7 @@ class ExtensionSection(Section):
         """
         return None
 
-    def prepare(self, loading: Loading) -> Any:
+    def prepare(self, loading: Loading) -> object:
         """Return the product if `read` returned None.
 
         This method is called after all sections have been read.
@@ -330,9 +330,9 @@ class SectionEntry:
             a file name.
     """
 
-    annotation: Any
+    annotation: object
     description: str
-    input_files: Callable[[Mapping[str, Any]], Iterator[str]] = _no_files
+    input_files: Callable[[Mapping[str, object]], Iterator[str]] = _no_files
     paths: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -360,7 +360,7 @@ def path_fields(sections: Container[str]) -> dict[Loc, str]:
     return _CORE_PATHS | more
 
 
-def input_files(document: Mapping[str, Any]) -> Iterator[str]:
+def input_files(document: Mapping[str, object]) -> Iterator[str]:
     """Yield the paths of the files that the extension sections of a scenario read."""
     for name, entry in SECTIONS.items():
         if isinstance(section := document.get(name), Mapping):

@@ -86,7 +86,7 @@ class SensorFile(SensorSection):
     gain_error: float | None = quantity(-0.9, 10.0, None)
     """Relative gain drift since the calibration (hall only; default {default:g})."""
 
-    def written(self) -> dict[str, Any]:
+    def written(self) -> dict[str, object]:
         """Return the section as plain data with explicit defaults."""
         keys = self.only["kind", "hall"] if self.kind == "hall" else ()
         return self.with_defaults(*keys).model_dump(exclude_none=True)
@@ -207,7 +207,7 @@ class PneumaticsFile(PneumaticsSection):
             )
         return self
 
-    def written(self) -> dict[str, Any]:
+    def written(self) -> dict[str, object]:
         """Return the section as plain data with explicit defaults."""
         keys: tuple[str, ...] = ()
         if self.kind == "orifice":

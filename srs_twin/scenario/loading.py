@@ -72,7 +72,7 @@ def load_scenario(
 
 
 def parse_scenario(
-    data: Mapping[str, Any],
+    data: Mapping[str, object],
     *,
     name: str = "scenario",
     set: Overrides = (),
@@ -250,7 +250,10 @@ def _resolved(
 ) -> dict[str, Any]:
     """Return a scenario as plain data that contain all defaults and the robot."""
     # `supply.allow_overpressure` is an alias of the top-level key.
-    excluded: Any = {"supply": {"allow_overpressure"}, "changes": True}
+    excluded: dict[str, set[str] | bool] = {
+        "supply": {"allow_overpressure"},
+        "changes": True,
+    }
     if file.bench:
         excluded["start"] = True
     plain = file.model_dump(
@@ -360,7 +363,7 @@ def field_paths(document: Document) -> list[str]:
 
 
 def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    properties: dict[str, Any] = {
+    properties: dict[str, object] = {
         "base": {"type": "string", "description": "Name or path of the robot."}
     }
     for name, node in robot["properties"].items():
@@ -376,7 +379,7 @@ def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, A
     return _closed_object(properties) | {"required": ["base"]}
 
 
-def _closed_object(properties: dict[str, Any]) -> dict[str, Any]:
+def _closed_object(properties: Mapping[str, object]) -> dict[str, object]:
     return {
         "type": "object",
         "properties": properties,

@@ -83,11 +83,11 @@ class ChangedField(Section):
 
 
 def changed_fields(
-    before: Mapping[str, Any],
-    after: Mapping[str, Any],
+    before: Mapping[str, object],
+    after: Mapping[str, object],
     locs: Iterable[Loc],
     earlier: Changes = (),
-) -> list[dict[str, Any]]:
+) -> list[dict[str, object]]:
     """Return the fields in which two resolved scenarios differ.
 
     Args:
@@ -208,7 +208,7 @@ def left_out_line(left_out: Sequence[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-def _leaves(loc: Loc, before: Any, after: Any) -> Iterator[Loc]:
+def _leaves(loc: Loc, before: object, after: object) -> Iterator[Loc]:
     if format_path(loc) in _NAMES:
         return
     if loc[:2] == ("robot", "base"):

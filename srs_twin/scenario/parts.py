@@ -13,7 +13,7 @@ import json
 from collections.abc import Collection, Iterator, Mapping
 from functools import cache
 from inspect import Parameter, signature
-from types import SimpleNamespace
+from types import EllipsisType, SimpleNamespace
 from typing import Any, ClassVar, NamedTuple, get_type_hints
 
 from pydantic import ConfigDict, Field, TypeAdapter, create_model
@@ -73,11 +73,11 @@ class _ArgumentsSection(Section):
 
     not_written: ClassVar[set[str]]
 
-    def arguments(self, *constructors: object) -> dict[str, Any]:
+    def arguments(self, *constructors: object) -> dict[str, object]:
         """Return the constructor arguments of the class."""
         return {name[:-1]: value for name, value in self if name != "kind"}
 
-    def written(self) -> dict[str, Any]:
+    def written(self) -> dict[str, object]:
         """Return the section as plain data, including arguments that are None."""
         unset = self.not_written - self.model_fields_set
         return self.model_dump(mode="json", by_alias=True, exclude=unset)
@@ -94,7 +94,7 @@ class _AbsentSection(ControllerSection, PneumaticsSection, SensorSection):
 
     kind: str
 
-    def arguments(self, *constructors: object) -> dict[str, Any]:
+    def arguments(self, *constructors: object) -> dict[str, object]:
         """Raise an `AbsentPartError`."""
         raise AbsentPartError(self.kind)
 
@@ -119,8 +119,10 @@ def scenario_model(document: Document) -> type[ScenarioFile]:
     return model
 
 
-def _parts_from_outside(document: Document) -> dict[str, Any]:
-    sections: dict[str, Any] = {}
+def _parts_from_outside(
+    document: Document,
+) -> dict[str, tuple[type[Section], EllipsisType]]:
+    sections: dict[str, tuple[type[Section], EllipsisType]] = {}
     for key, (section, base, known) in PARTS.items():
         kind = document.get(key, "kind")
         if not isinstance(kind, str) or kind in known:
@@ -137,7 +139,7 @@ def _parts_from_outside(document: Document) -> dict[str, Any]:
     return sections
 
 
-def read_resolved(data: Mapping[str, Any]) -> ScenarioFile:
+def read_resolved(data: Mapping[str, object]) -> ScenarioFile:
     """Parse the plain data of a resolved scenario.
 
     Raises:
@@ -182,7 +184,7 @@ def _section(key: str, name: str, found: type) -> type[Section]:
     )
 
 
-def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
+def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, object]]:
     keys = [
         parameter
         for parameter in signature(found).parameters.values()
@@ -208,17 +210,17 @@ def _parameters(name: str, found: type) -> Iterator[tuple[Parameter, Any]]:
         yield key, hints.get(key.name, Any)
 
 
-def _adapter(hint: Any) -> TypeAdapter[Any] | None:
+def _adapter(hint: Any) -> TypeAdapter[object] | None:
     """Return the validator of a type, or None if a file cannot contain the type."""
     try:
-        adapter = TypeAdapter(hint)
+        adapter: TypeAdapter[object] = TypeAdapter(hint)
         adapter.json_schema()
     except PydanticUserError:
         return None
     return adapter
 
 
-def _is_read_back(adapter: TypeAdapter[Any], default: Any) -> bool:
+def _is_read_back(adapter: TypeAdapter[object], default: object) -> bool:
     try:
         written = adapter.dump_json(default, warnings=False)
         return default is ... or bool(adapter.validate_json(written) == default)

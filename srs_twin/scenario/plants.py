@@ -175,7 +175,7 @@ class TwinFile(_PlantFile):
             return LoadedContact(self.friction_law)
         return PreloadedContact(self.wheels)
 
-    def arguments(self, *constructors: Callable[..., Any]) -> dict[str, Any]:
+    def arguments(self, *constructors: Callable[..., object]) -> dict[str, Any]:
         """Return the arguments of `TwinSnake`."""
         return super().arguments(ModelSettings) | {"contact": self.build_contact()}
 
@@ -210,7 +210,7 @@ def preset_timestep(preset: object) -> float | None:
     return ModelSettings.timestep
 
 
-def with_preset(twin: Mapping[str, Any], preset: Any) -> dict[str, Any]:
+def with_preset(twin: Mapping[str, object], preset: object) -> dict[str, object]:
     """Return a twin section with another preset.
 
     A time step that overrides the previous preset is kept.

@@ -220,7 +220,7 @@ class Scenario:
             raise
 
     def build_plant(
-        self, kind: str, *, robot: RobotSpec | None = None, **changes: Any
+        self, kind: str, *, robot: RobotSpec | None = None, **changes: object
     ) -> Plant:
         """Build a plant at rest, with default options if the file does not name it.
 

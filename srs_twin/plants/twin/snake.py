@@ -76,19 +76,24 @@ class Loads(NamedTuple):
     internal_loss: np.ndarray
 
 
-class TwinKeywords(TypedDict, total=False):
-    """Keyword arguments of `TwinSnake` that all runs of a batch share."""
+class TwinSettings(TypedDict, total=False):
+    """Keyword arguments of `TwinSnake` that do not depend on its surroundings."""
 
     contact: Contact | ContactName
     timestep: float | None
     hinges_per_segment: int
-    tick: float | None
     layout: str
     pneumatics: str | Pneumatics
     sensor: str | Sensor
+    numerics: Numerics
+
+
+class TwinKeywords(TwinSettings, total=False):
+    """Keyword arguments of `TwinSnake` that all runs of a batch share."""
+
+    tick: float | None
     world: World | None
     base: str
-    numerics: Numerics
 
 
 class TwinSnake(PneumaticPlant):

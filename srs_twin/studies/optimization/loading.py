@@ -297,7 +297,7 @@ class OptimizationStudy:
     scenario: Scenario
     space: DesignSpace
     experiments: Mapping[str, Experiment]
-    document: Mapping[str, Any] = field(repr=False)
+    document: Mapping[str, object] = field(repr=False)
     changes: ChangedFields = ()
 
     @property
@@ -349,11 +349,11 @@ def load_study(
 
 
 def _changes(
-    study: OptimizationStudy, written: Mapping[str, Any], locs: Sequence[Loc]
+    study: OptimizationStudy, written: Mapping[str, object], locs: Sequence[Loc]
 ) -> ChangedFields:
     fields = [loc for loc in locs if loc != ("seed",)]
     changes = changed_base(study.experiments["twin"], study.scenario, written, fields)
-    seed: dict[str, Any] = {"seed": 0, **written}
+    seed: dict[str, object] = {"seed": 0, **written}
     return changes + changed_fields(seed, study.document, set(locs) - set(fields))
 
 

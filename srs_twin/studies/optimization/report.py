@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from textwrap import fill
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -57,12 +56,23 @@ def draw_convergence(
         (~feasible, "x", "#d5dae0", "misses constraints"),
     ):
         if which.any():
-            style: dict[str, Any] = {"color": color, "markersize": 4, "label": name}
-            axes.plot(number[which], values[which], marker, **style)
+            axes.plot(
+                number[which],
+                values[which],
+                marker,
+                color=color,
+                markersize=4,
+                label=name,
+            )
     axes.step(number, best, where="post", color=_BEST_COLOR, label="best so far")
     if initial is not None:
-        style = {"color": _INITIAL_COLOR, "label": "initial scenario"}
-        axes.axhline(initial, linestyle="--", linewidth=1, **style)
+        axes.axhline(
+            initial,
+            linestyle="--",
+            linewidth=1,
+            color=_INITIAL_COLOR,
+            label="initial scenario",
+        )
     axes.set(xlabel="runs of the twin", ylabel=label)
     axes.legend()
     return (
@@ -85,9 +95,15 @@ def draw_front(
     axes.plot(*front.T, "o-", color=_BEST_COLOR, markersize=5, label="Pareto front")
     known = [value for value in initial if value is not None]
     if len(known) == 2:
-        style: dict[str, Any] = {"markersize": 9, "markeredgewidth": 2}
-        style |= {"color": _INITIAL_COLOR, "label": "initial scenario"}
-        axes.plot(known[0], known[1], "x", **style)
+        axes.plot(
+            known[0],
+            known[1],
+            "x",
+            markersize=9,
+            markeredgewidth=2,
+            color=_INITIAL_COLOR,
+            label="initial scenario",
+        )
     if np.nanmax(values[:, 1]) > 20 * np.nanmin(np.abs(values[:, 1])) > 0:
         axes.set_yscale("log")
     axes.set(xlabel=labels[0], ylabel=labels[1])
@@ -130,8 +146,14 @@ def draw_parallel(
     ]
     if marked:
         caption += " Red: bounds on which a best design lies."
-        style: dict[str, Any] = {"color": "#b03030", "markersize": 7, "zorder": 3}
-        axes.plot(*zip(*marked, strict=True), "D", clip_on=False, **style)
+        axes.plot(
+            *zip(*marked, strict=True),
+            "D",
+            clip_on=False,
+            color="#b03030",
+            markersize=7,
+            zorder=3,
+        )
     labels = [
         f"{fill(field_label(name), 13)}\n{variable.low:g} to {variable.high:g}"
         for name, variable in space.variables.items()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 
@@ -314,11 +314,11 @@ class StudyResult:
         }
 
     @cached_property
-    def table(self) -> Mapping[str, list[Any]]:
+    def table(self) -> Mapping[str, Sequence[object]]:
         """Columns of the run table, keyed by name."""
         space = self.study.space
         runs = self.runs
-        columns: dict[str, list[Any]] = {"part": [run.part for run in runs]}
+        columns: dict[str, Sequence[object]] = {"part": [run.part for run in runs]}
         values = np.array([space.values(run.fractions) for run in runs], dtype=float)
         columns |= dict(zip(space.variables, values.T.tolist(), strict=True))
         columns["status"] = [run.row.status for run in runs]

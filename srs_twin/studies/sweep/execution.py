@@ -20,7 +20,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from srs_twin.compute.workers import TaskResult, run_tasks, start_server
-from srs_twin.errors import EngineWarning, InputError, SrsError, UnknownNameError
+from srs_twin.errors import (
+    DivergedError,
+    EngineWarning,
+    InputError,
+    SrsError,
+    UnknownNameError,
+)
 from srs_twin.extensions import PLUGINS
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Overrides, dump_yaml
@@ -46,6 +52,7 @@ from srs_twin.studies.sweep.task import DONE, FAILED, Row, run_point
 
 if TYPE_CHECKING:
     from srs_twin.plants.base import Plant
+    from srs_twin.trajectory import Trajectory
 
 _RAY_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0"}
 """Environment variables that disable Ray's usage reports and make Ray workers use the
@@ -517,7 +524,7 @@ def _group_key(experiment: Experiment, scenario: Scenario) -> tuple[object, ...]
 
 def _run(
     batch_class: Any, device: str | None, group: Sequence[_TwinPoint]
-) -> list[Any]:
+) -> list[Trajectory | DivergedError]:
     timing = group[0].scenario.timing
     return list(
         run_scripts(

@@ -341,8 +341,8 @@ class _Loader:
             )
         self._document.report(loc, text)
 
-    def _robots(self) -> dict[str, Any]:
-        robots = {}
+    def _robots(self) -> dict[str, object]:
+        robots: dict[str, object] = {}
         varied = self._file.vary.get("robot")
         names: list[tuple[str, object]] = [("fixed", self._file.fixed.get("robot"))]
         if isinstance(varied, list):

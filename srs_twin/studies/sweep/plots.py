@@ -7,7 +7,7 @@ each combination of their values has a separate line.
 from __future__ import annotations
 
 import textwrap
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 from matplotlib import colormaps
@@ -38,7 +38,13 @@ _COLORMAP = "viridis"
 _FAILED_COLOR = "#CC3311"
 """Colour of failed runs, which neither the plants nor the colour map use."""
 
-_LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
+
+class _LegendStyle(TypedDict):
+    fontsize: int
+    frameon: bool
+
+
+_LEGEND: _LegendStyle = {"fontsize": 8, "frameon": False}
 
 # Figure dimensions, inches.
 _WIDTH = 9.0

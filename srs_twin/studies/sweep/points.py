@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -251,7 +251,9 @@ class Experiment:
 
         A robot name is replaced by the contents of the robot file.
         """
-        content: Any = self.robots.get(str(value), value) if name == "robot" else value
+        content: object = (
+            self.robots.get(str(value), value) if name == "robot" else value
+        )
         path = parse_path(name)
         if name == "planner.kind":
             document = _with_planner_keys(document, value)
@@ -310,7 +312,7 @@ def _with_planner_keys(document: Any, kind: Any) -> Any:
     return {**document, "planner": kept}
 
 
-def with_value(data: Any, loc: Loc, value: Value | list[Value]) -> Any:
+def with_value(data: Any, loc: Loc, value: object) -> Any:
     """Return a copy of plain data in which one value is replaced.
 
     If a number replaces the record of a robot parameter, the record keeps its unit, and
@@ -439,8 +441,13 @@ def _values_at(
     )
 
 
-def value_at(fraction: Any, low: float, high: float, scale: str) -> Any:
+Fraction = TypeVar("Fraction", float, np.ndarray)
+"""Fraction of a range, or an array of fractions."""
+
+
+def value_at(fraction: Fraction, low: float, high: float, scale: str) -> Fraction:
     """Return the values at fractions from 0 to 1 of a linear or logarithmic range."""
     if scale == "log":
-        return low * (high / low) ** fraction
+        growth: Fraction = (high / low) ** fraction
+        return low * growth
     return low + (high - low) * fraction

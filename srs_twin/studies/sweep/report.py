@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -145,12 +145,16 @@ def _metric_columns(
     return columns[:_MAX_COLUMNS], note
 
 
+Rows = TypeVar("Rows")
+"""One run of a table, or several runs whose mean is shown."""
+
+
 def _split_tables(
     results: SweepTable,
     metrics: Sequence[str],
     headings: list[str],
-    lines: list[tuple[list[str], Any]],
-    text: Callable[[_Column, Any], str],
+    lines: list[tuple[list[str], Rows]],
+    text: Callable[[_Column, Rows], str],
 ) -> list[Table]:
     columns, note = _metric_columns(results, metrics)
     tables = []
@@ -238,7 +242,7 @@ def _values_text(values: list[Any]) -> str:
     return text
 
 
-def _value_text(value: Any) -> str:
+def _value_text(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     return str(value)

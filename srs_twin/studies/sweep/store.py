@@ -195,7 +195,7 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
             self.database.executemany("DELETE FROM rows WHERE key = ?", removed)
             self.database.execute("COMMIT")
 
-    def _parse(self, adapter: TypeAdapter[Parsed], content: Any) -> Parsed:
+    def _parse(self, adapter: TypeAdapter[Parsed], content: str) -> Parsed:
         try:
             return adapter.validate_json(content)
         except ValidationError as error:
@@ -204,11 +204,11 @@ class RowStore(contextlib.AbstractContextManager["RowStore"]):
                 " sweep; give another folder with --out"
             ) from error
 
-    def _read(self, query: str, *arguments: Any) -> list[Any]:
+    def _read(self, query: str, *arguments: str | bool) -> list[tuple[str, ...]]:
         with self._errors_translated():
             return self.database.execute(query, arguments).fetchall()
 
-    def _write(self, query: str, *arguments: Any) -> None:
+    def _write(self, query: str, *arguments: str) -> None:
         with self._errors_translated():
             self.database.execute(query, arguments)
 

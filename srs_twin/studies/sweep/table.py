@@ -16,7 +16,7 @@ from srs_twin.comparison.metrics import COMPARISON_UNITS
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.files import atomic_write
 from srs_twin.scenario.provenance import versions
-from srs_twin.studies.sweep.points import Sweep, is_number
+from srs_twin.studies.sweep.points import Sweep, Value, is_number
 from srs_twin.studies.sweep.task import PLAN, Row
 from srs_twin.viewing.plots.labels import field_label, metric_label
 
@@ -96,7 +96,7 @@ class SweepTable:
         """
         rows = sorted(rows, key=lambda row: row.key)
         changes = {point.key: point.changes for point in sweep.points}
-        columns: dict[str, list[object]] = {"key": [row.key for row in rows]}
+        columns: dict[str, Sequence[object]] = {"key": [row.key for row in rows]}
         for name in sweep.fields:
             columns[name] = _of_one_type([changes[row.key][name] for row in rows])
         for name in ("status", "reason", "exit_code"):
@@ -284,7 +284,7 @@ def _plotted_columns(sweep: Sweep) -> dict[str, None]:
     }
 
 
-def _of_one_type(values: list[Any]) -> list[Any]:
+def _of_one_type(values: list[Value]) -> Sequence[Value]:
     types = {type(value) for value in values}
     if len(types) <= 1:
         return values
