@@ -17,6 +17,7 @@ from srs_twin.errors import (
     TimeStepError,
     UnknownNameError,
     WorkerDiedError,
+    WriteError,
     did_you_mean,
 )
 from srs_twin.identification.parameters import parameter_names
@@ -28,6 +29,7 @@ pytestmark = pytest.mark.fast
 ERRORS = [
     InputError("no such file"),
     UnknownNameError("metric", "sped", ["speed", "yaw"]),
+    WriteError("rows.sqlite: the disk is full"),
     AbsentPartError("module:Name"),
     TimeStepError("tick", 0.02, "time step", 0.003),
     InputFileError(["a.yaml:1:2: x: unknown key", "a.yaml:3:4: y: missing"]),
