@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -375,3 +376,14 @@ def test_intervals_contain_the_truth_in_54_of_60_decays(damping_law, capsys):
     with capsys.disabled():
         print(f"\n{damping_law}: {dict(inside)} of 60, {refused} refused")
     assert inside["stiffness"] >= 54 and inside["loss_factor"] >= 54
+
+
+def test_the_body_is_by_default_the_first_connector():
+    spec = srs.load_robot("gen3")
+    masses = spec.mass.connectors[::-1]  # the last connector is heavy
+    spec = replace(spec, mass=replace(spec.mass, connectors=masses))
+    body = HangingBody.of(spec)
+    assert (body.mass, body.inertia) == (masses[0], spec.yaw_inertia()[0])
+    doubled = HangingBody.of(spec, 2 * masses[0])
+    assert doubled.inertia == pytest.approx(2 * body.inertia)
+    assert body.inertia > 1.5 * spec.yaw_inertia()[1]

@@ -145,6 +145,19 @@ def test_low_supply_pressure_is_reported_and_cleared_on_recovery():
     assert all(not faults for time, faults in named.items() if time > back + 2 * period)
 
 
+def test_a_measurement_is_weighted_with_student_t():
+    """At two standard deviations and four degrees of freedom, the weight is 5/8."""
+    supply = SupplyFilter(NOMINAL)
+    prior = supply.variance
+    sd = 0.03 * NOMINAL
+    residual = -2 * np.sqrt(sd**2 + prior)
+    supply.update(*(np.array([value]) for value in (residual, 1.0, sd, 1.0)))
+    information = 5 / 8 / sd**2
+    assert supply.variance == pytest.approx(1 / (1 / prior + information))
+    change = supply.variance * information * residual
+    assert supply.pressure == pytest.approx(NOMINAL + change)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [7, 18])
 def test_first_strokes_of_compressible_chambers_are_not_a_loss_of_the_supply(seed):

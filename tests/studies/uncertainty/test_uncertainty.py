@@ -585,12 +585,12 @@ def test_the_command_says_why_no_measurement_is_recommended(capsys):
     assert "the parameters is not resolved with 32 samples" in shown
 
 
-def test_labels_of_the_picture_are_inside_the_figure():
+def test_the_picture_shows_the_published_value_and_all_labels():
     path = "bending.pitch_stiffness_nm_per_rad"
     index = {"rank": [1, 2], "total": 0.5, "total_error": 0.2}
     row = {
         "value": 0.2,
-        "published": None,
+        "published": 0.205,
         "interval_50": [0.19, 0.21],
         "interval_95": [0.18, 0.22],
         "interval_95_error": [0.001, 0.001],
@@ -607,6 +607,8 @@ def test_labels_of_the_picture_are_inside_the_figure():
             "warnings": [],
         },
     )
+    (published,) = (line for line in figure.axes[0].lines if 0.205 in line.get_xdata())
+    assert list(published.get_ydata()) == [-0.3, 0.3]
     figure.draw_without_rendering()
     for axes in figure.axes:
         for label in axes.get_yticklabels():
