@@ -26,9 +26,9 @@ model, although they may satisfy it in the twin. A separate Gaussian process the
 predicts each constrained metric of the twin. New designs are also drawn near designs
 that slightly violate a constraint. Because active constraints may split the feasible
 designs into regions with separate optima, the low-fidelity model also simulates designs
-in the largest gaps between its earlier runs. In every other round, the second design of
-the twin is the one with the best prediction among the designs that are far from all
-earlier ones and may be feasible.
+in the largest gaps between its earlier runs. With one objective, every second round
+selects its second design for exploration. This design has the best prediction of all
+designs that are far from earlier runs and may be feasible.
 
 **Budget.** After the last run, the maximum expected improvement over new designs is
 computed. If it exceeds the fraction `MAX_IMPROVEMENT` of the best result, a warning is
@@ -88,8 +88,11 @@ MAX_REPORTED = 3
 """Maximum number of designs reported for a study with one objective."""
 
 _OPTIMUM_DISTANCE = 0.1
-"""Minimum distance between two reported designs, and of an explored design from all
-runs of the twin, measured like `_MIN_DISTANCE`.
+"""Minimum distance between two reported designs, measured like `_MIN_DISTANCE`."""
+
+_EXPLORED_DISTANCE = 0.1
+"""Minimum distance of a design selected for exploration from all earlier runs of the
+twin, measured like `_MIN_DISTANCE`.
 """
 
 _CMA_FRACTION = 0.6
@@ -214,6 +217,7 @@ class _Search:
         self._objectives = len(study.file.objectives)
         self._compliant_runs: list[Run] = []
         self._twin_runs: list[Run] = []
+        self._is_constrained = bool(study.file.constraints)
         self._round = 0
 
     def search_compliant(self) -> None:
@@ -273,9 +277,9 @@ class _Search:
 
     @property
     def _explores(self) -> bool:
-        """Whether the second design of this round is far from all earlier ones."""
-        is_constrained = bool(excesses(self._study, self._twin_runs).size)
-        return self._objectives == 1 and is_constrained and self._round % 2 == 0
+        """Whether the second design of this round is selected for exploration."""
+        is_second_round = self._round % 2 == 0
+        return self._objectives == 1 and self._is_constrained and is_second_round
 
     def budget_left(self) -> int:
         return self._study.file.budget.twin - len(self._twin_runs)
@@ -300,7 +304,7 @@ class _Search:
             score[[not _is_far(run.fractions, chosen) for run in candidates]] = -1.0
             k = int(np.argmax(score))
             if k_batch and self._explores:
-                k = self._distant_candidate(candidates, mean, sd, k)
+                k = self._distant_candidate(candidates, mean, sd, chosen, k)
             if score[k] < 0:
                 break
             chosen.append(candidates[k].fractions)
@@ -310,15 +314,22 @@ class _Search:
         return True
 
     def _distant_candidate(
-        self, candidates: list[Run], mean: np.ndarray, sd: np.ndarray, otherwise: int
+        self,
+        candidates: list[Run],
+        mean: np.ndarray,
+        sd: np.ndarray,
+        chosen: list[np.ndarray],
+        otherwise: int,
     ) -> int:
-        """Return the candidate with the best prediction far from all runs of the twin.
+        """Return the candidate with the best prediction far from all known designs.
 
-        If no distant candidate may be feasible, return `otherwise`.
+        The known designs are the runs of the twin and the designs chosen in this round.
+        The result is `otherwise` if no distant candidate is likely enough to be
+        feasible.
         """
         fractions = [run.fractions for run in candidates]
-        distance = cdist(fractions, [run.fractions for run in self._twin_runs])
-        allowed = distance.min(axis=1) > _OPTIMUM_DISTANCE
+        known = [*(run.fractions for run in self._twin_runs), *chosen]
+        allowed = cdist(fractions, known).min(axis=1) > _EXPLORED_DISTANCE
         allowed &= self._feasibility(mean, sd) >= _MIN_FEASIBILITY
         allowed &= ~self._near_failures(fractions)
         if not allowed.any():
@@ -334,7 +345,7 @@ class _Search:
         new = np.array([design for design in designs if _is_far(design, finished)])
         if not len(new):
             return 0.0
-        score = self._score(new, *self._interpolated(new))
+        score = self._score(new, *self._predict_new(new))
         return float(score.max() / max(abs(costs(self._study, best)[0, 0]), 1e-12))
 
     def best(self) -> tuple[Run, ...]:
@@ -453,9 +464,9 @@ class _Search:
 
     def _screened_candidates(self, count: int) -> np.ndarray:
         screened = self._screened_designs()
-        mean, sd = self._interpolated(screened)
+        mean, sd = self._predict_new(screened)
         promising = screened[np.argsort(-self._score(screened, mean, sd))]
-        explored = _EXPLORED if excesses(self._study, self._twin_runs).size else 0
+        explored = _EXPLORED if self._is_constrained else 0
         new = list(promising[: count - explored])
         # The interpolation may miss a narrow optimum between the low-fidelity runs, so
         # some candidates fill the largest gaps between them.
@@ -496,8 +507,8 @@ class _Search:
         )
         return new
 
-    def _interpolated(self, designs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predict outputs from interpolated low-fidelity results, as `_predict`."""
+    def _predict_new(self, designs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Predict as `_predict`, with interpolated low-fidelity results."""
         low_fidelity = None
         if self._compliant_runs:
             fractions = np.array([run.fractions for run in self._compliant_runs])

@@ -395,13 +395,20 @@ def test_explored_designs_are_far_from_all_runs_and_may_be_feasible(tmp_path):
     with StudyRuns(question, tmp_path / "out", Engine()) as runs:
         state = _Search(question, runs)
         state._run("twin", np.array([[0.5, 0.5]]))
+
+        def explored(count=4, chosen=()):
+            return state._distant_candidate(
+                candidates[:count], mean[:count], sd[:count], [*chosen], 0
+            )
+
         # The first design is near a run, and the second is 3 sd beyond the limit.
         sd = np.full((4, 2), 0.1)
-        assert state._distant_candidate(candidates, mean, sd, 0) == 2
-        assert state._distant_candidate(candidates[:2], mean[:2], sd[:2], 0) == 0
+        assert explored() == 2
+        assert explored(chosen=[np.array([0.1, 0.45])]) == 3
+        assert explored(count=2) == 0
         # At 1 sd beyond the limit, the probability of 0.16 suffices.
         sd[:, 1] = 0.3
-        assert state._distant_candidate(candidates, mean, sd, 0) == 1
+        assert explored() == 1
 
 
 def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
