@@ -85,7 +85,7 @@ class PartMetrics(TypedDict, total=False):
 
 
 class StoredIntervals(TypedDict, total=False):
-    """Uncertainty intervals that `experiment.stored_intervals` has found."""
+    """Uncertainty intervals returned by `experiment.stored_intervals`."""
 
     stale: str | None
     file: str
@@ -118,7 +118,7 @@ class RunMetrics(PartMetrics, total=False):
         changes: changed fields of the scenario (`scenario.modified.Changes`).
         ignores_obstacles: plants that ignore the obstacles in the scenario.
         before_contact: speeds and yaw rates before the first contact.
-        body_overlap_m: size of the largest overlap of body parts, keyed by plant name.
+        body_overlap_m: maximum overlap of two body parts, m, keyed by plant name.
         residuals: differences from the recording, keyed by plant name.
         attribution: result of `Attribution.document`.
         cause: result of `attribution.main_cause`.
@@ -632,11 +632,10 @@ def _causes(
                 (share["name"], share["value"][k]) for share in attribution["shares"]
             ]
     elif (cause := metrics.get("cause")) and cause.get("window_s") == window:
-        changes = {
-            "com_speed_m_s": cause["com_speed_m_s"],
-            "yaw_rate_rad_s": cause["yaw_rate_rad_s"],
-        }
-        effects = [(cause["name"], changes[metric])]
+        if metric == "com_speed_m_s":
+            effects = [(cause["name"], cause["com_speed_m_s"])]
+        else:
+            effects = [(cause["name"], cause["yaw_rate_rad_s"])]
     return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 

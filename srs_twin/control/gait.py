@@ -222,6 +222,12 @@ class Gait(Controller):
         self.phase_lag = self.phase_lag + change
         self.frequency = frequency
 
+    def set_phase_step(self, step: float) -> None:
+        """Set the phase lag β (rad) between adjacent segments."""
+        self.phase_lag = step * np.arange(self._segments) - self.phase
+        if self._phases:
+            self.phase_lag = self.phase_lag + np.asarray(self._phases)
+
     def angle(self, time: float) -> float:
         """Return the phase angle (rad) of the first segment's wave at a time (s)."""
         return 2 * math.pi * self.frequency * time - float(self.phase_lag[0])
@@ -242,10 +248,10 @@ class Gait(Controller):
             self.pitch.check(spec)
         self._axes = spec.chamber.axes if spec.is_spatial else None
         slots = count_slots(tick, spec.scale)
-        step = spec.phase_step if self._phase_step is None else self._phase_step
-        self.phase_lag = step * np.arange(spec.segments) - self.phase
-        if self._phases:
-            self.phase_lag = self.phase_lag + np.asarray(self._phases)
+        self._segments = spec.segments
+        self.set_phase_step(
+            spec.phase_step if self._phase_step is None else self._phase_step
+        )
         self._slot_centres = (np.arange(slots) + 0.5) / slots
         self._tick = tick
 

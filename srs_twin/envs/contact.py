@@ -143,13 +143,13 @@ class PegsTask(CrawlTask):
 CHAIN = {"base": "gen2", "geometry": {"connectors": 13}}
 """Robot with twelve modules."""
 
-SHORT_WAVE_RAD = 2 * math.pi / 3
+MAX_PHASE_STEP_RAD = 2 * math.pi / 3
 """Maximum phase lag per module of the gait, rad.
 
 With this phase lag, a crawling snake swings to the side by about 25 mm.
 """
 
-_LONG_WAVE_RAD = math.pi / 3
+_MIN_PHASE_STEP_RAD = math.pi / 3
 """Minimum phase lag per module of the gait, rad."""
 
 HOLD = 4
@@ -180,7 +180,7 @@ _LOST_M = 0.2
 """Distance between the object and the nearest connector above which the object counts
 as lost, m.
 
-The distance is below 0.1 m at the start.
+At the start, the distance is below 0.1 m.
 """
 
 _PULSES = 5
@@ -200,7 +200,8 @@ _MASSES_KG = (0.02, 0.10)
 _LOADS_N = (0.05, 0.25)
 
 _AHEAD_M = (-0.1, 0.3)
-"""Minimum and maximum distance of the object ahead of the front of the tail, m.
+"""Minimum and maximum position of the object relative to the front of the tail,
+positive ahead, m.
 
 The tail can grasp an object that is 0.06 to 0.14 m behind the front of the tail.
 """
@@ -285,8 +286,8 @@ class GraspTask(CameraTask):
             Signal(
                 "phase_lag_rad",
                 "rad",
-                _LONG_WAVE_RAD,
-                SHORT_WAVE_RAD,
+                _MIN_PHASE_STEP_RAD,
+                MAX_PHASE_STEP_RAD,
                 "phase lag of the gait per module; a large phase lag makes short waves",
             ),
         )
@@ -336,7 +337,7 @@ class GraspEpisode(ObservedEpisode):
         self._item = item
         self._gait = Gait(GRASP_FREQUENCY_HZ)
         self._gait.reset(twin.spec, twin.tick)
-        self._command = [0.0, 0.0, 0.0, _LONG_WAVE_RAD]
+        self._command = [0.0, 0.0, 0.0, _MIN_PHASE_STEP_RAD]
         self._driven = 0.0
         self._moved = 0.0
         self._grips: list[np.ndarray] = []
@@ -350,7 +351,7 @@ class GraspEpisode(ObservedEpisode):
     def _valves(self, action: list[float]) -> np.ndarray:
         self._command = action
         grip, drive, self._gait.offset, phase_lag = action
-        self._gait.phase_lag = phase_lag * np.arange(self.twin.spec.segments)
+        self._gait.set_phase_step(phase_lag)
         if drive > 0.5:
             valves = np.asarray(self._gait.valves_at(self._driven))
             self._driven += self._task.step_s

@@ -313,14 +313,14 @@ class CrawlKeywords(TaskKeywords, total=False):
     camera: Camera
 
 
-class LimitedCrawlKeywords(CrawlKeywords, total=False):
+class TimedCrawlKeywords(CrawlKeywords, total=False):
     """Keyword arguments of `CrawlTask` except the robot."""
 
     limit_s: float
 
 
-class TaskSettings(LimitedCrawlKeywords, total=False):
-    """Keyword arguments of all tasks."""
+class AnyTaskKeywords(TimedCrawlKeywords, total=False):
+    """Keyword arguments that at least one task accepts."""
 
     robot: Robot
 
@@ -479,7 +479,7 @@ class SpatialCrawlTask(CrawlTask):
         self,
         *,
         robot: str = "spatial_example",
-        **settings: Unpack[LimitedCrawlKeywords],
+        **settings: Unpack[TimedCrawlKeywords],
     ) -> None:
         """Create the task with the arguments of `CrawlTask`.
 

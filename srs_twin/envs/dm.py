@@ -8,7 +8,7 @@ from typing import Unpack
 import numpy as np
 
 from srs_twin.compute.claims import Claimable
-from srs_twin.envs.crawling import TaskSettings
+from srs_twin.envs.crawling import AnyTaskKeywords
 from srs_twin.envs.rendering import EpisodeRenderer
 from srs_twin.envs.task import (
     Episode,
@@ -161,7 +161,7 @@ class SnakeEnvironment(Claimable, control.Environment):  # type: ignore[misc]  #
 
 
 def load(
-    task: str, *, seed: int | None = None, **settings: Unpack[TaskSettings]
+    task: str, *, seed: int | None = None, **settings: Unpack[AnyTaskKeywords]
 ) -> SnakeEnvironment:
     """Create the dm_env environment of a task.
 

@@ -22,7 +22,7 @@ from gymnasium.vector import SyncVectorEnv
 
 from srs_twin.compute.claims import Claimable
 from srs_twin.compute.workers import Workers
-from srs_twin.envs.crawling import TaskSettings
+from srs_twin.envs.crawling import AnyTaskKeywords
 from srs_twin.envs.rendering import EpisodeRenderer
 from srs_twin.envs.task import (
     Episode,
@@ -72,7 +72,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         width: int = 640,
         height: int = 480,
-        **settings: Unpack[TaskSettings],
+        **settings: Unpack[AnyTaskKeywords],
     ) -> None:
         """Create the environment.
 
@@ -228,7 +228,7 @@ def _checked_options(options: object) -> dict[str, Any]:
     return dict(options)
 
 
-class EnvSettings(TaskSettings, total=False):
+class EnvKeywords(AnyTaskKeywords, total=False):
     """Optional keyword arguments of `SnakeEnv`."""
 
     render_mode: str | None
@@ -263,7 +263,7 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         threads: int | None = None,
         engine: str = "cpu",
         device: str | None = None,
-        **settings: Unpack[EnvSettings],
+        **settings: Unpack[EnvKeywords],
     ) -> None:
         """Create the environments.
 

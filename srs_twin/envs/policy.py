@@ -22,7 +22,7 @@ from srs_twin.control.grasp import Grasp, Phase
 from srs_twin.envs.contact import (
     GRASP_FREQUENCY_HZ,
     HOLD,
-    SHORT_WAVE_RAD,
+    MAX_PHASE_STEP_RAD,
     GraspTask,
     PegsTask,
 )
@@ -394,12 +394,12 @@ class SensedGrasp(_Baseline):
     """Policy for Grasp that crawls to the object and then grasps it.
 
     The snake approaches with short waves until the object is beside the tail, and vents
-    until the body has come to rest. Then the controller of the scenario
+    for `rest_s` to come to rest. Then the controller of the scenario
     `grasp_cylinder` grasps the object and drags it with long waves.
     """
 
     stop_ahead_m = -0.185
-    """Position of the object, along the heading, at which the approach ends, m.
+    """Distance of the object ahead of the centre of mass at which the approach ends, m.
 
     The snake then coasts by about 25 mm.
     """
@@ -416,12 +416,12 @@ class SensedGrasp(_Baseline):
     def _action(self, values: Mapping[str, float]) -> Sequence[float]:
         if self._stopped is None:
             if values["object_ahead_m"] > self.stop_ahead_m:
-                return [0.0, 1.0, 0.0, SHORT_WAVE_RAD]
+                return [0.0, 1.0, 0.0, MAX_PHASE_STEP_RAD]
             self._stopped = self._steps
         time = (self._steps - self._stopped) * self._task.step_s - self.rest_s
         if self._grasp is None:
             if time < 0:
-                return [0.0, 0.0, 0.0, SHORT_WAVE_RAD]
+                return [0.0, 0.0, 0.0, MAX_PHASE_STEP_RAD]
             side = "left" if values["object_left_m"] > 0 else "right"
             self._grasp = Grasp(GRASP_FREQUENCY_HZ, side=side, hold=HOLD)
             self._grasp.reset(self._task.robot, self._task.step_s)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Unpack
 from srs_twin.errors import UnknownNameError
 
 if TYPE_CHECKING:
-    from srs_twin.envs.crawling import TaskSettings
+    from srs_twin.envs.crawling import AnyTaskKeywords
     from srs_twin.envs.task import Task
 
 TASKS = ("GoTo", "Obstacles", "Module", "Crawl3D", "Pegs", "Grasp")
 
 
-def make_task(name: str, **settings: Unpack[TaskSettings]) -> Task:
+def make_task(name: str, **settings: Unpack[AnyTaskKeywords]) -> Task:
     """Create the task with the given name.
 
     Args:

@@ -99,7 +99,8 @@ def _print_plan(planned: ScenarioPlan) -> None:
             edges = "the footprint and margin"
         else:
             edges = "the edges that must stay free"
-        print(_quality_words(quality, edges))
+        is_given = planned.scenario.planner.file.kind == "given"
+        print(_quality_words(quality, edges, is_given))
         for touch in result.touches or ():
             print(
                 f"leans on {touch.obstacle} from {touch.begin:.2f} to {touch.end:.2f}"
@@ -115,14 +116,17 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}s"
 
 
-def _quality_words(quality: PathQuality, edges: str) -> str:
+def _quality_words(quality: PathQuality, edges: str, is_given: bool) -> str:
     from srs_twin.planning.collision import CLEARANCE_ERROR_M, MAX_CLEARANCE_M
 
     ratio = quality.length_over_least
     clearance = quality.clearance_m
-    length = "least length 0: the start is within the goal's radius"
     if ratio is not None:
         length = f"{ratio:.2f} times the least length around the obstacles"
+    elif is_given:
+        length = "a given path, which may ignore obstacles"
+    else:
+        length = "least length 0: the start is within the goal's radius"
     # The checker does not compute clearances above `MAX_CLEARANCE_M`.
     if clearance > MAX_CLEARANCE_M - CLEARANCE_ERROR_M:
         more = "at least "

@@ -32,7 +32,7 @@ class PathQuality:
 
     Attributes:
         length_over_least: ratio of the path length to `Plan.least_length`, or None if
-            the least length is 0.
+            the least length is 0 or exceeds the length of a given path.
         clearance_m: minimum distance of the footprint with its margin from obstacles
             and bounds, m.
     """
@@ -66,10 +66,11 @@ class ScenarioPlan:
             return None
         assert result.problem is not None, "set by plan()"
         checker = Checker(result.problem.world, result.problem.footprint)
-        if result.least_length > _ROUNDING:
-            ratio = result.length / result.least_length
-        else:
-            ratio = None
+        least = result.least_length
+        ratio = None
+        # A given path may pass through obstacles, and be shorter than the least length.
+        if _ROUNDING < least < result.length + _ROUNDING:
+            ratio = result.length / least
         return PathQuality(ratio, checker.clearance(result.segments))
 
     def document(self) -> dict[str, object]:

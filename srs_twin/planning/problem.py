@@ -271,7 +271,8 @@ class Plan(HtmlResult):
     def least_length(self) -> float:
         """Lower bound on the length of paths with arbitrary curvature, m.
 
-        The path consists of the lead-in and the shortest way from its end to the goal.
+        The bound is the length of the lead-in plus the shortest distance from the end
+        of the lead-in to the goal.
         """
         assert self.problem is not None, "set by plan()"
         problem = self.problem

@@ -12,7 +12,7 @@ from hypothesis import given, strategies as st
 from srs_twin.control.gait import Gait
 from srs_twin.control.grasp import hold_with
 from srs_twin.envs import make_task
-from srs_twin.envs.contact import GRASP_FREQUENCY_HZ, HELD_S, HOLD, SHORT_WAVE_RAD
+from srs_twin.envs.contact import GRASP_FREQUENCY_HZ, HELD_S, HOLD, MAX_PHASE_STEP_RAD
 from srs_twin.envs.gymnasium import SnakeEnv
 from srs_twin.envs.policy import baseline, play_episode
 from srs_twin.errors import InputError
@@ -231,14 +231,14 @@ def test_short_waves_pass_an_object_that_long_waves_push(seed, monkeypatch):
         assert episode.ending == "object_lost"
         return episode._moved
 
-    assert distance_after_passing(SHORT_WAVE_RAD) < 0.005
+    assert distance_after_passing(MAX_PHASE_STEP_RAD) < 0.005
     assert distance_after_passing(1.2) > 0.01
 
 
 def test_phase_lag_of_the_action_sets_the_wave():
     episode = make_task("Grasp").begin(np.random.default_rng(0))
     twin = episode.twin
-    for phase_lag in (1.2, SHORT_WAVE_RAD):
+    for phase_lag in (1.2, MAX_PHASE_STEP_RAD):
         time = episode._driven
         gait = Gait(GRASP_FREQUENCY_HZ, phase_step=phase_lag)
         gait.reset(twin.spec, twin.tick)

@@ -335,6 +335,9 @@ def test_goal_of_a_given_path_is_its_end():
     route = scenario.planner
     plan = route.plan()
     assert 1.0 <= plan_scenario(scenario).quality.length_over_least < 1.3
+    walls = {"bounds": {"x_m": [-0.5, 0.2], "y_m": [-0.5, 0.5]}}
+    blocked = parse_scenario(data(planner=planner, world=walls))
+    assert plan_scenario(blocked).quality.length_over_least is None
     goal = route.problem.goal
     assert [(s.curvature, s.length) for s in plan.segments] == [(2.5, 0.2), (-2.5, 0.2)]
     assert (goal.x, goal.y, goal.heading) == pytest.approx(
