@@ -255,7 +255,7 @@ class HasExitCode(Protocol):
 
     @property
     def exit_code(self) -> int:
-        """Exit code of the run, or 0 if it succeeded."""
+        """Exit code of the run; 0 means success."""
 
 
 class RunCounter(Display):

@@ -243,7 +243,7 @@ class BestFirstFile(PlannerSection):
             with loading.document.report_errors("planner", "primitives"):
                 primitives = self.primitives.build()
                 for curvature in primitives.curvatures:
-                    problem.footprint.at(curvature)
+                    problem.footprint.at(curvature)  # raises outside the table
                 problem = replace(problem, primitives=primitives)
             planner = replace(planner, problem=problem)
         if self.contact:

@@ -358,7 +358,7 @@ def test_an_interrupt_during_an_import_is_reported_as_an_interrupt(monkeypatch):
 
 
 def test_a_command_interrupted_during_an_import_says_what_was_written(capsys):
-    """An interrupt within an import gives the message of the command, too."""
+    """An interrupt within an import also prints the message of the command."""
     with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
         try:
             raise KeyboardInterrupt

@@ -202,7 +202,7 @@ class StudyResult:
         }
 
     def _count_without_value(self, part: str) -> int:
-        """Return the number of failed runs and of runs without one of the metrics."""
+        """Return the number of runs that failed or lack a metric."""
         values = np.array(
             [
                 [run.metric(name) for name in self.metrics]

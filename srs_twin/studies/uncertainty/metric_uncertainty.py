@@ -59,7 +59,7 @@ _BATCH = 50
 
 
 class SensitivityDocument(TypedDict):
-    """Sensitivity indices of one quantity, with errors, and its best and worst rank."""
+    """Sensitivity indices of one quantity with their errors, and its possible ranks."""
 
     first: float
     total: float

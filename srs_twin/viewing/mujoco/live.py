@@ -90,9 +90,7 @@ class LiveSnake:
         self._controller = None
         if scenario is not None:
             twin = scenario.build_plant("twin")
-            assert isinstance(twin, TwinSnake), (
-                "the kind of the plant ensures this type"
-            )
+            assert isinstance(twin, TwinSnake), "`build_plant` returns a TwinSnake"
             self.twin = twin
             limits = GaitLimits.for_robot(self.twin.spec)
             # The pneumatic model cannot exceed the supply pressure of the scenario.

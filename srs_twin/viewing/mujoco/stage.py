@@ -84,7 +84,7 @@ class Stage:
             geometry = scenario.robot.geometry
             self._ghost_line = body_line(self.ghost.run, geometry, _GHOST_CHORDS)
         plant = scenario.build_plant("twin", pneumatics="lag", sensor="ideal")
-        assert isinstance(plant, TwinSnake), "the kind of the plant ensures this type"
+        assert isinstance(plant, TwinSnake), "`build_plant` returns a TwinSnake"
         self.model = plant.physics.model
         self.data = mujoco.MjData(self.model)
         self._qpos = run.stack("qpos")
