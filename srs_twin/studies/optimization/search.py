@@ -27,8 +27,8 @@ predicts each constrained metric of the twin. New designs are also drawn near de
 that slightly violate a constraint. Because active constraints may split the feasible
 designs into regions with separate optima, the low-fidelity model also simulates designs
 in the largest gaps between its earlier runs. With one objective, every second round
-selects its second design for exploration. This design has the best prediction of all
-designs that are far from earlier runs and may be feasible.
+selects its second design for exploration. It maximises the expected improvement on the
+best run of a region around one of the next best designs. These regions take turns.
 
 **Budget.** After the last run, the maximum expected improvement over new designs is
 computed. If it exceeds the fraction `MAX_IMPROVEMENT` of the best result, a warning is
@@ -90,9 +90,14 @@ MAX_REPORTED = 3
 _OPTIMUM_DISTANCE = 0.1
 """Minimum distance between two reported designs, measured like `_MIN_DISTANCE`."""
 
-_EXPLORED_DISTANCE = 0.1
-"""Minimum distance of a design selected for exploration from all earlier runs of the
-twin, measured like `_MIN_DISTANCE`.
+_REGION_RADIUS = 0.1
+"""Radius of an explored region, and minimum distance between the centres of such
+regions, measured like `_MIN_DISTANCE`.
+"""
+
+_REGIONS = 4
+"""Number of the best regions. The first one is not explored, because the other designs
+of each round improve it.
 """
 
 _CMA_FRACTION = 0.6
@@ -106,10 +111,12 @@ by interpolation. The same number is drawn from the whole design space.
 """
 
 _EXPLORED = 2
-"""Number of new candidates per round that fill gaps in a study with constraints."""
+"""Number of new candidates per round in the explored region, and number of candidates
+that fill gaps, in a study with constraints.
+"""
 
 _MIN_FEASIBILITY = 0.1
-"""Minimum probability that an explored design satisfies the constraints."""
+"""Minimum probability that a candidate in a gap satisfies the constraints."""
 
 _SMOOTHING = 1e-9
 """Smoothing parameter that keeps the linear system of the interpolation regular."""
@@ -304,7 +311,7 @@ class _Search:
             score[[not _is_far(run.fractions, chosen) for run in candidates]] = -1.0
             k = int(np.argmax(score))
             if k_batch and self._explores:
-                k = self._distant_candidate(candidates, mean, sd, chosen, k)
+                k = self._explored_candidate(candidates, mean, sd, chosen, k)
             if score[k] < 0:
                 break
             chosen.append(candidates[k].fractions)
@@ -313,7 +320,7 @@ class _Search:
         self._round += 1
         return True
 
-    def _distant_candidate(
+    def _explored_candidate(
         self,
         candidates: list[Run],
         mean: np.ndarray,
@@ -321,20 +328,40 @@ class _Search:
         chosen: list[np.ndarray],
         otherwise: int,
     ) -> int:
-        """Return the candidate with the best prediction far from all known designs.
+        """Return the best candidate in the explored region, or else `otherwise`."""
+        designs = np.array([run.fractions for run in candidates])
+        score = self._regional_score(designs, mean, sd)
+        score[[not _is_far(design, chosen) for design in designs]] = -1.0
+        k = int(np.argmax(score))
+        return k if score[k] > 0 else otherwise
 
-        The known designs are the runs of the twin and the designs chosen in this round.
-        The result is `otherwise` if no distant candidate is likely enough to be
-        feasible.
+    def _explored_region(self) -> np.ndarray:
+        """Return the centre of the region that is explored in this round."""
+        centres: list[np.ndarray] = []
+        for k in np.argsort(self._scalarise(self._twin_runs, np.ones(1))):
+            design = self._twin_runs[k].fractions
+            if _is_far(design, centres, _REGION_RADIUS):
+                centres.append(design)
+        others = centres[1:_REGIONS] or centres
+        return others[self._round // 2 % len(others)]
+
+    def _regional_score(
+        self, designs: np.ndarray, mean: np.ndarray, sd: np.ndarray
+    ) -> np.ndarray:
+        """Return the expected improvement on the best run in the explored region.
+
+        The result is -1 for designs outside this region.
         """
-        fractions = [run.fractions for run in candidates]
-        known = [*(run.fractions for run in self._twin_runs), *chosen]
-        allowed = cdist(fractions, known).min(axis=1) > _EXPLORED_DISTANCE
-        allowed &= self._feasibility(mean, sd) >= _MIN_FEASIBILITY
-        allowed &= ~self._near_failures(fractions)
-        if not allowed.any():
-            return otherwise
-        return int(np.argmin(np.where(allowed, mean[:, 0], np.inf)))
+        centre = self._explored_region()
+        runs = [
+            run
+            for run in self._twin_runs
+            if math.dist(run.fractions, centre) <= _REGION_RADIUS
+        ]
+        score = self.improvement(mean, sd, self._outputs(runs), 0)
+        score[self._near_failures(designs)] = 0.0
+        score[cdist(designs, [centre])[:, 0] > _REGION_RADIUS] = -1.0
+        return score
 
     def expected_improvement(self) -> float | None:
         best = self.best()[:1]
@@ -466,16 +493,25 @@ class _Search:
         screened = self._screened_designs()
         mean, sd = self._predict_new(screened)
         promising = screened[np.argsort(-self._score(screened, mean, sd))]
-        explored = _EXPLORED if self._is_constrained else 0
-        new = list(promising[: count - explored])
+        if not self._is_constrained:
+            return promising[:count]
+        new = [*promising[: count - 2 * _EXPLORED], *self._regional_candidates()]
         # The interpolation may miss a narrow optimum between the low-fidelity runs, so
         # some candidates fill the largest gaps between them.
         known = [run.fractions for run in self._compliant_runs]
         possible = screened[self._feasibility(mean, sd) >= _MIN_FEASIBILITY]
-        for _ in range(min(explored, len(possible))):
+        for _ in range(min(_EXPLORED, len(possible))):
             distance = cdist(possible, [*known, *new]).min(axis=1)
             new.append(possible[int(distance.argmax())])
         return np.array(new)
+
+    def _regional_candidates(self) -> np.ndarray:
+        """Return new designs in the explored region, shape (`_EXPLORED`, d)."""
+        noise = self._rng.normal(size=(_SCREENED, self._size))
+        drawn = self._explored_region() + _REGION_RADIUS / 2 * noise
+        designs = self._study.space.snapped(np.clip(drawn, 0.0, 1.0))
+        score = self._regional_score(designs, *self._predict_new(designs))
+        return designs[np.argsort(-score)[:_EXPLORED]]
 
     def _screened_designs(self) -> np.ndarray:
         return np.vstack([self._neighbours(_SCREENED), self._sample_space(_SCREENED)])

@@ -385,30 +385,22 @@ def test_expected_improvement_is_the_mean_of_the_feasible_gains(tmp_path):
     )
 
 
-def test_explored_designs_are_far_from_all_runs_and_may_be_feasible(tmp_path):
-    question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.4}")
-    designs = [(0.5, 0.51), (0.5, 0.9), (0.1, 0.5), (0.1, 0.9)]
+def test_explored_designs_improve_the_second_best_region(tmp_path):
+    question = study(tmp_path, constraints="{metric: cost_of_transport, below: 0.6}")
+    designs = [(0.5, 0.52), (0.3, 0.85), (0.3, 0.82), (0.1, 0.1)]
     candidates = [Run("twin", np.array(d), Row("", DONE)) for d in designs]
-    cost = np.array([-0.4, -0.3, -0.2, -0.1])
-    excess = np.array([-0.1, 0.3, -0.1, -0.1])
-    mean = np.column_stack([cost, excess])
     with StudyRuns(question, tmp_path / "out", Engine()) as runs:
         state = _Search(question, runs)
-        state._run("twin", np.array([[0.5, 0.5]]))
-
-        def explored(count=4, chosen=()):
-            return state._distant_candidate(
-                candidates[:count], mean[:count], sd[:count], [*chosen], 0
-            )
-
-        # The first design is near a run, and the second is 3 sd beyond the limit.
-        sd = np.full((4, 2), 0.1)
-        assert explored() == 2
-        assert explored(chosen=[np.array([0.1, 0.45])]) == 3
-        assert explored(count=2) == 0
-        # At 1 sd beyond the limit, the probability of 0.16 suffices.
-        sd[:, 1] = 0.3
-        assert explored() == 1
+        state._run("twin", np.array([[0.5, 0.5], [0.3, 0.9]]))
+        second, best = sorted(run.metric("com_speed_m_s") for run in state._twin_runs)
+        cost = -np.array([best + 0.1, second + 0.02, second + 0.01, best + 0.1])
+        mean = np.column_stack([cost, np.full(4, -0.1)])
+        sd = np.full((4, 2), 1e-3)
+        assert state._explored_candidate(candidates, mean, sd, [], 0) == 1
+        chosen = [candidates[1].fractions]
+        assert state._explored_candidate(candidates, mean, sd, chosen, 0) == 2
+        mean[1:3, 1] = 0.1  # violates the constraint
+        assert state._explored_candidate(candidates, mean, sd, [], 0) == 0
 
 
 def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
