@@ -262,7 +262,7 @@ def _hint(value: object, names: Iterable[str]) -> str:
 
 
 def _describe_unknown_key(key: object, allowed: Sequence[str]) -> str:
-    if str(key).isdigit():
+    if str(key).isdecimal():
         return "unknown key; a decimal number is written with a point, not with a comma"
     if close := _hint(key, allowed):
         return f"unknown key{close}"

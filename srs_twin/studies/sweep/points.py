@@ -10,7 +10,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import Loc, parse_path
@@ -34,7 +34,19 @@ MAX_FIELDS = 16
 Value = bool | int | float | str
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
-FieldName = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+def _check_field_name(name: str) -> str:
+    try:
+        parse_path(name)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+    return name
+
+
+FieldName = Annotated[
+    str, Field(min_length=1, max_length=200), AfterValidator(_check_field_name)
+]
 FieldValues = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
 
 

@@ -274,6 +274,16 @@ def test_an_element_of_a_list_is_varied(tmp_path):
             "vary: {}",
             "4:7: vary: must have at least 1 entry, not 0",
         ),
+        (
+            "controller.frequency_hz",
+            "controller..frequency_hz",
+            "5:29: vary.controller..frequency_hz: 'controller..frequency_hz' is not a va",
+        ),
+        (
+            "fixed:",
+            "fixed: {supply.: 1}\nx:",
+            "3:18: fixed.supply.: 'supply.' is not a valid field name; write it as in",
+        ),
     ],
 )
 def test_one_mistake_gives_one_message(tmp_path, monkeypatch, old, new, message):
