@@ -474,7 +474,7 @@ class _Reader:
             # because they could corrupt the terminal output.
             text = self._text(event, keep="\n\t")
             if event.implicit[0]:
-                return _resolve_scalar(text)
+                return resolve_scalar(text)
             return text
         if isinstance(event, yaml.AliasEvent):
             return None
@@ -552,7 +552,7 @@ class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
 def _represent_text(dumper: yaml.CSafeDumper, text: str) -> yaml.ScalarNode:
     if _UNUSUAL.search(text):
         style = '"'
-    elif _resolve_scalar(text) is not text:
+    elif resolve_scalar(text) is not text:
         style = "'"
     else:
         style = None
@@ -578,7 +578,8 @@ def _is_row(values: Collection[object]) -> bool:
     return bool(values) and all(isinstance(value, int | float) for value in values)
 
 
-def _resolve_scalar(text: str) -> object:
+def resolve_scalar(text: str) -> object:
+    """Return the value of an unquoted YAML scalar."""
     for pattern, convert in _CORE_SCHEMA:
         if pattern.fullmatch(text):
             return convert(text)
