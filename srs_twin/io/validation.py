@@ -221,6 +221,23 @@ def _schema_of(model: type[StrictModel]) -> Schema:
     return model.model_json_schema()
 
 
+def accepts_only_integers(model: type[StrictModel], loc: Loc, data: object) -> bool:
+    """Return whether the numbers at a path must be integers.
+
+    Args:
+        model: model of a file.
+        loc: path of a value in the file.
+        data: file as plain data, which selects the kinds of blocks.
+    """
+    schema = _schema_of(model)
+    types = {
+        option.get("type")
+        for at_path in _schemas_at(schema, loc, data)
+        for option in _alternatives(at_path, schema)
+    }
+    return "integer" in types and "number" not in types
+
+
 def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str:
     """Describe the values of a JSON Schema, as in 'a number from 0.01 to 50'.
 

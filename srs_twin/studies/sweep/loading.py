@@ -31,7 +31,7 @@ from srs_twin.io.documents import (
     parse_path,
 )
 from srs_twin.io.files import StrPath, find_file, results_name
-from srs_twin.io.validation import validate
+from srs_twin.io.validation import accepts_only_integers, validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.expectation import COMPARISON
@@ -42,6 +42,7 @@ from srs_twin.scenario.modified import (
     marked,
     with_plants,
 )
+from srs_twin.scenario.parts import scenario_model
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import NOT_PHYSICS
 from srs_twin.scenario.scenario import Scenario
@@ -221,7 +222,7 @@ class _Loader:
         values = None
         robots = self._robots()
         with self._document.report_errors("vary"):
-            values = sample(file.vary, file.sampling)
+            values = sample(file.vary, file.sampling, self._integer_fields())
         if values is None or len(self._document.problems) > before:
             return None
         experiment = Experiment(
@@ -251,6 +252,15 @@ class _Loader:
         if len(self._document.problems) > before:
             return None
         return sweep
+
+    def _integer_fields(self) -> list[str]:
+        scenario = Document("", self._scenario)
+        model = scenario_model(scenario)
+        return [
+            field
+            for field in self._file.vary
+            if accepts_only_integers(model, parse_path(field), self._scenario)
+        ]
 
     def _expectations(self) -> list[object]:
         """Return the expectations about plants that run."""
