@@ -15,6 +15,7 @@ from srs_twin.io.documents import MAX_DEPTH, dump_yaml, parse_yaml
 from srs_twin.io.files import (
     MAX_BYTES,
     atomic_write,
+    check_output_folder,
     display_path,
     escape_unprintable,
     find_file,
@@ -392,3 +393,9 @@ def test_failed_atomic_write_removes_its_folders(tmp_path):
         ):
             temporary.write_text("x")
         assert os.listdir(tmp_path) == ["old"] and not os.listdir(tmp_path / "old")
+
+
+@pytest.mark.parametrize("name", ["metrics", "sweep", "study"])
+def test_a_folder_without_marks_may_contain_any_results(tmp_path, name):
+    (tmp_path / "study.json").touch()
+    check_output_folder(tmp_path, (f"{name}.json",))
