@@ -131,7 +131,7 @@ class PreparedRun:
         cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None
     ) -> PreparedRun:
         """Build the plants and controllers of a scenario."""
-        kinds = tuple(plants or scenario.plants)
+        kinds = scenario.plants_to_run(plants)
         scenario = scenario.run_on(plants)
         with scenario.named_in_errors():
             pairs = {
