@@ -358,7 +358,7 @@ def create_numbered_file(folder: Path, name: str) -> Path:
                     " be written there"
                 ) from None
         except OSError as error:
-            raise InputError(
+            raise WriteError(
                 f"{display_path(path)}: the file cannot be written ({error.strerror})"
             ) from error
         else:
