@@ -220,14 +220,18 @@ class _Loader:
         self._check_planning()
         self._check_metrics()
         values = None
-        robots = self._robots()
+        experiment = Experiment(
+            self._scenario,
+            self._plants,
+            file.periods,
+            self._robots(),
+            file.trajectories,
+        )
         with self._document.report_errors("vary"):
-            values = sample(file.vary, file.sampling, self._integer_fields())
+            integer_fields = self._integer_fields(experiment)
+            values = sample(file.vary, file.sampling, integer_fields)
         if values is None or len(self._document.problems) > before:
             return None
-        experiment = Experiment(
-            self._scenario, self._plants, file.periods, robots, file.trajectories
-        )
         base = experiment.with_fixed(file.fixed)
         if changes := changed_fields(
             self._scenario,
@@ -253,13 +257,19 @@ class _Loader:
             return None
         return sweep
 
-    def _integer_fields(self) -> list[str]:
-        scenario = Document("", self._scenario)
-        model = scenario_model(scenario)
+    def _integer_fields(self, experiment: Experiment) -> list[str]:
+        vary = self._file.vary
+        first = {
+            field: values.start if isinstance(values, RangeFile) else values[0]
+            for field, values in vary.items()
+        }
+        # The fields may belong to sections that the base scenario does not contain.
+        data = experiment.with_fixed({**self._file.fixed, **first})
+        model = scenario_model(Document("", data))
         return [
             field
-            for field in self._file.vary
-            if accepts_only_integers(model, parse_path(field), self._scenario)
+            for field in vary
+            if accepts_only_integers(model, parse_path(field), data)
         ]
 
     def _expectations(self) -> list[object]:
