@@ -42,6 +42,7 @@ from srs_twin.io.documents import Overrides, dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import (
     METRICS,
+    RUN_MARKS,
     StrPath,
     check_output_folder,
     data_root,
@@ -130,7 +131,7 @@ class PreparedRun:
         cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None
     ) -> PreparedRun:
         """Build the plants and controllers of a scenario."""
-        kinds = tuple(plants or scenario.plants)
+        kinds = scenario.plants_to_run(plants)
         scenario = scenario.run_on(plants)
         with scenario.named_in_errors():
             pairs = {
@@ -614,7 +615,7 @@ def prepare(
             writable.
     """
     run = PreparedRun.build(scenario, out, plants)
-    check_output_folder(out, _ALL_PRODUCTS)
+    check_output_folder(out, _ALL_PRODUCTS, marks=RUN_MARKS)
     return run
 
 
@@ -624,7 +625,7 @@ def check_run(scenario: Scenario, out: Path) -> None:
     Raises:
         InputError: the folder is not writable, or the plan cannot be computed.
     """
-    check_output_folder(out, _ALL_PRODUCTS)
+    check_output_folder(out, _ALL_PRODUCTS, marks=RUN_MARKS)
     scenario.check_run()
 
 

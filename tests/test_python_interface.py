@@ -452,3 +452,16 @@ def test_unknown_values_to_leave_out_are_named(place):
         UnknownNameError, match="unknown varied field 'controller.ofset'"
     ):
         srs.sweep("small.yaml", exclude=["controller.ofset=0.2"], engine=here)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: srs.run_scenario("gen2_straight", plants=[]),
+        lambda: srs.uncertainty("gen2_straight", plants=[]),
+        lambda: srs.calibrate_margin("follow_fig57", plants=[]),
+    ],
+)
+def test_an_empty_list_of_plants_is_refused(call):
+    with pytest.raises(InputError, match="the list of plants is empty; name at least"):
+        call()

@@ -32,6 +32,7 @@ from srs_twin.errors import (
     SrsError,
     TaskFailedError,
     UnitWarning,
+    WriteError,
 )
 from srs_twin.io.files import check_printable
 
@@ -157,7 +158,7 @@ class _StandardStream(io.FileIO):
     """Standard stream that is redirected to the null device if a write fails.
 
     Writes to a closed pipe are ignored. Any other failure, such as a full disk, raises
-    an `InputError`.
+    a `WriteError`.
     """
 
     def write(self, data: ReadableBuffer, /) -> int:
@@ -174,7 +175,7 @@ class _StandardStream(io.FileIO):
             if isinstance(error, BrokenPipeError):
                 return super().write(data)
             name = "stdout" if self.fileno() == 1 else "stderr"
-            raise InputError(
+            raise WriteError(
                 f"{name}: the output cannot be written ({error.strerror})"
             ) from error
 

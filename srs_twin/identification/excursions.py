@@ -193,7 +193,7 @@ def calibrate_margin(
             cannot be written.
     """
     loaded = load_scenario(scenario, set=[*Override.list_of(set), NO_MARGIN])
-    kinds = plants or tuple(loaded.plants)
+    kinds = loaded.plants_to_run(plants)
     done = itertools.count(1)
     source = find_file("footprint", loaded.file.section("planner").footprint)
     file = load_footprint_file(source)

@@ -103,12 +103,10 @@ class Override:
 
 
 def _field_path(label: str, name: str) -> Loc:
-    if not _FIELD_NAME.fullmatch(name):
-        raise InputError(
-            f"{label}: '{name}' is not the name of a field, such as"
-            " world.obstacles[0].x_m"
-        )
-    return parse_path(name)
+    try:
+        return parse_path(name)
+    except InputError as error:
+        raise InputError(f"{label}: {error}") from None
 
 
 Overrides = Mapping[str, object] | Sequence[Override]
@@ -392,9 +390,18 @@ def format_path(loc: Loc) -> str:
 
 
 def parse_path(name: str) -> Loc:
-    """Convert a dotted name, such as ``world.obstacles[0].x_m``, to a path."""
+    """Convert a dotted name, such as ``world.obstacles[0].x_m``, to a path.
+
+    Raises:
+        InputError: the name is not valid.
+    """
+    # A program may give a name of another type, as in `set={1: 2}`.
+    if not (isinstance(name, str) and _FIELD_NAME.fullmatch(name)):
+        raise InputError(
+            f"'{name}' is not a valid field name; write it as in world.obstacles[0].x_m"
+        )
     return tuple(
-        int(text) if text.isdigit() else text
+        int(text) if re.fullmatch("[0-9]+", text) else text
         for text in re.split(r"[.\[\]]+", name)
         if text
     )
@@ -467,7 +474,7 @@ class _Reader:
             # because they could corrupt the terminal output.
             text = self._text(event, keep="\n\t")
             if event.implicit[0]:
-                return _resolve_scalar(text)
+                return resolve_scalar(text)
             return text
         if isinstance(event, yaml.AliasEvent):
             return None
@@ -545,7 +552,7 @@ class _Dumper(yaml.CSafeDumper):  # type: ignore[misc]  # PyYAML has no types
 def _represent_text(dumper: yaml.CSafeDumper, text: str) -> yaml.ScalarNode:
     if _UNUSUAL.search(text):
         style = '"'
-    elif _resolve_scalar(text) is not text:
+    elif resolve_scalar(text) is not text:
         style = "'"
     else:
         style = None
@@ -571,7 +578,8 @@ def _is_row(values: Collection[object]) -> bool:
     return bool(values) and all(isinstance(value, int | float) for value in values)
 
 
-def _resolve_scalar(text: str) -> object:
+def resolve_scalar(text: str) -> object:
+    """Return the value of an unquoted YAML scalar."""
     for pattern, convert in _CORE_SCHEMA:
         if pattern.fullmatch(text):
             return convert(text)

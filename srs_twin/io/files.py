@@ -24,12 +24,22 @@ METRICS = "metrics.json"
 SWEEP_SUMMARY = "sweep.json"
 STUDY_RESULT = "study.json"
 
+SWEEP_ROWS = "rows.sqlite"
+STUDY_ROWS = f"twin/{SWEEP_ROWS}"
+
+RUN_MARKS = (METRICS,)
+SWEEP_MARKS = (SWEEP_SUMMARY, SWEEP_ROWS)
+STUDY_MARKS = (STUDY_RESULT, STUDY_ROWS)
 _RESULT_KINDS = {
-    METRICS: "a run",
-    SWEEP_SUMMARY: "a sweep",
-    STUDY_RESULT: "an optimization",
+    RUN_MARKS: "a run",
+    SWEEP_MARKS: "a sweep",
+    STUDY_MARKS: "an optimization",
 }
-"""Kinds of results that share file names, keyed by the completion mark of each kind."""
+"""Kinds of results that share file names, keyed by the marks of each kind.
+
+The marks are names of files. The first is the file that marks a complete set of
+results. The others exist from the start.
+"""
 
 _FOLDERS = {
     "robot": "calibration/robots",
@@ -348,7 +358,7 @@ def create_numbered_file(folder: Path, name: str) -> Path:
                     " be written there"
                 ) from None
         except OSError as error:
-            raise InputError(
+            raise WriteError(
                 f"{display_path(path)}: the file cannot be written ({error.strerror})"
             ) from error
         else:
@@ -413,13 +423,19 @@ def require_file(
 
 
 def check_output_folder(
-    folder: Path, products: Sequence[str] = (), *, option: str = "--out"
+    folder: Path,
+    products: Sequence[str] = (),
+    *,
+    marks: tuple[str, ...] = (),
+    option: str = "--out",
 ) -> None:
     """Check that files can be written to a folder, which may not exist yet.
 
     Args:
         folder: output folder.
-        products: names of the files, which begin with the completion mark of a set.
+        products: names of the files.
+        marks: marks of the results, such as `RUN_MARKS`, or an empty tuple if the
+            folder may contain results of any kind.
         option: option that names the folder in error messages.
 
     Raises:
@@ -444,13 +460,13 @@ def check_output_folder(
             problem += f"; give another folder with {option}"
         raise InputError(f"{display_path(folder)}: {problem}") from error
     check_not_folders(folder, products)
-    if products and products[0] in _RESULT_KINDS:
-        _check_result_kind(folder, products[0], option)
+    if marks:
+        _check_result_kind(folder, marks, option)
 
 
-def _check_result_kind(folder: Path, own_mark: str, option: str) -> None:
-    for mark, kind in _RESULT_KINDS.items():
-        if mark != own_mark and (folder / mark).exists():
+def _check_result_kind(folder: Path, own: tuple[str, ...], option: str) -> None:
+    for marks, kind in _RESULT_KINDS.items():
+        if marks != own and any((folder / mark).exists() for mark in marks):
             raise InputError(
                 f"{display_path(folder)}: the folder contains {kind}; give another"
                 f" folder with {option}"

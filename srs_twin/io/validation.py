@@ -31,6 +31,7 @@ from srs_twin.io.documents import (
     format_path,
     has_child,
     load_yaml,
+    resolve_scalar,
 )
 
 if TYPE_CHECKING:
@@ -44,7 +45,6 @@ _LIST_HINT = "`srs-twin schema`"
 # Numbers with these units are often given with a wrong prefix, such as mm for m.
 _SCALED_SUFFIXES = ("_kpa", "_m", "_mm", "_kg", "_s", "_ml", "_nm_per_rad")
 _BLOCK = "a block of keys"
-_NUMBER = re.compile(r"[-+]?[0-9]+(\.[0-9]*)?(e[-+]?[0-9]+)?", re.IGNORECASE)
 _WITH_UNIT = re.compile(
     r"[-+]?[0-9.]+(e[-+]?[0-9]+)? ?[^\W\d_][\w/*·%]*", re.IGNORECASE
 )
@@ -76,7 +76,11 @@ _COUNT_LIMITS = {
     "too_short": ("min_length", "at least "),
     "too_long": ("max_length", "at most "),
 }
-"""Name and description of the violated limit of each error in a number of entries."""
+"""Name of the limit in pydantic's error context and its wording, keyed by error type.
+"""
+_COUNT_KEYWORDS = {"too_short": "minItems", "too_long": "maxItems"}
+"""JSON Schema keyword of the limit, keyed by error type."""
+_NUMERIC_TYPES = ("number", "integer")
 _UNION_TAG_ERRORS = ("union_tag_invalid", "union_tag_not_found")
 
 
@@ -217,6 +221,23 @@ def _schema_of(model: type[StrictModel]) -> Schema:
     return model.model_json_schema()
 
 
+def accepts_only_integers(model: type[StrictModel], loc: Loc, data: object) -> bool:
+    """Return whether the numbers at a path must be integers.
+
+    Args:
+        model: model of a file.
+        loc: path of a value in the file.
+        data: file as plain data, which selects the kinds of blocks.
+    """
+    schema = _schema_of(model)
+    types = {
+        option.get("type")
+        for at_path in _schemas_at(schema, loc, data)
+        for option in _alternatives(at_path, schema)
+    }
+    return "integer" in types and "number" not in types
+
+
 def describe_schema(schema: Schema, root: Schema, *, brief: bool = False) -> str:
     """Describe the values of a JSON Schema, as in 'a number from 0.01 to 50'.
 
@@ -262,7 +283,7 @@ def _hint(value: object, names: Iterable[str]) -> str:
 
 
 def _describe_unknown_key(key: object, allowed: Sequence[str]) -> str:
-    if str(key).isdigit():
+    if str(key).isdecimal():
         return "unknown key; a decimal number is written with a point, not with a comma"
     if close := _hint(key, allowed):
         return f"unknown key{close}"
@@ -291,17 +312,25 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
     choices = [choice for option in options for choice in _choices(option, schema)]
     if isinstance(value, str):
         close = _suggest_for_text(value, flat, choices)
-    elif kind == "int_type" and isinstance(value, float) and value.is_integer():
-        close = "; write it without a decimal point"
     else:
         close = _suggest_unit(value, loc, flat)
-    return f"must be {words}, not {_describe_value(value)}{close}"
+    described = _describe_value(value)
+    if kind == "int_type" and isinstance(value, float) and value.is_integer():
+        # Without the decimal point, the value would look like an allowed value.
+        described = repr(value)
+        if any(_accepts(option, int(value)) for option in flat):
+            close = f"; write it as a whole number, such as {int(value)}"
+    return f"must be {words}, not {described}{close}"
 
 
 def _describe_wrong_count(item: ErrorDetails, options: Iterable[Schema]) -> str:
     name, bound = _COUNT_LIMITS[item["type"]]
     limit = item["ctx"][name]
-    if any(option.get("minItems") == option.get("maxItems", -1) for option in options):
+    keyword = _COUNT_KEYWORDS[item["type"]]
+    failed = [option for option in options if option.get(keyword) == limit]
+    if failed and all(
+        option.get("minItems") == option.get("maxItems") for option in failed
+    ):
         bound = ""
     noun = "entry" if limit == 1 else "entries"
     return f"must have {bound}{limit} {noun}, not {len(item['input'])}"
@@ -310,14 +339,30 @@ def _describe_wrong_count(item: ErrorDetails, options: Iterable[Schema]) -> str:
 def _suggest_for_text(
     value: str, options: Iterable[Schema], choices: Sequence[Any]
 ) -> str:
-    if any("minimum" in option for option in options):
-        if _NUMBER.fullmatch(value):
-            return "; write the number without quotes"
-        if _WITH_UNIT.fullmatch(value):
-            return "; write the number without its unit, which the key states"
+    numeric = [option for option in options if option.get("type") in _NUMERIC_TYPES]
+    unquoted = resolve_scalar(value)
+    if any(_accepts(option, unquoted) for option in numeric):
+        return "; write the number without quotes"
+    if numeric and _WITH_UNIT.fullmatch(value):
+        return "; write the number without its unit, which the key states"
     if len(choices) > 1:
         return _hint(value, choices)
     return ""
+
+
+def _accepts(option: Schema, value: object) -> bool:
+    """Return whether a schema of a number accepts a value."""
+    if option.get("type") == "integer":
+        is_number = isinstance(value, int)
+    else:
+        is_number = isinstance(value, int | float)
+    return (
+        is_number
+        and not isinstance(value, bool)
+        and option.get("minimum", -math.inf) <= value <= option.get("maximum", math.inf)
+        and option.get("exclusiveMinimum", -math.inf) < value
+        and value < option.get("exclusiveMaximum", math.inf)
+    )
 
 
 def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:

@@ -14,7 +14,7 @@ from typing import IO
 
 import numpy as np
 
-from srs_twin.errors import InputError, format_names
+from srs_twin.errors import InputError, WriteError, format_names
 from srs_twin.io.files import display_path, require_file
 from srs_twin.live.links import Link, clock
 from srs_twin.live.messages import (
@@ -58,8 +58,8 @@ class Journal:
         """Create the file and its folder.
 
         Raises:
-            InputError: the file cannot be written, or the package mcap is not
-                installed.
+            InputError: the package mcap is not installed.
+            WriteError: the file cannot be written.
         """
         try:
             from mcap.writer import CompressionType, Writer
@@ -72,7 +72,7 @@ class Journal:
             path.parent.mkdir(parents=True, exist_ok=True)
             self._file = path.open("wb")
         except OSError as error:
-            raise InputError(
+            raise WriteError(
                 f"{display_path(path)}: the file cannot be written ({error.strerror})"
             ) from error
         # Without chunks, a killed process loses only the messages that were written

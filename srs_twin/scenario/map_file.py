@@ -200,8 +200,8 @@ def read_circles(path: Path) -> tuple[Circle, ...]:
         line = rows.line_num  # empty lines are skipped
         if None in row:
             raise InputError(
-                f"{name}:{line}: the row has more values than the header; write decimal"
-                " numbers with a point"
+                f"{name}:{line}: the row has more values than the header; remove"
+                " trailing commas, and write decimals with a point"
             )
         try:
             x, y, radius = (float(row[column]) for column in CIRCLE_COLUMNS)

@@ -152,15 +152,28 @@ class Scenario:
             if fields
         ]
 
+    def plants_to_run(self, plants: Sequence[str] | None) -> tuple[str, ...]:
+        """Return the given plants, or the plants of the scenario if `plants` is None.
+
+        Raises:
+            InputError: the list of plants is empty.
+        """
+        if plants is None:
+            return tuple(self.plants)
+        if not plants:
+            raise InputError(
+                "the list of plants is empty; name at least one plant, or omit the list"
+            )
+        return tuple(plants)
+
     def run_on(self, plants: Sequence[str] | None) -> Scenario:
         """Return the scenario for a run on given plants.
 
         If `plants` is None, the plants of the scenario are kept. Different plants are
         recorded as a changed field.
         """
-        changes = with_plants(
-            self.changes, tuple(self.plants), plants or tuple(self.plants)
-        )
+        kinds = self.plants_to_run(plants)
+        changes = with_plants(self.changes, tuple(self.plants), kinds)
         if changes == list(self.changes):
             return self
         document = {
@@ -168,9 +181,7 @@ class Scenario:
         }
         document |= {"changes": changes} if changes else {}
         warnings = tuple(text for text in self.warnings if text != IGNORED_OBSTACLES)
-        warnings += ignored_obstacles(
-            self.file, self.world, plants or tuple(self.plants)
-        )
+        warnings += ignored_obstacles(self.file, self.world, kinds)
         title = marked(document["title"], changes)
         return replace(self, document=document, title=title, warnings=warnings)
 

@@ -105,9 +105,10 @@ def test_a_resolved_scenario_can_be_changed_again():
         ("supply.pressure_kpa=[1", "not YAML"),
         ("duration_s", "must be FIELD=VALUE, as in controller.frequency_hz=1.5"),
         ("=3", "must be FIELD=VALUE"),
-        ("a..b=1", "'a..b' is not the name of a field"),
+        ("a..b=1", "'a..b' is not a valid field name; write it as in world.ob"),
         ("duration_s=&a 1", "anchors (&a) are not allowed; write each value out"),
         ("title=*a", "aliases (*a) are not allowed; write the value out"),
+        ("controller.²=1", "controller.²: unknown key; allowed: "),
     ],
 )
 def test_a_mistake_names_the_option_and_the_remedy(srs_twin, tmp_path, words, said):
@@ -469,3 +470,10 @@ def test_a_scenario_is_compared_by_its_name():
         srs.compare("gen2_straight", set={"controller.frequency": 1.0})
     with pytest.raises(InputError, match="two trajectories"):
         srs.compare(found.trajectories["twin"])
+
+
+@pytest.mark.parametrize("name", [1, "", "a.", ".a", "a[x]"])
+def test_an_invalid_field_name_in_a_program_is_refused(name):
+    said = re.escape(f"'{name}' is not a valid field name; write it as in world.obs")
+    with pytest.raises(InputError, match=said):
+        load_scenario("gen2_straight", set={name: 2})

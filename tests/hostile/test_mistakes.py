@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 import os
+from typing import Annotated
 
 import pytest
 from malformed_scenarios import SCENARIO
+from pydantic import Field
 
 from srs_twin.errors import InputError
+from srs_twin.io.documents import Document
+from srs_twin.io.validation import StrictModel, validate
 from srs_twin.scenario.loading import load_scenario
 
 GOOD = SCENARIO.decode()
@@ -383,8 +387,8 @@ POSITIONS = [
     (
         "world: {}",
         "seed: 1.0",
-        "6:7: seed: must be a whole number from 0 to 4294967295, not 1; write it"
-        " without a decimal point",
+        "6:7: seed: must be a whole number from 0 to 4294967295, not 1.0; write it as"
+        " a whole number, such as 1",
     ),
 ]
 
@@ -511,3 +515,44 @@ def test_missing_file_folder_and_unknown_name_are_rejected(tmp_path):
         match=r"unknown scenario 'gen2_strait'; did you mean gen2_straight\?",
     ):
         load_scenario("gen2_strait")
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("value", "description"),
+    [
+        ("2", "text '2'; write the number without quotes"),
+        ("2.5", "text '2.5'"),
+        ("-1", "text '-1'"),
+        (1e3, "1000.0; write it as a whole number, such as 1000"),
+        (1e20, "1e+20"),
+    ],
+)
+def test_hint_for_a_whole_number_leads_to_an_allowed_value(value, description):
+    with pytest.raises(InputError) as error:
+        load_scenario("gen2_straight", set={"seed": value})
+    assert str(error.value).endswith(f"from 0 to 4294967295, not {description}")
+
+
+class Limits(StrictModel):
+    above: Annotated[float, Field(gt=0)] = 1.0
+    entries: (
+        Annotated[list[int], Field(min_length=2)]
+        | Annotated[list[str], Field(min_length=3, max_length=3)]
+    ) = [1, 2]
+
+
+@pytest.mark.fast
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        ({"above": ".5"}, "not text '.5'; write the number without quotes"),
+        ({"above": "0"}, "not text '0'"),
+        ({"entries": [1]}, "must have at least 2 entries, not 1"),
+        ({"entries": ["a"]}, "must have 3 entries, not 1"),
+    ],
+)
+def test_hint_belongs_to_the_violated_limit(data, message):
+    document = Document("x.yaml")
+    validate(Limits, document, data)
+    assert any(text.endswith(message) for _, text in document.problems)

@@ -10,11 +10,13 @@ from pathlib import Path
 import pytest
 from hypothesis import given, strategies as st
 
-from srs_twin.errors import InputError, InputFileError, UnknownNameError
+from srs_twin.errors import InputError, InputFileError, UnknownNameError, WriteError
 from srs_twin.io.documents import MAX_DEPTH, dump_yaml, parse_yaml
 from srs_twin.io.files import (
     MAX_BYTES,
     atomic_write,
+    check_output_folder,
+    create_numbered_file,
     display_path,
     escape_unprintable,
     find_file,
@@ -392,3 +394,15 @@ def test_failed_atomic_write_removes_its_folders(tmp_path):
         ):
             temporary.write_text("x")
         assert os.listdir(tmp_path) == ["old"] and not os.listdir(tmp_path / "old")
+
+
+@pytest.mark.parametrize("name", ["metrics", "sweep", "study"])
+def test_a_folder_without_marks_may_contain_any_results(tmp_path, name):
+    (tmp_path / "study.json").touch()
+    check_output_folder(tmp_path, (f"{name}.json",))
+
+
+def test_a_numbered_file_that_cannot_be_written_is_a_write_error(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(WriteError, match=r": the file cannot be written \("):
+        create_numbered_file(tmp_path / "file" / "inner", "journal-{}.mcap")

@@ -14,7 +14,8 @@ import pytest
 from subsets import first_by_default
 
 from srs_twin import Trajectory, load_scenario
-from srs_twin.errors import InputError
+from srs_twin.cli import _StandardStream
+from srs_twin.errors import InputError, WriteError
 from srs_twin.experiment import PRODUCTS, prepare
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import check_output_folder
@@ -269,3 +270,11 @@ def test_failed_set_of_files_removes_its_folders(tmp_path):
         (fresh / "first").write_text("half")
         raise ZeroDivisionError
     assert not list(tmp_path.iterdir())
+
+
+def test_full_disk_behind_a_stream_is_a_write_error():
+    with (
+        _StandardStream("/dev/full", "wb") as stream,
+        pytest.raises(WriteError, match=r"the output cannot be written \(No space"),
+    ):
+        stream.write(b"x")

@@ -10,6 +10,7 @@ import pytest
 from brokers import wait
 
 from srs_twin import InputError
+from srs_twin.errors import WriteError
 from srs_twin.live.journal import Journal, McapLink, journal_messages
 from srs_twin.live.messages import BENDS, COMMAND, POSES, PRESSURES, STATUS, Message
 
@@ -98,7 +99,7 @@ def test_no_file_is_said(tmp_path):
     with pytest.raises(InputError, match="nowhere.mcap: no such file"):
         list(journal_messages(tmp_path / "nowhere.mcap", "r", 2))
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot be written"):
+    with pytest.raises(WriteError, match="cannot be written"):
         Journal(tmp_path / "file" / "a.mcap")
 
 

@@ -209,7 +209,8 @@ def test_a_list_of_circles(tmp_path):
             ":2: the numbers must be finite and the radius above 0",
         ),
         ("x_m,y_m,radius_m,x_m\n1,2,3,4\n", ":1: the column 'x_m' is repeated"),
-        ("x_m,y_m,radius_m\n1,5,2,0.1\n", ":2: the row has more values than"),
+        ("x_m,y_m,radius_m\n1,5,2,0.1\n", "and write decimals with a point"),
+        ("x_m,y_m,radius_m\n1,2,0.1,\n", "than the header; remove trailing commas"),
         ("x_m,y_m,radius_m\n\n1,2,wide\n", ":3: the row must have three numbers"),
     ):
         path.write_text(text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import subprocess
@@ -14,7 +15,7 @@ import pytest
 from matplotlib.image import imread
 
 from srs_twin import load_scenario
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, WriteError
 from srs_twin.experiment import load_run, run_scenario
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.trajectory import Trajectory
@@ -505,6 +506,18 @@ def test_failed_video_keeps_the_existing_file(tmp_path):
     with (
         pytest.raises(InputError, match="cannot be written"),
         render.video_writer(tmp_path / "a.mp4/b.mp4", width=64, height=64, fps=1),
+    ):
+        raise AssertionError("not reached")
+
+
+def test_video_on_a_full_disk_is_a_write_error(tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise av.FFmpegError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(av, "open", full)
+    with (
+        pytest.raises(WriteError, match="the video cannot be written .*No space"),
+        render.video_writer(tmp_path / "a.mp4", width=64, height=64, fps=1),
     ):
         raise AssertionError("not reached")
 

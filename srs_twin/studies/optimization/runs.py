@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from srs_twin.io.files import STUDY_RESULT, check_output_folder
+from srs_twin.io.files import STUDY_MARKS, STUDY_RESULT, check_output_folder
 from srs_twin.io.provenance import Provenance
 from srs_twin.studies.optimization.loading import OptimizationStudy
 from srs_twin.studies.sweep.execution import Engine
@@ -76,7 +76,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         self.requested: list[Run] = []
         self._rows: dict[str, Row] = {}
         self._requested_by_key: dict[str, Run] = {}
-        check_output_folder(folder, (STUDY_RESULT,))
+        check_output_folder(folder, (STUDY_RESULT,), marks=STUDY_MARKS)
         with ExitStack() as opened:
             self._stores = {
                 part: opened.enter_context(RowStore(folder / part))

@@ -32,6 +32,7 @@ from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Overrides, dump_yaml
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import (
+    SWEEP_MARKS,
     SWEEP_SUMMARY,
     StrPath,
     check_output_folder,
@@ -290,7 +291,7 @@ def open_sweep(
         changed: whether the folder may contain rows of a different version of the
             sweep. Rows that are still valid are kept.
     """
-    check_output_folder(folder, _PRODUCTS)
+    check_output_folder(folder, _PRODUCTS, marks=SWEEP_MARKS)
     with RowStore(folder) as store:
         yield OpenSweep(sweep, folder, store, changed=changed)
 

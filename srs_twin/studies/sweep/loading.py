@@ -31,7 +31,7 @@ from srs_twin.io.documents import (
     parse_path,
 )
 from srs_twin.io.files import StrPath, find_file, results_name
-from srs_twin.io.validation import validate
+from srs_twin.io.validation import accepts_only_integers, validate
 from srs_twin.planning.metrics import PLANNING_UNITS
 from srs_twin.robot.file import load_robot_file
 from srs_twin.scenario.expectation import COMPARISON
@@ -42,6 +42,7 @@ from srs_twin.scenario.modified import (
     marked,
     with_plants,
 )
+from srs_twin.scenario.parts import scenario_model
 from srs_twin.scenario.plants import PLANTS
 from srs_twin.scenario.provenance import NOT_PHYSICS
 from srs_twin.scenario.scenario import Scenario
@@ -219,14 +220,18 @@ class _Loader:
         self._check_planning()
         self._check_metrics()
         values = None
-        robots = self._robots()
+        experiment = Experiment(
+            self._scenario,
+            self._plants,
+            file.periods,
+            self._robots(),
+            file.trajectories,
+        )
         with self._document.report_errors("vary"):
-            values = sample(file.vary, file.sampling)
+            integer_fields = self._integer_fields(experiment)
+            values = sample(file.vary, file.sampling, integer_fields)
         if values is None or len(self._document.problems) > before:
             return None
-        experiment = Experiment(
-            self._scenario, self._plants, file.periods, robots, file.trajectories
-        )
         base = experiment.with_fixed(file.fixed)
         if changes := changed_fields(
             self._scenario,
@@ -251,6 +256,21 @@ class _Loader:
         if len(self._document.problems) > before:
             return None
         return sweep
+
+    def _integer_fields(self, experiment: Experiment) -> list[str]:
+        vary = self._file.vary
+        first = {
+            field: values.start if isinstance(values, RangeFile) else values[0]
+            for field, values in vary.items()
+        }
+        # The fields may belong to sections that the base scenario does not contain.
+        data = experiment.with_fixed({**self._file.fixed, **first})
+        model = scenario_model(Document("", data))
+        return [
+            field
+            for field in vary
+            if accepts_only_integers(model, parse_path(field), data)
+        ]
 
     def _expectations(self) -> list[object]:
         """Return the expectations about plants that run."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import AfterValidator, Discriminator, Field, Tag, model_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import Loc, parse_path
@@ -34,7 +34,19 @@ MAX_FIELDS = 16
 Value = bool | int | float | str
 
 Plain = bool | int | float | Annotated[str, Field(max_length=200)]
-FieldName = Annotated[str, Field(min_length=1, max_length=200)]
+
+
+def _check_field_name(name: str) -> str:
+    try:
+        parse_path(name)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+    return name
+
+
+FieldName = Annotated[
+    str, Field(min_length=1, max_length=200), AfterValidator(_check_field_name)
+]
 FieldValues = Annotated[list[Plain], Field(min_length=1, max_length=10_000)]
 
 
@@ -335,7 +347,10 @@ def _is_record(data: object) -> bool:
 
 
 def leaf_names(data: object, prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names of all values. A robot parameter is one value."""
+    """Yield the dotted name of each value.
+
+    A record of a robot parameter counts as one value.
+    """
     if isinstance(data, Mapping) and not _is_record(data):
         for key, value in data.items():
             yield from leaf_names(value, f"{prefix}.{key}" if prefix else str(key))
@@ -366,11 +381,22 @@ def _duration(
 Varied = Mapping[str, Sequence[Value] | RangeFile]
 
 
-def sample(vary: Varied, sampling: SamplingFile) -> list[tuple[Value, ...]]:
-    """Return the field values of all points, one row per point."""
+def sample(
+    vary: Varied, sampling: SamplingFile, integer_fields: Container[str] = ()
+) -> list[tuple[Value, ...]]:
+    """Return the field values of all points, one row per point.
+
+    Args:
+        vary: values or range of each field, keyed by dotted name.
+        sampling: method for combining the values.
+        integer_fields: names of the fields that accept only integers.
+    """
     if sampling.kind in ("latin_hypercube", "sobol"):
         return _space_filling_points(list(vary.values()), sampling)
-    lists = [_value_list(name, values) for name, values in vary.items()]
+    lists = [
+        _value_list(name, values, integers=name in integer_fields)
+        for name, values in vary.items()
+    ]
     if sampling.kind == "list":
         lengths = {name: len(values) for name, values in zip(vary, lists, strict=True)}
         if len(set(lengths.values())) > 1:
@@ -389,7 +415,9 @@ def sample(vary: Varied, sampling: SamplingFile) -> list[tuple[Value, ...]]:
     return list(product(*lists))
 
 
-def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
+def _value_list(
+    name: str, values: Sequence[Value] | RangeFile, *, integers: bool
+) -> list[Value]:
     if not isinstance(values, RangeFile):
         return list(values)
     if values.count is None:
@@ -399,11 +427,22 @@ def _value_list(name: str, values: Sequence[Value] | RangeFile) -> list[Value]:
         )
     spaced = np.geomspace if values.scale == "log" else np.linspace
     numbers = spaced(values.start, values.stop, values.count)
-    # Some fields, such as the seed, accept no floats.
-    if np.equal(numbers, np.rint(numbers)).all():
-        numbers = numbers.astype(int)
+    if integers:
+        return _whole_numbers(name, numbers)
     found: list[Value] = numbers.tolist()
     return found
+
+
+def _whole_numbers(name: str, numbers: np.ndarray) -> list[Value]:
+    whole = np.rint(numbers)
+    # Logarithmic spacing has rounding errors.
+    is_whole = np.isclose(numbers, whole, rtol=1e-12, atol=1e-12)
+    if not is_whole.all():
+        raise InputError(
+            f"{name}: the range gives {numbers[~is_whole][0]:g}, but the field needs"
+            " whole numbers; change `count`"
+        )
+    return list(map(int, whole))
 
 
 def sobol_points(

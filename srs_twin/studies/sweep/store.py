@@ -20,6 +20,7 @@ from pydantic import TypeAdapter, ValidationError
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import InputError, WriteError
 from srs_twin.io.files import (
+    SWEEP_ROWS,
     atomic_write,
     display_path,
     missing_folders,
@@ -28,7 +29,7 @@ from srs_twin.io.files import (
 from srs_twin.io.provenance import Provenance
 from srs_twin.studies.sweep.task import FAILED, PLAN_TIME, Row, failed_row
 
-FILE = "rows.sqlite"
+FILE = SWEEP_ROWS
 
 _MAX_BYTES = 1_000_000
 """Maximum size of a value that is read from the file, bytes."""

@@ -157,7 +157,8 @@ def _draw_swings(
     style = style_of(plant)
     labels = []
     for y, swing in enumerate(reversed(swings)):
-        index = (row["sensitivity"] or {})[swing["parameter"]]
+        assert row["sensitivity"] is not None, "every bar belongs to a sensitivity"
+        index = row["sensitivity"][swing["parameter"]]
         low, high = sorted((swing["low"], swing["high"]))
         best, worst = index["rank"]
         is_tied = best < worst

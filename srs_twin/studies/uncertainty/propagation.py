@@ -521,7 +521,7 @@ def uncertainty(
     study = UncertaintyStudy(
         loaded,
         priors,
-        tuple(plants or loaded.plants),
+        loaded.plants_to_run(plants),
         samples=samples,
         twin_samples=min(twin, samples),
         seed=loaded.seed,

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, WriteError
 from srs_twin.io.files import atomic_write, display_path
 from srs_twin.robot.world import Circle, Goal
 from srs_twin.scenario.scenario import Scenario
@@ -75,7 +75,7 @@ def video_writer(
                 yield add
                 container.mux(stream.encode(None))
         except av.FFmpegError as error:
-            raise InputError(
+            raise WriteError(
                 f"{display_path(path)}: the video cannot be written ({error})"
             ) from error
 

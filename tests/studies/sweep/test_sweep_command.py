@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -56,13 +57,22 @@ def test_files_and_output_of_a_sweep(srs_twin, tmp_path):
     assert copy["results_sha256"] == about["results_sha256"]
 
 
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
 def test_results_of_other_kinds_are_not_overwritten(srs_twin, tmp_path):
     short = load_scenario("gen2_straight", set={"duration_s": 1})
     small = load_sweep(write(tmp_path))
     run, swept = tmp_path / "run", tmp_path / "sweep"
     srs.run_scenario(short, run, plants=["analytical"])
     srs.sweep(small, out=swept, engine=here)
-    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    (tmp_path / "summary").mkdir()
+    # The folder of an interrupted sweep contains no summary.
+    (swept / "sweep.json").rename(tmp_path / "summary/sweep.json")
+    (tmp_path / "study/twin").mkdir(parents=True)
+    shutil.copy(swept / "rows.sqlite", tmp_path / "study/twin")
+    before = contents(tmp_path)
     for command, folder, kind in (
         (("sweep", "small.yaml", "--out", "run"), "run", "a run"),
         (("run", "gen2_straight", "--out", "sweep"), "sweep", "a sweep"),
@@ -74,10 +84,13 @@ def test_results_of_other_kinds_are_not_overwritten(srs_twin, tmp_path):
         (srs.sweep, small, run, "a run"),
         (srs.optimize, "gen2_speed", run, "a run"),
         (srs.run_scenario, short, swept, "a sweep"),
+        (srs.run_scenario, short, tmp_path / "summary", "a sweep"),
+        (srs.run_scenario, short, tmp_path / "study", "an optimization"),
+        (srs.sweep, small, tmp_path / "study", "an optimization"),
     ):
         with pytest.raises(InputError, match=f"the folder contains {kind}; give"):
             function(source, out=folder)
-    assert {path: path.read_bytes() for path in tmp_path.rglob("*.*")} == before
+    assert contents(tmp_path) == before
 
 
 @pytest.mark.slow

@@ -91,12 +91,23 @@ def test_the_resolved_scenario_expects_only_results_of_plants_that_run(tmp_path)
     assert {item.subject for item in parse_scenario(base).file.expect} == {"analytical"}
 
 
-def test_a_range_of_whole_numbers_suits_whole_fields(tmp_path):
-    text = SMALL.replace(
-        "controller.frequency_hz: [2, 2.5]", "seed: {from: 0, to: 4, count: 5}"
-    )
+@pytest.mark.parametrize(
+    ("span", "seeds"),
+    [
+        ("{from: 0, to: 4, count: 5}", [0, 1, 2, 3, 4]),
+        ("{from: 1, to: 32, count: 6, scale: log}", [1, 2, 4, 8, 16, 32]),
+    ],
+)
+def test_a_range_of_whole_numbers_suits_whole_fields(tmp_path, span, seeds):
+    text = SMALL.replace("controller.frequency_hz: [2, 2.5]", f"seed: {span}")
     points = load_sweep(write(tmp_path, text)).points
-    assert {point.changes["seed"] for point in points} == {0, 1, 2, 3, 4}
+    assert list(dict.fromkeys(point.changes["seed"] for point in points)) == seeds
+
+
+def test_a_range_of_a_field_for_numbers_gives_floats(tmp_path):
+    text = SMALL.replace("[2, 2.5]", "{from: 1, to: 3, count: 3}")
+    values = load_sweep(write(tmp_path, text)).values
+    assert {type(frequency) for frequency, _ in values} == {float}
 
 
 def test_robots_are_varied_by_name(tmp_path):
@@ -273,6 +284,21 @@ def test_an_element_of_a_list_is_varied(tmp_path):
             SMALL[SMALL.index("vary:") :],
             "vary: {}",
             "4:7: vary: must have at least 1 entry, not 0",
+        ),
+        (
+            "controller.frequency_hz",
+            "controller..frequency_hz",
+            "5:29: vary.controller..frequency_hz: 'controller..frequency_hz' is not a va",
+        ),
+        (
+            "fixed:",
+            "fixed: {supply.: 1}\nx:",
+            "3:18: fixed.supply.: 'supply.' is not a valid field name; write it as in",
+        ),
+        (
+            "controller.frequency_hz: [2, 2.5]",
+            "seed: {from: 0, to: 1, count: 3}",
+            "5:3: vary: seed: the range gives 0.5, but the field needs whole numbers;",
         ),
     ],
 )
