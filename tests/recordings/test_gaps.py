@@ -85,6 +85,19 @@ def test_a_long_recording_over_an_overflow_is_refused():
         time_order(time, np.zeros(12_000))
 
 
+@pytest.mark.parametrize("order", ["one late row", "shuffled"])
+def test_rows_over_an_hour_are_sorted(order):
+    if order == "shuffled":
+        time = np.random.default_rng(0).permutation(np.arange(0.0, 3600.0))
+    else:
+        time = np.arange(201) / 10
+        time[120:] += 2460.0
+        time[[100, 101]] = time[[101, 100]]
+    order, (note,) = time_order(time, np.zeros(len(time)))
+    assert (np.diff(time[order]) > 0).all()
+    assert "and were sorted" in note
+
+
 def test_late_rows_are_sorted_with_a_note():
     rows = np.r_[0:40, 43, 40:43, 44:80, 90:100, 80:90, 100:200]
     order, (note,) = time_order(FRAMES_S[rows], NOISE[rows])

@@ -18,6 +18,8 @@ _MAX_FRAMES_PER_ROW = 10
 """Maximum ratio of the number of frames in the grid to the number of file rows."""
 _OVERFLOWS_S = 2.0**32 * np.array([1e-6, 1e-3])
 """Times after which 32-bit counters of microseconds and milliseconds overflow, s."""
+_MAX_STEP_RATIO = 10.0
+"""Maximum ratio of a step with an overflow to the median step."""
 _MAX_RUN_CHANGES = 3
 """Maximum number of changes of the run per backward step (see `time_order`).
 
@@ -88,10 +90,11 @@ def time_order(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, list[s
     run = np.zeros(len(time), int)
     run[kept[1:]] = np.cumsum(steps < 0)
     changes = np.flatnonzero(np.diff(run[order]))
-    # When a counter overflows, its range is subtracted from a usual step.
-    unwrapped = steps[:, None] + _OVERFLOWS_S
-    overflow = (unwrapped > 0) & (unwrapped < 2 * steps.max())
     gaps = np.diff(time[order])
+    # When a counter overflows, its range is subtracted from a usual step.
+    usual = np.median(gaps[gaps > 0])
+    unwrapped = steps[:, None] + _OVERFLOWS_S
+    overflow = (unwrapped > 0) & (unwrapped < _MAX_STEP_RATIO * usual)
     is_far = 2 * gaps[changes].max() > gaps.sum()
     is_rare = backward <= _MAX_RARE * len(time)
     is_alternating = len(changes) > _MAX_RUN_CHANGES * backward
