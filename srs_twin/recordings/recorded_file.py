@@ -418,7 +418,7 @@ def recording_file(path: StrPath) -> Path:
     """Return the path of a recording, or of the ROS 2 bag in a folder."""
     place = Path(path)
     inside = place.glob("*") if (place / "metadata.yaml").is_file() else ()
-    bags = sorted(file for file in inside if file.suffix in (".db3", ".mcap"))
+    bags = sorted(file for file in inside if file.suffix.lower() in (".db3", ".mcap"))
     if len(bags) > 1:
         names = ", ".join(file.name for file in bags[:3])
         raise InputError(

@@ -217,6 +217,15 @@ def test_inspect_command(tmp_path, monkeypatch, capsys):
     assert "layout head" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", ["walk.mcap", "walk.MCAP"])
+def test_inspect_uses_the_map_beside_a_bag(tmp_path, monkeypatch, capsys, name):
+    monkeypatch.chdir(tmp_path)
+    bag(tmp_path / name)
+    (tmp_path / "walk.map.yaml").write_text("up: z\n")
+    run(["inspect", name])
+    assert "using the recording map walk.map.yaml" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("header", "robot", "reads", "said"),
     [
