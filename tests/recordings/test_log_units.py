@@ -202,7 +202,7 @@ def test_pressure_without_a_stated_unit_is_refused(tmp_path, kind):
 )
 def test_a_unit_on_some_columns_only_is_refused(tmp_path, read, names):
     first, second = names.split(",")
-    said = f"log.csv:1:3: the column '{second}' states no unit, but '{first}' is in"
+    said = f"log.csv:1:3: the column '{second}' has no unit, but '{first}' is in"
     with pytest.raises(InputError, match=re.escape(said)):
         read(log(tmp_path, f"time,{names}"), MODULE)
 
