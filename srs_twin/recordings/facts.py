@@ -106,7 +106,7 @@ class RobotFacts(_Facts):
     name: str
     """Name of the robot."""
     reads: bool
-    """Whether the file can be read as a recording of this robot."""
+    """Whether the file can be read as a recording or log of this robot."""
     says: str
     """Summary of the recording, or the reason why the file cannot be read."""
     layout: str | None = None

@@ -145,7 +145,7 @@ def inspect_file(
 ) -> tuple[RecordingFacts, Scene | None]:
     """Return the facts about a file, and the scene if the file contains markers.
 
-    If `spec` is given, the file is also read as a recording of this robot.
+    If `spec` is given, the file is also read as a recording or log of this robot.
     """
     facts, scene = _file_facts(path, recording_map)
     if spec is not None:
