@@ -122,14 +122,16 @@ class UnknownNameError(InputError):
 
 @contextmanager
 def named_in_errors(file: str) -> Iterator[None]:
-    """Add a file name to the messages of errors raised in a `with` block."""
+    """Add a file name to the messages of input errors raised in a `with` block.
+
+    The types and the attributes of the errors are kept. The `lines` of an
+    `InputFileError` are unchanged, because each line names its own file.
+    """
     try:
         yield
-    except UnknownNameError as error:
+    except InputError as error:
         error.args = (f"{file}: {error}",)
         raise
-    except InputError as error:
-        raise InputError(f"{file}: {error}") from error
 
 
 class TimeStepError(InputError):

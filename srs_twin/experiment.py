@@ -35,7 +35,7 @@ from srs_twin.comparison.metrics import (
 )
 from srs_twin.comparison.undefined import why_undefined
 from srs_twin.control.base import Controller
-from srs_twin.errors import DivergedError, InputError
+from srs_twin.errors import DivergedError, InputError, named_in_errors
 from srs_twin.extensions import reading
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Overrides, dump_yaml
@@ -133,7 +133,7 @@ class PreparedRun:
         """Build the plants and controllers of a scenario."""
         kinds = scenario.plants_to_run(plants)
         scenario = scenario.run_on(plants)
-        with scenario.named_in_errors():
+        with named_in_errors(scenario.source):
             pairs = {
                 kind: (scenario.build_plant(kind), scenario.build_controller())
                 for kind in kinds

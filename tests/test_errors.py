@@ -19,6 +19,7 @@ from srs_twin.errors import (
     WorkerDiedError,
     WriteError,
     did_you_mean,
+    named_in_errors,
 )
 from srs_twin.identification.parameters import parameter_names
 from srs_twin.io.files import shipped_names
@@ -53,6 +54,19 @@ def test_error_is_unchanged_by_pickling(error):
         error.exit_code,
         error.__dict__,
     )
+
+
+INPUT_ERRORS = [error for error in ERRORS if isinstance(error, InputError)]
+
+
+@pytest.mark.parametrize("error", INPUT_ERRORS, ids=lambda error: type(error).__name__)
+def test_a_file_name_in_an_error_keeps_its_type_and_attributes(error):
+    given = pickle.loads(pickle.dumps(error))
+    with pytest.raises(type(error)) as raised, named_in_errors("a.csv"):
+        raise given
+    assert type(raised.value) is type(error)
+    assert str(raised.value) == f"a.csv: {error}"
+    assert raised.value.__dict__ == error.__dict__
 
 
 def test_every_error_class_is_covered():

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, named_in_errors
 from srs_twin.io.arguments import checked
 from srs_twin.io.documents import Overrides
 from srs_twin.io.file_sets import replace_files
@@ -124,7 +124,7 @@ def plan_scenario(
         )
     if out is not None:
         check_output_folder(Path(out), _FILES)
-    with loaded.named_in_errors():
+    with named_in_errors(loaded.source):
         result = loaded.planner.plan()
     if out is None:
         return ScenarioPlan(loaded, result)

@@ -176,7 +176,7 @@ def inspect(
     for path in files:
         beside = Path(path).with_suffix(MAP_SUFFIX)
         options = table
-        is_mcap = Path(path).suffix == ".mcap"
+        is_mcap = Path(path).suffix.lower() == ".mcap"
         if table.map is None and is_mcap and beside.is_file():
             options = replace(table, map=str(beside))
             say(f"using the recording map {beside}")

@@ -112,9 +112,8 @@ class CsvTable:
             stated = next(column for column in columns if column.unit)
             raise self.error(
                 without[0],
-                f"the column '{without[0].text}' states no unit, but '{stated.text}' is"
-                f" in {stated.unit}; state the unit of each column in its name or in a"
-                " map",
+                f"the column '{without[0].text}' has no unit, but '{stated.text}' is in"
+                f" {stated.unit}; add the unit to the name, or state it in a map",
             )
 
     def clock(self, missing: str) -> CsvColumn:
@@ -237,7 +236,8 @@ def read_table(
             )
             raise file.error(problem, line, place + 1)
     table = CsvTable(file, tuple(columns.values()), tuple(unused), tuple(notes))
-    for units in known.values():
+    groups = list(known.values())
+    for units in [own for k, own in enumerate(groups) if own not in groups[:k]]:
         table.check_units(
             [column for column in table.columns if known[column.name] == units]
         )

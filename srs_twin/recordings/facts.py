@@ -101,12 +101,12 @@ class SignalFacts(_Facts):
 
 
 class RobotFacts(_Facts):
-    """Result of reading a file as a recording of the robot that `--robot` names."""
+    """Result of reading a file for the robot that `--robot` names."""
 
     name: str
     """Name of the robot."""
     reads: bool
-    """Whether the file can be read as a recording of this robot."""
+    """Whether the file can be read as a recording or log of this robot."""
     says: str
     """Summary of the recording, or the reason why the file cannot be read."""
     layout: str | None = None
@@ -180,7 +180,7 @@ class RecordingFacts(_Facts):
     signals: list[SignalFacts] | None = None
     """Signals in the file other than positions."""
     robot: RobotFacts | None = None
-    """Result of reading a file as a recording of the robot that `--robot` names."""
+    """Result of reading a file for the robot that `--robot` names."""
     proposals: list[str]
     """Lines of a proposed recording map (YAML), which the user should check."""
     notes: list[str]
@@ -302,7 +302,7 @@ def in_words(facts: RecordingFacts) -> str:
         lines.append(f"head: {heads or 'not determined by the markers; give --head'}")
     lines += [f"  {_signal_text(signal)}" for signal in facts.signals or ()]
     if (robot := facts.robot) is not None:
-        lines.append(f"as a recording of {robot.name}:")
+        lines.append(f"as a recording or log of {robot.name}:")
         lines += [f"  {line}" for line in robot.says.split("\n")]
     return "\n".join([*lines, *(f"note: {note}" for note in facts.notes)])
 

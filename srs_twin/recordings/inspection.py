@@ -145,7 +145,7 @@ def inspect_file(
 ) -> tuple[RecordingFacts, Scene | None]:
     """Return the facts about a file, and the scene if the file contains markers.
 
-    If `spec` is given, the file is also read as a recording of this robot.
+    If `spec` is given, the file is also read as a recording or log of this robot.
     """
     facts, scene = _file_facts(path, recording_map)
     if spec is not None:
@@ -439,12 +439,15 @@ def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFa
     time = None if times is None else times.time
     signals: list[SignalFacts] = []
     columns = []
+    understood = []
     for k, name in enumerate(file.names[:_MAX_SIGNALS]):
         if clock is not None and k == clock.place:
             continue
         try:
             values = file.rows(file.header_lines, [k], len(file.names))[0][:, 0]
             columns.append(values)
+            if _meaning(name, recording_map) is not None:
+                understood.append(values)
             signals.append(_signal_facts(name, time, values, recording_map))
         except InputError as error:
             if "is not a number" not in str(error):
@@ -455,7 +458,9 @@ def _table_facts(file: RecordedFile, recording_map: RecordingMap) -> RecordingFa
     if times is not None:
         facts.notes += times.notes
         try:
-            facts.notes += time_order(times.time, np.transpose(columns))[1]
+            # Other columns, such as a counter of received rows, are not read.
+            read = np.transpose(understood or columns)
+            facts.notes += time_order(times.time, read)[1]
         except InputError as error:
             facts.notes.append(f"`replay` and `calibrate` refuse this file: {error}")
         if facts.starts_s is not None:

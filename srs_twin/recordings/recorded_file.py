@@ -231,6 +231,7 @@ class RecordedFile:
         width: int,
         *,
         section: bool = False,
+        times: bool = False,
     ) -> tuple[np.ndarray, list[str]]:
         """Read the rows below a header.
 
@@ -243,6 +244,7 @@ class RecordedFile:
             width: number of cells per row.
             section: whether the rows end at an empty line instead of the end of the
                 file.
+            times: whether the columns contain times.
 
         Returns:
             Cell values, shape (rows, columns), and notes. Blank and infinite values are
@@ -267,7 +269,9 @@ class RecordedFile:
             limit = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are allowed"
             raise self.error(f"the file has {count} rows of {width} cells, but {limit}")
         cut = memoryview(raw)[start:stop]
-        table = self._parsed(cut, header_lines, columns, width) if count else []
+        table = []
+        if count:
+            table = self._parsed(cut, header_lines, columns, width, times=times)
         if not table or not len(table[0]):
             raise self.error(
                 "no rows follow the header; record or export the file again",
@@ -305,11 +309,11 @@ class RecordedFile:
                 notes.append("the times state no time zone, so UTC is assumed")
                 zone = None
             kind = pa.timestamp("ns", zone)
-            (dates,) = self._parsed(cut, top, [clock], width, kind)
+            (dates,) = self._parsed(cut, top, [clock], width, kind, times=True)
             exact = dates.cast(pa.int64()).to_pylist()
             self._check_times([value is None for value in exact], clock)
             return _since_1970(exact, "ns", notes)
-        values, notes = self.rows(top, [clock], width)
+        values, notes = self.rows(top, [clock], width, times=True)
         time = values[:, 0]
         self._check_times(np.isnan(time).tolist(), clock)
         if not _are_since_1970(time, unit):
@@ -333,6 +337,8 @@ class RecordedFile:
         columns: Sequence[int],
         width: int,
         kind: pa.DataType | None = None,
+        *,
+        times: bool = False,
     ) -> list[pa.ChunkedArray]:
         import pyarrow as pa
         from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
@@ -377,9 +383,11 @@ class RecordedFile:
                 line = self.line_of_row((uneven[0].number or 1) - 1, header_lines)
                 problem = f"the row has {cells} cells, but the header has {width}"
                 raise self.error(problem, line) from error
-            raise self._not_a_number(header_lines, str(error)) from error
+            raise self._not_a_number(header_lines, str(error), times=times) from error
 
-    def _not_a_number(self, header_lines: int, reported: str) -> InputError:
+    def _not_a_number(
+        self, header_lines: int, reported: str, *, times: bool
+    ) -> InputError:
         """Return an error that points to the cell reported by Arrow.
 
         The row number that Arrow reports does not include empty lines.
@@ -393,7 +401,7 @@ class RecordedFile:
         # A quotation mark may join several lines into one cell.
         text = escape_unprintable(cell["text"].strip()[:60])
         problem = f"'{text}' is not a number; give a number or leave the cell empty"
-        if ":" in text:
+        if times and ":" in text:
             problem = (
                 f"'{text}' is not a number or an allowed time; give times as in"
                 " 2026-03-01T12:00:00.5, with a time zone (Z or +01:00) in all rows or"
@@ -410,7 +418,7 @@ def recording_file(path: StrPath) -> Path:
     """Return the path of a recording, or of the ROS 2 bag in a folder."""
     place = Path(path)
     inside = place.glob("*") if (place / "metadata.yaml").is_file() else ()
-    bags = sorted(file for file in inside if file.suffix in (".db3", ".mcap"))
+    bags = sorted(file for file in inside if file.suffix.lower() in (".db3", ".mcap"))
     if len(bags) > 1:
         names = ", ".join(file.name for file in bags[:3])
         raise InputError(

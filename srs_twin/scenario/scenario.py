@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import UnknownNameError, named_in_errors
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.spec import RobotSpec
@@ -217,19 +216,6 @@ class Scenario:
         columns = {name: column[kept] for name, column in trajectory.columns.items()}
         return replace(trajectory, columns=columns | {"time": time[kept]})
 
-    @contextmanager
-    def named_in_errors(self) -> Iterator[None]:
-        """Prefix input errors from the `with` block with the file name.
-
-        Raises:
-            InputError: the `with` block raised this error.
-        """
-        try:
-            yield
-        except InputError as error:
-            error.args = (f"{self.source}: {error}",)
-            raise
-
     def build_plant(
         self, kind: str, *, robot: RobotSpec | None = None, **changes: object
     ) -> Plant:
@@ -277,7 +263,7 @@ class Scenario:
         Raises:
             InputError: the run cannot start.
         """
-        with self.named_in_errors():
+        with named_in_errors(self.source):
             for key, section in self.file.sections().items():
                 section.check_run(self.products[key])
 

@@ -85,6 +85,19 @@ def test_a_long_recording_over_an_overflow_is_refused():
         time_order(time, np.zeros(12_000))
 
 
+@pytest.mark.parametrize("order", ["one late row", "shuffled"])
+def test_rows_over_an_hour_are_sorted(order):
+    if order == "shuffled":
+        time = np.random.default_rng(0).permutation(np.arange(0.0, 3600.0))
+    else:
+        time = np.arange(201) / 10
+        time[120:] += 2460.0
+        time[[100, 101]] = time[[101, 100]]
+    order, (note,) = time_order(time, np.zeros(len(time)))
+    assert (np.diff(time[order]) > 0).all()
+    assert "and were sorted" in note
+
+
 def test_late_rows_are_sorted_with_a_note():
     rows = np.r_[0:40, 43, 40:43, 44:80, 90:100, 80:90, 100:200]
     order, (note,) = time_order(FRAMES_S[rows], NOISE[rows])
@@ -119,3 +132,25 @@ def test_up_to_5_per_cent_of_rows_may_be_sent_again(seed):
     for values in (np.arange(len(rows)), np.zeros(len(rows))):
         with pytest.raises(InputError, match="the clock was probably set back"):
             time_order(FRAMES_S[rows], values)
+
+
+VALVE = np.arange(201) // 4 % 2.0
+
+
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_constant_rows_that_are_sent_again_are_left_out(size):
+    """The valve switches before the rows are sent again."""
+    again = range(100, 100 + size)
+    rows = np.r_[0:106, again, 106:201]
+    order, notes = time_order(FRAMES_S[rows], VALVE[rows])
+    assert rows[order].tolist() == list(range(201))
+    assert f"{size} rows were left out" in notes[0]
+
+
+@pytest.mark.parametrize("end", [103, 106, 201])
+def test_a_clock_that_is_set_back_may_repeat_some_rows(end):
+    """The valve switches at row 104, but does not after the clock was set back."""
+    rows = np.r_[0:106, 100:end]
+    values = np.r_[VALVE[:106], np.full(end - 100, VALVE[100])]
+    with pytest.raises(InputError, match="the clock was probably set back"):
+        time_order(FRAMES_S[rows], values)

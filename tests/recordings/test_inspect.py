@@ -217,23 +217,59 @@ def test_inspect_command(tmp_path, monkeypatch, capsys):
     assert "layout head" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", ["walk.mcap", "walk.MCAP"])
+def test_inspect_uses_the_map_beside_a_bag(tmp_path, monkeypatch, capsys, name):
+    monkeypatch.chdir(tmp_path)
+    bag(tmp_path / name)
+    (tmp_path / "walk.map.yaml").write_text("up: z\n")
+    run(["inspect", name])
+    assert "using the recording map walk.map.yaml" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
-    ("header", "robot", "said"),
+    ("header", "robot", "reads", "said"),
     [
-        ("valve_plus_1,valve_minus_1", "gen4_module", "valve log, 20 rows"),
-        ("bend_1_deg,P1 (kPa)", "gen4_module", "kept: 20 rows"),
-        ("valve_plus_1,valve_minus_1", "gen2", "'valve_plus_2' is missing; gen2 has 4"),
-        ("bend_1,pressure_plus_1_kpa", "gen4_module", "'pressure_minus_1' is missing"),
-        ("valve_plus_1,valve_plus_2", "gen4_module", "'valve_minus_1' is missing"),
-        ("P1 (kPa),P2 (kPa)", "gen4_module", "assign other names in a map"),
+        ("valve_plus_1,valve_minus_1", "gen4_module", True, "valve log, 20 rows"),
+        ("bend_1_deg,P1 (kPa)", "gen4_module", True, "kept: 20 rows"),
+        (
+            "valve_plus_1,valve_minus_1",
+            "gen2",
+            False,
+            "'valve_plus_2' is missing; gen2 has 4",
+        ),
+        (
+            "bend_1,pressure_plus_1_kpa",
+            "gen4_module",
+            False,
+            "'pressure_minus_1' is missing",
+        ),
+        (
+            "valve_plus_1,valve_plus_2",
+            "gen4_module",
+            False,
+            "'valve_minus_1' is missing",
+        ),
+        ("P1 (kPa),P2 (kPa)", "gen4_module", False, "assign other names in a map"),
     ],
 )
-def test_a_log_is_read_as_a_log_of_the_robot(tmp_path, header, robot, said):
+def test_a_log_is_read_as_a_log_of_the_robot(tmp_path, header, robot, reads, said):
     rows = "".join(f"{k / 10},{k % 2},0\n" for k in range(20))
     (tmp_path / "log.csv").write_text(f"time,{header}\n{rows}")
     found = inspect(tmp_path / "log.csv", robot=robot).robot
     assert said in found.says
-    assert found.reads == said.endswith(" rows")
+    assert found.reads == reads
+
+
+def test_repeated_rows_are_judged_without_unknown_columns(tmp_path):
+    order = [*range(56), 50, 51, 52, *range(56, 100)]
+    rows = "".join(f"{k / 10},{k % 2},0,{n}\n" for n, k in enumerate(order))
+    path = tmp_path / "log.csv"
+    path.write_text(f"time,valve_plus_1,valve_minus_1,received\n{rows}")
+    found = inspect(path, robot="gen4_module")
+    assert found.robot.reads
+    assert "3 rows were left out" in found.robot.says
+    assert any("3 rows were left out" in note for note in found.notes)
+    assert not any("refuse this file" in note for note in found.notes)
 
 
 def typed(schema):

@@ -21,6 +21,7 @@ from srs_twin.recordings.signals.units import (
     ANGLES,
     PRESSURES,
     TIMES,
+    is_absolute,
     is_clock,
     stated_unit,
     symbol,
@@ -201,7 +202,7 @@ def test_pressure_without_a_stated_unit_is_refused(tmp_path, kind):
 )
 def test_a_unit_on_some_columns_only_is_refused(tmp_path, read, names):
     first, second = names.split(",")
-    said = f"log.csv:1:3: the column '{second}' states no unit, but '{first}' is in"
+    said = f"log.csv:1:3: the column '{second}' has no unit, but '{first}' is in"
     with pytest.raises(InputError, match=re.escape(said)):
         read(log(tmp_path, f"time,{names}"), MODULE)
 
@@ -390,6 +391,52 @@ def test_unit_of_bends(tmp_path, unit, factor, way):
 )
 def test_units_in_column_names(name, units, unit):
     assert stated_unit(name, units) == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "absolute"),
+    [
+        ("P_kPa_a", True),
+        ("P_kPa_a_1", True),
+        ("PSIA", True),
+        ("BARA", True),
+        ("P1 psiA", True),
+        ("P1 bar(a)", True),
+        ("P1 (bar(a))", True),
+        ("P1 kPa (a)", True),
+        ("P1_mbara", True),
+        ("Pabs_kPa", True),
+        ("pabs_kPa", True),
+        ("pAbs (kPa)", True),
+        ("pressureAbs_kPa", True),
+        ("PABS_KPA", True),
+        ("P_ABS_KPA", True),
+        ("P1abs (kPa)", True),
+        ("P0_kPaAbs", True),
+        ("P0_kPaabs", True),
+        ("P0_barabs", True),
+        ("pressureabs (kPa)", True),
+        ("absolute pressure (kPa)", True),
+        ("Labs_kPa", False),
+        ("tabs_kPa", False),
+        ("slabs (kPa)", False),
+        ("LABS (kPa)", False),
+        ("absorber_kPa", False),
+        ("P_kPa_A", False),
+        ("P_kPa_air", False),
+        ("P_bar_a1", False),
+        ("Pa_1 (kPa)", False),
+    ],
+)
+def test_absolute_pressures_are_known_by_name(name, absolute):
+    assert is_absolute(name, PRESSURES) == absolute
+    if absolute:
+        assert stated_unit(name, PRESSURES) is None
+
+
+@pytest.mark.parametrize("name", ["Labs_kPa", "tabs_kPa", "slabs (kPa)"])
+def test_names_that_contain_abs_state_their_unit(name):
+    assert stated_unit(name, PRESSURES) == "kPa"
 
 
 def test_names_of_time_columns():

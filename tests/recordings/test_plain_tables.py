@@ -424,6 +424,13 @@ def test_dates_in_other_formats_are_refused(tmp_path, zones, line):
         read_valves(dated(tmp_path, *zones), MODULE)
 
 
+def test_only_times_are_given_as_dates(tmp_path):
+    (tmp_path / "log.csv").write_text(VALVES + "0,1,0\n1,state:on,0\n2,1,0\n")
+    said = "log.csv:3:2: 'state:on' is not a number; give a number or leave the cell"
+    with pytest.raises(InputError, match=said):
+        read_valves(tmp_path / "log.csv", MODULE)
+
+
 @pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "times",

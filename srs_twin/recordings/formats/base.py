@@ -135,8 +135,8 @@ def axis_columns(
 
     A column name ends or begins with the axis, for example ``base_x``, ``Tip X (mm)``
     or ``x_LED1``. Markers without x or y and columns of other quantities, such as
-    rotations (``c1_rot_x``), are excluded. A name with two different units states no
-    unit. The function `refuse` is called with the index of such a column and its units.
+    rotations (``c1_rot_x``), are excluded. If a name contains two units, the column has
+    no unit, and `refuse` is called with the column index and the units.
     """
     markers: dict[str, dict[str, CsvColumn]] = {}
     for index, cell in enumerate(cells):

@@ -86,7 +86,7 @@ _TUM_START = re.compile(
 )
 _TUM_POSE = Dialect(("time", "x", "y", "z", "qx", "qy", "qz", "qw"), " ")
 _NO_NAME = re.compile(r"[#,]|\[.*?\]|\(.*?\)")
-"""Parts of a comment that are no column names, such as units in brackets."""
+"""Parts of a comment that are not column names, such as units in brackets."""
 _MAX_NORM_ERROR = 0.01
 
 

@@ -18,16 +18,19 @@ _MAX_FRAMES_PER_ROW = 10
 """Maximum ratio of the number of frames in the grid to the number of file rows."""
 _OVERFLOWS_S = 2.0**32 * np.array([1e-6, 1e-3])
 """Times after which 32-bit counters of microseconds and milliseconds overflow, s."""
+_MAX_STEP_RATIO = 10.0
+"""Maximum ratio of a step with an overflow to the median step."""
 _MAX_RUN_CHANGES = 3
-"""Maximum number of changes of the run per backward step (see `time_order`).
+"""Maximum number of switches between runs per backward step.
 
-A block of late rows changes the run at its first row, after its last row, and after the
-rows that overtook it. In simulated recordings of 50 to 1000 rows with jitter or random
-delays of up to ten periods, at most 5 % of the draws had more changes.
+In chronological order, a late block causes three switches: at its first row, after its
+last row, and after the rows that overtook the block. In up to 5 % of simulated
+recordings there were more.
 """
-_MAX_RARE = 0.05
-"""Fraction of rows up to which backward steps are too rare for rows in random order,
-and up to which rows that were sent again are left out."""
+_MAX_BACKWARD = 0.05
+"""Maximum fraction of backward steps in a file whose rows are not in random order."""
+_MAX_REPEATED = 0.05
+"""Maximum fraction of rows that are left out because they were sent again."""
 _MAX_TIME = 1e9
 """Maximum time, above which the unit is probably wrong, s."""
 
@@ -88,12 +91,13 @@ def time_order(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, list[s
     run = np.zeros(len(time), int)
     run[kept[1:]] = np.cumsum(steps < 0)
     changes = np.flatnonzero(np.diff(run[order]))
-    # When a counter overflows, its range is subtracted from a usual step.
-    unwrapped = steps[:, None] + _OVERFLOWS_S
-    overflow = (unwrapped > 0) & (unwrapped < 2 * steps.max())
     gaps = np.diff(time[order])
+    # When a counter overflows, its range is subtracted from a usual step.
+    usual = np.median(gaps[gaps > 0])
+    unwrapped = steps[:, None] + _OVERFLOWS_S
+    overflow = (unwrapped > 0) & (unwrapped < _MAX_STEP_RATIO * usual)
     is_far = 2 * gaps[changes].max() > gaps.sum()
-    is_rare = backward <= _MAX_RARE * len(time)
+    is_rare = backward <= _MAX_BACKWARD * len(time)
     is_alternating = len(changes) > _MAX_RUN_CHANGES * backward
     if is_alternating or overflow.any() or (is_rare and is_far):
         k = int(np.argmin(steps))
@@ -111,17 +115,24 @@ def _sent_again(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return the mask of rows that repeat the time and the values of an earlier row.
 
     Repeated rows with constant values are not included, because a clock that was set
-    back may also produce them.
+    back may also produce them. However, such a clock returns to all times up to the
+    latest one. If the times continue after the latest time, the values must therefore
+    change only between the earlier row and its repetition.
     """
     rows = np.column_stack([time, values.reshape(len(time), -1)])
-    rows = np.where(np.isnan(rows), np.inf, rows)  # NaN differs from NaN
-    _, first = np.unique(rows, axis=0, return_index=True)
-    repeated = np.ones(len(time), dtype=bool)
-    repeated[first] = False
+    # np.unique would treat equal rows with NaN as different.
+    rows = np.where(np.isnan(rows), np.inf, rows)
+    _, first, group = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    earlier = first[group.ravel()]
+    latest = np.maximum.accumulate(time)
+    repeated = earlier < np.arange(len(time))
     for begin, end in runs(repeated):
-        if (rows[begin:end, 1:] == rows[begin, 1:]).all():
+        compared = rows[begin:end, 1:]
+        if end < len(time) and time[end] > latest[begin]:
+            compared = rows[earlier[begin] : end, 1:]
+        if (compared == compared[0]).all():
             repeated[begin:end] = False
-    if repeated.mean() > _MAX_RARE:
+    if repeated.mean() > _MAX_REPEATED:
         repeated[:] = False
     return repeated
 

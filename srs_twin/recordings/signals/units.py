@@ -61,7 +61,16 @@ _SYMBOLS = {
 _MEGA = ("mbar", "mm", "mrad")
 """Symbols that are invalid with a capital M, which would mean mega."""
 _ABSOLUTE = re.compile(
-    r"[Aa]bs(?:olute)?(?![a-z])|ABS(?:OLUTE)?(?![A-Z])|(?i:psi|bar|kpa)a(?![A-Za-z])"
+    # The word "abs" begins after a separator, P, a unit or a lower-case letter, as in
+    # "P_abs", "Pabs", "kPaabs" and "pAbs". The words "Labs" and "slabs" are names.
+    r"(?:(?<![A-Za-z])(?:[Pp](?:ress(?:ure)?)?)?|(?<=[a-z])(?=A)|[Pp]a|[Bb]ar|psi)"
+    r"[Aa]bs(?:olute)?(?![a-z])"
+    r"|(?:(?<![A-Za-z])(?:P(?:RESS(?:URE)?)?)?|(?<=[a-z])|KPA|BAR|PSI)"
+    r"ABS(?:OLUTE)?(?![A-Z])"
+    # A unit with the suffix "a", as in "psia", "bar(a)" and "kPa_a". After a space or
+    # an underscore, a capital A is a name, for example of a port.
+    r"|(?i:psi|bar|[khm]pa)(?:[Aa](?![A-Za-z])|[ _]*\([ _]*[Aa](?![A-Za-z0-9])"
+    r"|[ _]+a(?![A-Za-z0-9]))"
 )
 _AMBIENT = (7e4, 1.1e5)
 """Range of ambient pressures up to an altitude of 3000 m, Pa."""
