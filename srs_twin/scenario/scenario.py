@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from srs_twin.errors import UnknownNameError, named_in_errors
+from srs_twin.errors import InputError, UnknownNameError, named_in_errors
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.pneumatics.valves import StuckValve
 from srs_twin.robot.spec import RobotSpec
