@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import pytest
@@ -13,6 +14,7 @@ from srs_twin.comparison.metrics import (
     METRIC_UNITS,
 )
 from srs_twin.planning.metrics import PLANNING_UNITS
+from srs_twin.robot.sourced import to_si
 from srs_twin.scenario.loading import parse_scenario
 
 pytestmark = pytest.mark.fast
@@ -174,3 +176,11 @@ def test_every_metric_has_the_unit_written_here(units, written):
     assert units == {
         name: unit for unit, names in written.items() for name in names.split()
     }
+
+
+def test_keys_convert_to_si_units():
+    """Reference: the values of one unit, written out here."""
+    one = {"kpa": 1e3, "m_per_kpa": 1e-3, "mm": 1e-3, "ml": 1e-6, "uv": 1e-6}
+    one |= {"l_per_min": 1 / 60000, "deg": math.pi / 180, "m_s": 1, "rad": 1, "kg": 1}
+    found = {suffix: to_si(f"value_{suffix}", 1.0) for suffix in one}
+    assert found == pytest.approx(one)
