@@ -441,7 +441,7 @@ def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:
     return columns
 
 
-def _flatten_signals(signals: dict[str, float | np.ndarray]) -> dict[str, float]:
+def _flatten_signals(signals: Mapping[str, float | np.ndarray]) -> dict[str, float]:
     flat: dict[str, float] = {}
     for name, value in signals.items():
         if np.ndim(value) == 0:

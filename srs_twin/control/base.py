@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -102,7 +103,7 @@ class Controller(Claimable, Stateful, ABC):
         """
         return None
 
-    def signals(self) -> dict[str, float | np.ndarray]:
+    def signals(self) -> Mapping[str, float | np.ndarray]:
         """Return the signals to record, keyed by signal name.
 
         Each signal is a number or an array, whose elements are recorded under the

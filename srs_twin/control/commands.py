@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass
 from typing import TYPE_CHECKING
 
@@ -181,7 +181,7 @@ class ScheduledOffset(Controller):
         self.finished = self._inner.finished
         return valves
 
-    def signals(self) -> dict[str, float | np.ndarray]:
+    def signals(self) -> Mapping[str, float | np.ndarray]:
         """See `Controller.signals`."""
         return self._inner.signals()
 

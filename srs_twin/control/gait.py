@@ -249,9 +249,8 @@ class Gait(Controller):
         self._axes = spec.chamber.axes if spec.is_spatial else None
         slots = count_slots(tick, spec.scale)
         self._segments = spec.segments
-        self.set_phase_step(
-            spec.phase_step if self._phase_step is None else self._phase_step
-        )
+        step = spec.phase_step if self._phase_step is None else self._phase_step
+        self.set_phase_step(step)
         self._slot_centres = (np.arange(slots) + 0.5) / slots
         self._tick = tick
 
@@ -326,7 +325,7 @@ class Gait(Controller):
         push = left[..., None] * self._axes[:, 0] + up[..., None] * self._axes[:, 1]
         return np.where(push > 1e-9, 1, -1).astype(np.int8)
 
-    def signals(self) -> dict[str, float | np.ndarray]:
+    def signals(self) -> dict[str, float]:
         """Return the steering offset φ."""
         return {"offset": self._offset}
 

@@ -255,6 +255,6 @@ class Grasp(Controller):
         )
         self._events.append(Event(time, "grasp", text))
 
-    def signals(self) -> dict[str, float | np.ndarray]:
+    def signals(self) -> dict[str, float]:
         """Return the number of the grasp phase, and the grip (rad)."""
         return {"grasp_phase": float(self.phase), "grip": self.grip}

@@ -285,7 +285,8 @@ class Follower(Controller):
         Pose signals are NaN before the first camera frame.
         """
         pose, point = self._position
-        return self.gait.signals() | {
+        return {
+            **self.gait.signals(),
             "offset_commanded": self._commanded,
             "cross_track": point.n,
             "heading_error": math.remainder(pose.heading - point.heading, 2 * math.pi),
