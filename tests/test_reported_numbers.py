@@ -134,15 +134,16 @@ def test_orifice_settings_are_described_in_the_units_of_their_names():
 
 
 @pytest.mark.parametrize(
-    ("ratio", "clearance", "words"),
+    ("ratio", "clearance", "is_given", "words"),
     [
-        (1.25, 0.0304, "1.25 times the least length around the obstacles, 30 mm of"),
-        (None, 0.0304, "least length 0: the start is within the goal's radius, 30 mm"),
-        (1.0, 1e9, "1.00 times the least length around the obstacles, at least 1"),
+        (1.25, 0.0304, False, "1.25 times the least length around the obstacles, 30"),
+        (None, 0.0304, False, "least length 0: the start is within the goal's radius"),
+        (None, 0.0304, True, "a given path, which may ignore obstacles, 30 mm of"),
+        (1.0, 1e9, True, "1.00 times the least length around the obstacles, at least"),
     ],
 )
-def test_the_printed_quality_of_a_plan(ratio, clearance, words):
-    text = _quality_words(PathQuality(ratio, clearance), "the edges")
+def test_the_printed_quality_of_a_plan(ratio, clearance, is_given, words):
+    text = _quality_words(PathQuality(ratio, clearance), "the edges", is_given)
     assert text.startswith(words)
     assert text.endswith("mm of clearance beyond the edges")
 
