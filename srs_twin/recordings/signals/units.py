@@ -63,9 +63,9 @@ _MEGA = ("mbar", "mm", "mrad")
 _ABSOLUTE = re.compile(
     # The word "abs" begins after a separator, P, a unit or a lower-case letter, as in
     # "P_abs", "Pabs", "kPaabs" and "pAbs". The words "Labs" and "slabs" are names.
-    r"(?:(?<![A-Za-z])(?:[Pp](?:ress(?:ure)?)?)?|(?<=[a-z])(?=A)|[Pp]a|[Bb]ar|psi)"
+    r"(?:(?<![A-Za-z])(?:[Pp]ressure|[Pp]ress|[Pp])?|(?<=[a-z])(?=A)|[Pp]a|[Bb]ar|psi)"
     r"[Aa]bs(?:olute)?(?![a-z])"
-    r"|(?:(?<![A-Za-z])(?:P(?:RESS(?:URE)?)?)?|(?<=[a-z])|KPA|BAR|PSI)"
+    r"|(?:(?<![A-Za-z])(?:PRESSURE|PRESS|P)?|(?<=[a-z])|KPA|BAR|PSI)"
     r"ABS(?:OLUTE)?(?![A-Z])"
     # A unit with the suffix "a", as in "psia", "bar(a)" and "kPa_a". After a space or
     # an underscore, a capital A is a name, for example of a port.
