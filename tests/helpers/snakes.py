@@ -123,3 +123,14 @@ def _throw_twin(plant: TwinSnake, velocity: tuple[float, float], spin: float) ->
                 ] = rolling
                 continue
             physics.data.joint(f"axle_{side}_{i}").qvel = rolling / g.wheel_radius
+
+
+def shortened(spec: RobotSpec, connectors: int) -> RobotSpec:
+    """Return a robot with skin and fewer segments, which simulates faster."""
+    mass = replace(
+        spec.mass,
+        connectors=spec.mass.connectors[: connectors - 1] + spec.mass.connectors[-1:],
+        segments=spec.mass.segments[: connectors - 1],
+    )
+    geometry = replace(spec.geometry, connectors=connectors)
+    return replace(spec, geometry=geometry, mass=mass)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from snakes import shortened
 
 from srs_twin import InputError, TwinSnake, load_robot, load_scenario
 from srs_twin.errors import InputFileError
@@ -13,21 +14,15 @@ SUPPLY, EXTENSION = 20e3, 2.5e-7
 """Supply pressure, Pa, and extension, m/Pa: 5 mm when all chambers are full."""
 
 
-def long_robot(connectors=4):
-    spec = load_robot("spatial_example")
-    mass = replace(
-        spec.mass,
-        connectors=spec.mass.connectors[: connectors - 1] + spec.mass.connectors[-1:],
-    )
-    mass = replace(mass, segments=spec.mass.segments[: connectors - 1])
-    actuator = replace(spec.actuator, extension=EXTENSION)
-    geometry = replace(spec.geometry, connectors=connectors)
-    return replace(spec, geometry=geometry, mass=mass, actuator=actuator)
+SPEC = replace(
+    shortened(load_robot("spatial_example"), 4),
+    actuator=replace(load_robot("spatial_example").actuator, extension=EXTENSION),
+)
 
 
-def friction_error(spec):
+def friction_error():
     """Return the largest compression of a segment by friction on the floor, m."""
-    return spec.friction.mu_t * spec.mass.total * GRAVITY / 2 / spec.axial_stiffness
+    return SPEC.friction.mu_t * SPEC.mass.total * GRAVITY / 2 / SPEC.axial_stiffness
 
 
 def lengths(state):
@@ -36,11 +31,10 @@ def lengths(state):
 
 
 def test_all_chambers_lengthen_the_segments_with_their_pressure():
-    spec = long_robot()
-    twin = TwinSnake(spec, supply_pa=SUPPLY)
-    full = np.ones((spec.segments, 4), dtype=np.int8)
-    tau1 = spec.actuator.tau_fill
-    tau2 = spec.bending.damping_time
+    twin = TwinSnake(SPEC, supply_pa=SUPPLY)
+    full = np.ones((SPEC.segments, 4), dtype=np.int8)
+    tau1 = SPEC.actuator.tau_fill
+    tau2 = SPEC.bending.damping_time
     for tick in range(1, 26):
         state = twin.step(full)
         if tick in (5, 25):
@@ -48,36 +42,34 @@ def test_all_chambers_lengthen_the_segments_with_their_pressure():
             fraction = 1 - (tau1 * np.exp(-t / tau1) - tau2 * np.exp(-t / tau2)) / (
                 tau1 - tau2
             )
-            expected = spec.geometry.pitch + fraction * EXTENSION * SUPPLY
+            expected = SPEC.geometry.pitch + fraction * EXTENSION * SUPPLY
             assert lengths(state) == pytest.approx(
-                np.full(3, expected), abs=friction_error(spec) + 2e-5
+                np.full(3, expected), abs=friction_error() + 2e-5
             )
     assert np.abs(state.bend).max() < 0.02
 
 
 def test_one_of_four_chambers_lengthens_the_arc_by_a_quarter_as_much():
-    spec = long_robot()
-    twin = TwinSnake(spec, supply_pa=SUPPLY, hinges_per_segment=4)
-    one = np.full((spec.segments, 4), -1, dtype=np.int8)
+    twin = TwinSnake(SPEC, supply_pa=SUPPLY, hinges_per_segment=4)
+    one = np.full((SPEC.segments, 4), -1, dtype=np.int8)
     one[:, 0] = 1
     for _ in range(50):
         state = twin.step(one)
-    g = spec.geometry
+    g = SPEC.geometry
     q = state.bend[:, 0]
-    assert q == pytest.approx(spec.actuator.gain * SUPPLY, rel=0.05)
+    assert q == pytest.approx(SPEC.actuator.gain * SUPPLY, rel=0.05)
     arc = g.segment_length + EXTENSION * SUPPLY / 4
     chord = arc * np.sin(q / 2) / (q / 2) + g.rigid_gap * np.cos(q / 2)
     # The link in the middle lengthens, not the whole arc (docs/spatial.md).
-    error = friction_error(spec) + (EXTENSION * SUPPLY / 4) * (q**2).max() / 24
+    error = friction_error() + (EXTENSION * SUPPLY / 4) * (q**2).max() / 24
     assert lengths(state) == pytest.approx(chord, abs=error + 5e-5)
     assert error < 0.15 * EXTENSION * SUPPLY / 4
 
 
 def test_a_robot_without_extension_has_the_same_model():
-    spec = long_robot()
-    plain = TwinSnake(replace(spec, actuator=replace(spec.actuator, extension=0.0)))
-    longer = TwinSnake(spec)
-    assert longer.physics.model.nv == plain.physics.model.nv + spec.segments
+    plain = TwinSnake(replace(SPEC, actuator=replace(SPEC.actuator, extension=0.0)))
+    longer = TwinSnake(SPEC)
+    assert longer.physics.model.nv == plain.physics.model.nv + SPEC.segments
     joints = [
         plain.physics.model.joint(j).name for j in range(plain.physics.model.njnt)
     ]

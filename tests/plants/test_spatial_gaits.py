@@ -1,28 +1,15 @@
 """Gaits of spatial robots on the twin against kinematics and statics."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize, minimize_scalar
+from snakes import shortened
 
 from srs_twin import Gait, TwinSnake, load_robot, rollout
 from srs_twin.control.gait import PitchWave
 from srs_twin.robot.spec import GRAVITY
 
 SPEC = load_robot("spatial_example")
-
-
-def short_robot(connectors):
-    """Return the robot with fewer segments, which simulates faster."""
-    mass = replace(
-        SPEC.mass,
-        connectors=SPEC.mass.connectors[: connectors - 1] + SPEC.mass.connectors[-1:],
-    )
-    mass = replace(mass, segments=SPEC.mass.segments[: connectors - 1])
-    return replace(
-        SPEC, geometry=replace(SPEC.geometry, connectors=connectors), mass=mass
-    )
 
 
 def rolling_speed(spec, frequency, supply):
@@ -46,7 +33,7 @@ def rolling_speed(spec, frequency, supply):
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_rolling_is_that_of_an_arc_that_turns_once_per_period(side):
-    spec = short_robot(5)
+    spec = shortened(SPEC, 5)
     frequency = 1.0
     supply = 5e3
     twin = TwinSnake(spec, supply_pa=supply, timestep=0.002)
