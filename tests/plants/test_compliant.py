@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from rows import newtons_matrix
-from snakes import chain, robot, vented
+from snakes import robot
 
 from srs_twin import AnalyticalSnake, Gait, RobotSpec, Trajectory, TwinSnake, rollout
 from srs_twin.plants.analytical import compliant_kernels, kernels
@@ -17,7 +17,6 @@ from srs_twin.plants.analytical.floor import FloorFriction, floor_friction
 from srs_twin.plants.analytical.kinematics import BodyParameters
 from srs_twin.robot.friction import FRICTION_LAWS
 from srs_twin.robot.geometry import body_shape, relative_headings
-from srs_twin.robot.spec import Mass
 
 LENGTH = 0.037
 GAP = 0.018
@@ -252,41 +251,6 @@ def test_linear_cost_solve_equals_dense_solve(connectors, friction_law):
         )
 
 
-@pytest.mark.slow
-def test_long_chain_conserves_momentum_and_energy_balance():
-    """48 segments without external forces: only dampers take energy from a swinging chain."""
-    g = np.random.default_rng(3)
-    n = 49
-    body = Body(
-        g.uniform(0.02, 0.1, n), np.full(n, 1e-5), damping=0.0, mu_t=0.0, mu_n=0.0
-    )
-    start = (
-        0.3 * g.normal(size=n - 1),
-        np.concatenate([[0.3, -0.2, 0.5], g.normal(size=n - 1)]),
-    )
-    momentum = body.balance(*start, np.zeros(n - 1))[0][2:]
-    bends = slice(compliant_kernels.BENDS, compliant_kernels.BENDS + n - 1)
-    momenta = slice(1 - n, None)
-
-    def energy(q: np.ndarray, p: np.ndarray) -> float:
-        return (
-            p @ np.linalg.solve(mass_matrix(body, q)[2:, 2:], p) / 2
-            + body.stiffness * q @ q / 2
-        )
-
-    def lost(step: float) -> float:
-        end = body.advance(lambda t: np.zeros((*t.shape, n - 1)), 0.02, step, start)[-1]
-        assert end[3:5] == pytest.approx(start[1][:2], abs=1e-13)
-        assert end[kernels.MOMENT] == pytest.approx(momentum[0], rel=1e-11)
-        return energy(start[0], momentum) - energy(
-            end[bends], np.append(end[kernels.MOMENT], end[momenta])
-        )
-
-    losses = np.array([lost(h) for h in (4e-5, 2e-5)])
-    assert abs(losses[1]) < 1e-3 * energy(start[0], momentum)
-    assert losses[0] / losses[1] > 3
-
-
 def wave(amplitude: float, omega: float = 2 * np.pi * 2):
     """Return smooth free bends of a travelling wave with a gradual start."""
 
@@ -302,8 +266,6 @@ def wave(amplitude: float, omega: float = 2 * np.pi * 2):
 
 
 MASSES = np.array([0.03, 0.05, 0.02, 0.04, 0.1])
-BENDS = slice(compliant_kernels.BENDS, compliant_kernels.BENDS + 4)
-MOMENTA = slice(compliant_kernels.BENDS + 4, None)
 
 
 @pytest.mark.slow
@@ -322,39 +284,6 @@ def test_time_integration_has_second_order():
     assert np.diff(np.log(errors)) / np.diff(np.log(steps)) == pytest.approx(
         [2, 2], abs=0.2
     )
-
-
-@pytest.mark.slow
-def test_frictionless_momentum_is_exact_and_energy_of_second_order():
-    """Momentum and moment of momentum are exact to rounding; the energy error is of second order."""
-    g = np.random.default_rng(5)
-    body = Body(
-        MASSES, np.full(5, 1e-5), stiffness=0.05, damping=0.0, mu_t=0.0, mu_n=0.0
-    )
-    start = 0.5 * g.normal(size=4), np.concatenate([[0.3, -0.2, 2.0], g.normal(size=4)])
-    moment = body.balance(*start, np.zeros(4))[0][2]
-    states = body.advance(wave(0.6), 0.5, 1e-3, start)
-    assert states[:, 3:5] == pytest.approx(
-        np.tile(start[1][:2], (len(states), 1)), abs=1e-14
-    )
-    assert states[:, 5] == pytest.approx(np.full(len(states), moment), rel=1e-12)
-    assert np.ptp(states[:, BENDS], axis=0).min() > 0.3
-
-    def energy(q: np.ndarray, p: np.ndarray) -> float:
-        return (
-            p @ np.linalg.solve(mass_matrix(body, q)[2:, 2:], p) / 2
-            + body.stiffness * q @ q / 2
-        )
-
-    def lost(step: float) -> float:
-        end = body.advance(lambda t: np.zeros((*t.shape, 4)), 0.1, step, start)[-1]
-        before = energy(start[0], body.balance(*start, np.zeros(4))[0][2:])
-        return abs(
-            energy(end[BENDS], np.append(end[kernels.MOMENT], end[MOMENTA])) - before
-        )
-
-    drifts = np.array([lost(h) for h in (4e-4, 2e-4, 1e-4)])
-    assert (np.log2(drifts[:-1] / drifts[1:]) > 1.8).all()
 
 
 def test_massless_segments_have_their_free_bends_whatever_their_damping():
@@ -401,54 +330,6 @@ def mean_speed(run: Trajectory) -> float:
     return float(np.hypot(*(run.com[-1] - run.com[100]))) / (run["time"][-1] - 1.0)
 
 
-@pytest.mark.slow
-def test_stiff_compliant_bends_equal_prescribed_bends():
-    """The difference is of order 1/k: external forces deflect a spring by their moment over k."""
-    spec = robot(mu_t=1.0, mu_n=15.0)
-    viscous = {"friction": "viscous", "supply_pa": 48300.0, "timestep": 0.001}
-    complete = rollout(AnalyticalSnake(spec, **viscous), Gait(2.0), 3.0)
-    runs = [
-        rollout(compliant(with_bending(spec, stiffness=k), **viscous), Gait(2.0), 3.0)
-        for k in (5.0, 20.0, 80.0, 320.0)
-    ]
-    bends = [
-        np.sqrt(((r.stack("bend") - complete.stack("bend")) ** 2).mean()) for r in runs
-    ]
-    paths = [np.abs(r.com - complete.com).max() for r in runs]
-    speeds = [abs(mean_speed(r) / mean_speed(complete) - 1) for r in runs]
-    assert np.diff(np.log(bends)) / np.log(4) == pytest.approx([-1, -1, -1], abs=0.2)
-    assert np.diff(np.log(paths)) / np.log(4) == pytest.approx([-1, -1, -1], abs=0.3)
-    assert speeds[-1] < 0.005 and speeds[-1] < speeds[0]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("friction_law", ["axis", "wheel"])
-def test_stiff_compliant_model_has_the_speed_of_complete(friction_law):
-    spec = robot()
-    options = {"friction": friction_law, "supply_pa": 48300.0, "timestep": 0.001}
-    complete = rollout(AnalyticalSnake(spec, **options), Gait(2.0), 4.0)
-    stiff = rollout(
-        compliant(with_bending(spec, stiffness=320.0), **options), Gait(2.0), 4.0
-    )
-    assert mean_speed(stiff) == pytest.approx(mean_speed(complete), rel=0.005)
-    assert stiff.stack("bend") == pytest.approx(complete.stack("bend"), abs=2e-3)
-
-
-def test_motion_depends_on_ratios_of_mass_and_stiffness_only():
-    spec = chain((0.03, 0.05, 0.02, 0.04, 0.1))
-    heavy = replace(
-        spec,
-        mass=replace(spec.mass, connectors=tuple(7 * m for m in spec.mass.connectors)),
-    )
-    heavy = with_bending(heavy, stiffness=7 * spec.bending.stiffness)
-    light, loaded = (
-        rollout(compliant(s, friction="wheel"), Gait(2.0, 0.2), 1.0)
-        for s in (spec, heavy)
-    )
-    assert loaded.position == pytest.approx(light.position, abs=1e-7)
-    assert loaded.stack("bend") == pytest.approx(light.stack("bend"), abs=1e-6)
-
-
 @pytest.mark.parametrize(("offset", "bridge"), [(0.0, 0.06), (0.2, 0.06)])
 def test_compliant_model_has_the_bend_amplitudes_of_the_twin(offset, bridge):
     """`complete` deviates from the twin's bends by 7 to 10 % at the shipped stiffness, `compliant` by 2 %."""
@@ -470,60 +351,3 @@ def test_compliant_model_has_the_bend_amplitudes_of_the_twin(offset, bridge):
     assert miss(soft) < 0.025
     assert miss(soft) < 0.3 * miss(rigid)
     assert mean_speed(soft) == pytest.approx(mean_speed(twin), rel=bridge)
-
-
-def test_free_module_follows_the_free_bend():
-    """A nearly massless segment obeys τ₂ q̇ + q = G (p⁺ − p⁻) with its damping time as τ₂."""
-    spec = robot(mu_t=0.0, mu_n=0.0)
-    geometry = replace(spec.geometry, connectors=2)
-    spec = replace(
-        spec, geometry=geometry, mass=Mass(connectors=(1e-4, 1e-4), wheel=1e-5)
-    )
-    bends = []
-    free = []
-    plants = compliant(spec), AnalyticalSnake(spec)
-    for k in range(20):
-        valves = np.array([[1, -1]] if k < 10 else [[-1, 1]])
-        for plant, actual in zip(plants, (bends, free), strict=True):
-            actual.extend(state.bend[0] for state in plant.advance(valves, 5))
-    assert np.ptp(free) > 1.0
-    assert bends == pytest.approx(free, abs=2e-3 * np.ptp(free))
-
-
-def test_state_fields_and_description_are_consistent():
-    spec = chain((0.03, 0.05, 0.02, 0.04, 0.1))
-    plant = compliant(spec, friction="wheel", tick=0.001)
-    states = []
-    rollout(
-        plant,
-        Gait(2.0, 0.3),
-        0.8,
-        record_hz=1000,
-        observers=[states.append],
-        pose=(0.3, -0.1, 1.0),
-    )
-    position, theta, bend, com = (
-        np.array([getattr(s, name) for s in states])
-        for name in ("position", "connector_heading", "bend", "com")
-    )
-    assert com[0] == pytest.approx([0.3, -0.1]) and states[0].heading == 1.0
-    assert np.einsum("i,tij->tj", MASSES, position) / MASSES.sum() == pytest.approx(
-        com, abs=1e-12
-    )
-    assert theta[:, :-1] - theta[:, 1:] == pytest.approx(bend, abs=1e-12)
-    for values, rate in ((com, "com_velocity"), (bend, "bend_rate")):
-        rates = np.array([getattr(s, rate) for s in states])
-        error = np.abs(np.diff(values, axis=0) / 0.001 - (rates[1:] + rates[:-1]) / 2)
-        assert np.quantile(error, 0.97) < 0.05 * np.abs(rates).max()
-    force = np.array([s.contact_force for s in states]).sum(axis=1)
-    momentum = MASSES.sum() * np.array([s.com_velocity for s in states])
-    impulse = np.cumsum((force[1:] + force[:-1]) / 2, axis=0) * 0.001
-    assert np.abs(momentum[1:] - impulse).max() < 0.05 * np.abs(momentum).max()
-    assert plant.name == "analytical"
-    assert plant.describe() == AnalyticalSnake(
-        spec, friction="wheel", tick=0.001
-    ).describe() | {"model": "compliant"}
-    again = plant.reset()
-    assert not again.bend.any() and not again.com.any()
-    still = plant.step(vented(spec))
-    assert not still.bend.any() and not still.com_velocity.any()
