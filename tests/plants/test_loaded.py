@@ -25,15 +25,10 @@ from twin_at_reference import crawled
 
 from srs_twin import (
     AnalyticalSnake,
-    Gait,
     InputError,
-    Job,
     LoadedContact,
     PreloadedContact,
-    TwinBatch,
     TwinSnake,
-    rollout,
-    run_many,
 )
 from srs_twin.plants.twin.friction_solve import _friction_law, _friction_load
 from srs_twin.plants.twin.mjcf.numerics import LAWS_ON_LOADS, LOADS
@@ -309,33 +304,6 @@ def test_spinning_up_wheels_does_not_pitch_the_snake():
     assert moment == pytest.approx(
         force * (g.com_height - g.wheel_radius) + drag, rel=0.01
     )
-
-
-def test_energy_balance_of_air_motion_floor_and_segments():
-    plant = TwinSnake(SPEC, contact="loaded", supply_pa=48.3e3)
-    run = rollout(plant, Gait(2.0, 0.2), 2.0, record_hz=1000)
-    gait = Gait(2.0, 0.2)
-    chambers = TwinSnake(SPEC, supply_pa=48.3e3).pneumatics
-    torque = run.stack("torque")
-    gait.reset(SPEC, plant.tick)
-    free = chambers.advance(gait.script(2.0), run.time).bend
-    # Pitch and roll take a little.
-    done = ((torque[1:] + torque[:-1]) / 2 * np.diff(free, axis=0)).sum()
-    supplied = np.abs((torque[1:] + torque[:-1]) / 2 * np.diff(free, axis=0)).sum()
-    assert run["work"][-1] == pytest.approx(done, abs=0.01 * supplied)
-
-
-def test_runs_are_reproducible_across_processes():
-    batch = TwinBatch([SPEC] * 3, supply_pa=48e3, threads=2, contact="loaded")
-    runs = [rollout(batch.twins[0], Gait(2.0, 0.3), 0.3)]
-    alone = TwinSnake(SPEC, contact="loaded", supply_pa=48e3)
-    runs += [rollout(alone, Gait(2.0, 0.3), 0.3), rollout(alone, Gait(2.0, 0.3), 0.3)]
-    assert all((run.position == runs[0].position).all() for run in runs)
-    batch.reset()
-    for run in run_many(
-        [Job(twin, Gait(2.0, 0.3), 0.3) for twin in batch.twins], threads=2
-    ):
-        assert (run.position == runs[0].position).all()
 
 
 @pytest.mark.parametrize(

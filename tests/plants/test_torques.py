@@ -1,4 +1,4 @@
-"""Torques of the segments: inverse dynamics of `complete` compared with Newton's law and stiff springs."""
+"""Torques of the segments: inverse dynamics of `complete` compared with stiff springs and by hand."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from scipy.signal import butter, sosfiltfilt
 from smooth import Wave
 from snakes import chain, robot
 
-from srs_twin import AnalyticalSnake, Gait, RobotSpec, rollout
+from srs_twin import AnalyticalSnake, Gait, rollout
 from srs_twin.plants.base import SnakeState
-from srs_twin.robot.friction import TWO_POINT_LAWS, wheel
 
 MASSES = (0.03, 0.05, 0.02, 0.04, 0.1)
 STEP = 1e-4
@@ -26,126 +25,6 @@ def bent(plant: AnalyticalSnake, duration: float, step: float) -> SnakeState:
         plant.pneumatics.schedule(np.full((plant.spec.segments, 2), -1), duration),
         round(duration / step),
     )
-
-
-def from_the_tail(
-    h: SnakeState, spec: RobotSpec, inertia: np.ndarray, yaw: np.ndarray
-) -> np.ndarray:
-    """Return the segments' moments from recorded places and floor forces, Newton and Euler from the tail.
-
-    A massless arc that connectors j and j + 1 hold in F and moments does no work but T
-    δq: with its chord L e along the mean of their headings, T = −L' F·e − N₁ − r × F/2,
-    where F and N₁ are what it gives to the connector behind, and r = −L e.
-
-    Args:
-        h: motion at equal steps.
-        spec: the robot.
-        inertia: of the connectors about themselves, shape (N,), kg·m².
-        yaw: moment of the floor on each connector, shape (samples, N), N·m.
-    """
-    needed = spec.mass.array()[:, None] * second(h.position) - h.contact_force[1:-1]
-    spin = inertia * second(h.connector_heading) - yaw[1:-1]
-    place = h.position[1:-1]
-    mean = (h.connector_heading[1:-1, 1:] + h.connector_heading[1:-1, :-1]) / 2
-    ahead = np.stack([np.cos(mean), np.sin(mean)], axis=-1)
-    half = h.bend[1:-1] / 2
-    length = spec.geometry.segment_length
-    gap = spec.geometry.rigid_gap
-    derivative = (
-        length * (np.cos(half) - np.sinc(half / np.pi)) / (2 * half)
-        - gap * np.sin(half) / 2
-    )
-    torque = np.empty_like(half)
-    for j in range(spec.segments):
-        force = needed[:, j + 1 :].sum(axis=1)
-        arm = place[:, j + 1 :] - place[:, j + 1, None]
-        behind = (cross(arm, needed[:, j + 1 :]) + spin[:, j + 1 :]).sum(axis=1)
-        chord = place[:, j + 1] - place[:, j]
-        torque[:, j] = (
-            -derivative[:, j] * (force * ahead[:, j]).sum(axis=1)
-            - behind
-            - cross(chord, force) / 2
-        )
-    return torque
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-
-
-def second(values: np.ndarray) -> np.ndarray:
-    return np.diff(values, n=2, axis=0) / STEP**2
-
-
-def first(values: np.ndarray) -> np.ndarray:
-    return np.gradient(values, STEP, axis=0)
-
-
-def yaw_of_two_wheels(h: SnakeState, spec: RobotSpec, slip: float) -> np.ndarray:
-    """Return the moment of both wheels' drag on each connector, shape (samples, N), N·m."""
-    along = (
-        first(h.position)
-        * np.stack([np.cos(h.connector_heading), np.sin(h.connector_heading)], axis=-1)
-    ).sum(axis=-1)
-    across = cross(
-        np.stack([np.cos(h.connector_heading), np.sin(h.connector_heading)], axis=-1),
-        first(h.position),
-    )
-    track = spec.geometry.half_track
-    load = spec.mass.array() * 9.81 / 2
-    left, right = (
-        wheel(
-            along - side * track * first(h.connector_heading),
-            across,
-            load,
-            spec.friction.mu_t,
-            spec.friction.mu_n,
-            slip,
-        )
-        for side in (1, -1)
-    )
-    return track * (right[0] - left[0])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", ["complete", "compliant"])
-@pytest.mark.parametrize(
-    ("friction_law", "mu", "inertia"),
-    [
-        ("viscous", SMOOTH, "point"),
-        ("axis", {}, "point"),
-        ("axis", {}, "lumped"),
-        ("wheel", {}, "connector"),
-    ],
-)
-def test_torques_satisfy_newtons_law(model, friction_law, mu, inertia):
-    slip = 0.02
-    spec = chain(MASSES, **mu)
-    plant = AnalyticalSnake(
-        spec,
-        model=model,
-        friction=friction_law,
-        inertia=inertia,
-        timestep=STEP,
-        slip_speed=slip,
-        pneumatics=Wave(spec, amplitude=0.8, bias=0.2),
-    )
-    h = bent(plant, 0.8, STEP)
-    yaw = (
-        yaw_of_two_wheels(h, spec, slip)
-        if friction_law in TWO_POINT_LAWS
-        else np.zeros_like(h.connector_heading)
-    )
-    lumped = spec.mass.array() * np.array([1, 2, 2, 2, 1]) * spec.geometry.pitch**2 / 3
-    own = {"point": np.zeros(5), "connector": spec.yaw_inertia(), "lumped": lumped}[
-        inertia
-    ]
-    # From 0.2 s on, where bends are large enough to divide by them.
-    expected = from_the_tail(h, spec, own, yaw)[2000:]
-    result = h.torque[1:-1][2000:]
-    error = np.abs(result - expected) / np.sqrt((expected**2).mean())
-    assert np.sqrt((error**2).mean()) < 5e-5
-    assert error.max() < 5e-3  # at kinks of the wheels' law
 
 
 def apart(
