@@ -22,7 +22,9 @@ from srs_twin.plants.twin.mjcf.export import (
 )
 from srs_twin.plants.twin.mjcf.model import GRAVITY, scene_mjcf
 from srs_twin.plants.twin.mjcf.numerics import ModelSettings
-from srs_twin.plants.twin.mjcf.wheels import preload_force, treads
+from srs_twin.plants.twin.mjcf.wheels import preload_force
+
+pytestmark = pytest.mark.default_cases(3)
 
 ROBOTS = ("gen1", "gen2", "gen3", "gen4")
 SECOND = round(1 / ModelSettings.timestep)
@@ -65,7 +67,6 @@ def at_home(model):
     return data
 
 
-@pytest.mark.default_cases(3)
 def test_shipped_mjcf_files_are_current(root, spec, tmp_path):
     written = export_robot(spec, tmp_path)
     assert [path.name for path in written] == [f"{spec.name}.xml", SCENE, SCENE_MJX]
@@ -85,7 +86,6 @@ def with_lags(spec):
     return scene.compile()
 
 
-@pytest.mark.default_cases(3)
 def test_exported_files_compile_to_the_model_of_the_twin_bit_for_bit(spec, shipped):
     twin = with_lags(spec)
     for part in ("opt", "stat", "vis"):
@@ -110,28 +110,6 @@ def test_exported_files_compile_to_the_model_of_the_twin_bit_for_bit(spec, shipp
     ]
 
 
-@pytest.mark.default_cases(2)
-def test_exported_and_built_models_move_equally(spec, shipped):
-    rng = np.random.default_rng(1)
-    twin = with_lags(spec)
-    one = at_home(twin)
-    other = at_home(shipped)
-    for step in range(SECOND):
-        if step % 50 == 0:
-            target = rng.uniform(*twin.actuator_ctrlrange.T)
-        # Pressures that jump over the whole range can make a model diverge
-        # (models/README.md).
-        one.ctrl += (
-            (target - one.ctrl) * ModelSettings.timestep / spec.actuator.tau_fill
-        )
-        other.ctrl[:] = one.ctrl
-        mujoco.mj_step(twin, one)
-        mujoco.mj_step(shipped, other)
-    assert np.abs(one.ten_length).max() > 0.1
-    np.testing.assert_array_equal(other.qpos, one.qpos)
-    np.testing.assert_array_equal(other.sensordata, one.sensordata)
-
-
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize("name", ROBOTS)
 def test_exported_model_is_stable_under_random_control(root, tmp_path, name):
@@ -152,7 +130,6 @@ def test_exported_model_is_stable_under_random_control(root, tmp_path, name):
     assert list(tmp_path.iterdir()) == []  # no MUJOCO_LOG.TXT
 
 
-@pytest.mark.default_cases(3)
 def test_home_keyframe_rests_with_weight_and_preload_on_the_floor(spec, shipped):
     data = at_home(shipped)
     home = data.qpos.copy()
@@ -174,55 +151,13 @@ def test_home_keyframe_rests_with_weight_and_preload_on_the_floor(spec, shipped)
     )
 
 
-@pytest.mark.default_cases(3)
-def test_compiled_model_has_the_parameters_of_the_robot(spec, shipped):
-    data = at_home(shipped)
-    g = spec.geometry
-    mujoco.mj_forward(shipped, data)
-    places = np.array(
-        [data.body(f"connector_{i}").xpos for i in range(1, g.connectors + 1)]
-    )
-    np.testing.assert_allclose(np.diff(places[:, 0]), -g.pitch)
-    np.testing.assert_allclose(places[:, 2], g.com_height)
-    assert shipped.body_mass.sum() == pytest.approx(spec.mass.total)
-    for tread in treads(spec):
-        wheel = data.geom(tread)
-        assert wheel.xpos[2] == pytest.approx(g.wheel_radius)
-        assert abs(wheel.xpos[1]) == pytest.approx(g.half_track)
-    for j in range(1, spec.segments + 1):
-        hinges = [
-            shipped.joint(f"hinge_{j}_{k}")
-            for k in range(1, ModelSettings.hinges_per_segment + 1)
-        ]
-        in_series = 1 / sum(1 / hinge.stiffness[0] for hinge in hinges)
-        assert in_series == pytest.approx(spec.bending.stiffness)
-        limit = max(spec.supply.continuous_limit, spec.supply.pulsed_limit)
-        assert shipped.actuator(f"plus_{j}").ctrlrange[1] == pytest.approx(limit)
+def test_plus_pressure_exerts_the_moment_of_the_free_bend(spec, shipped):
+    """Robots whose damping time is not the mode time constant have a second, lagging actuator."""
+    actuators = [shipped.actuator(i) for i in range(shipped.nu)]
+    gains = [item.gainprm[0] for item in actuators if item.name.startswith("plus_1")]
+    assert sum(gains) == pytest.approx(spec.bending.stiffness * spec.actuator.gain)
 
 
-@pytest.mark.default_cases(3)
-def test_plus_pressure_gives_the_free_bend_to_the_left(spec, shipped):
-    data = at_home(shipped)
-    pressure = 0.2 / spec.actuator.gain
-    names = [
-        name
-        for i in range(shipped.nu)
-        if (name := shipped.actuator(i).name).startswith("plus_1")
-    ]
-    for name in names:
-        data.actuator(name).ctrl = pressure
-    mujoco.mj_forward(shipped, data)
-    moment = sum(shipped.actuator(name).gainprm[0] for name in names) * pressure
-    assert moment == pytest.approx(0.2 * spec.bending.stiffness)
-    for _ in range(SECOND):
-        mujoco.mj_step(shipped, data)
-    heading = [np.arctan2(*data.body(f"connector_{i}").xmat[[3, 0]]) for i in (1, 2)]
-    bend = data.tendon("bend_1").length[0]
-    assert bend == pytest.approx(heading[0] - heading[1], abs=1e-3)
-    assert 0.08 < bend < 0.2 + 1e-3  # what is missing is held by the wheels
-
-
-@pytest.mark.default_cases(3)
 def test_robot_file_contains_the_robot_only(root, spec):
     robot = mujoco.MjModel.from_xml_path(
         str(root / "models" / spec.name / f"{spec.name}.xml")
@@ -232,7 +167,6 @@ def test_robot_file_contains_the_robot_only(root, spec):
     assert not (robot.geom_type == mujoco.mjtGeom.mjGEOM_PLANE).any()
 
 
-@pytest.mark.default_cases(3)
 def test_files_have_the_layout_of_menagerie(spec):
     texts = robot_files(spec)
     robot = texts[f"{spec.name}.xml"]
@@ -262,6 +196,7 @@ def test_files_have_the_layout_of_menagerie(spec):
                     ElementTree.tostring(element)
                 )
     tree = ElementTree.fromstring(robot)
+    assert all(element.get("name") for element in tree.iterfind("./tendon/*"))
     classes = {item.get("class") for item in tree.iter("default")}
     assert classes >= {
         "hinge",

@@ -7,12 +7,14 @@ from functools import cache
 import mujoco
 import numpy as np
 import pytest
-from snakes import GRAVITY, chain, robot, throw, vented
+from snakes import GRAVITY, robot, throw, vented
 
 from srs_twin import Gait, PreloadedContact, TwinSnake, load_robot, rollout
 from srs_twin.plants.twin.mjcf.model import scene_mjcf
 from srs_twin.plants.twin.mjcf.numerics import PRELOAD, ModelSettings
 from srs_twin.plants.twin.mjcf.wheels import pair_attributes, preload_force, treads
+
+pytestmark = pytest.mark.default_cases(3)
 
 SPEC = robot(stiffness=20.0)
 SKIDS = ModelSettings(contact=PreloadedContact("skid"))
@@ -33,7 +35,6 @@ def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
     return model, data, request.param
 
 
-@pytest.mark.default_cases(3)
 def test_each_skid_touches_once_at_the_track(scene):
     _, data, name = scene
     g = load_robot(name).geometry
@@ -50,7 +51,6 @@ def test_each_skid_touches_once_at_the_track(scene):
     )
 
 
-@pytest.mark.default_cases(3)
 def test_skids_have_the_mass_and_inertia_of_wheels(scene):
     model, data, name = scene
     spec = load_robot(name)
@@ -76,7 +76,6 @@ def test_skids_have_the_mass_and_inertia_of_wheels(scene):
     )
 
 
-@pytest.mark.default_cases(3)
 def test_preloaded_skid_has_the_friction_of_its_static_load(scene):
     model, _, name = scene
     spec = load_robot(name)
@@ -92,7 +91,6 @@ def test_preloaded_skid_has_the_friction_of_its_static_load(scene):
     )
 
 
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("heading", [0.0, 0.5, 2.0, -2.5])
 def test_contact_frames_turn_with_the_skids(heading):
     plant = twin()
@@ -121,7 +119,6 @@ def test_skids_stay_on_the_floor_and_off_their_tips():
     assert set(contacts[1:]) == {10}
 
 
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("name", ["gen1", "gen2", "gen3", "gen4"])
 def test_sideways_slide_does_not_roll_the_snake_over(name):
     plant = TwinSnake(robot(name, stiffness=20.0), contact=PreloadedContact("skid"))
@@ -157,11 +154,3 @@ def test_description_contains_the_wheels():
         TwinSnake(SPEC, contact=PreloadedContact("skid", 7.0)).describe()["preload"]
         == 7.0
     )
-
-
-@pytest.mark.parametrize("connectors", [2, 9])
-def test_any_number_of_connectors_runs(connectors):
-    plant = TwinSnake(chain((0.03,) * connectors), contact=PreloadedContact("skid"))
-    trajectory = rollout(plant, Gait(2.0, phase_step=np.pi / 2), 0.5)
-    assert np.isfinite(trajectory.com).all()
-    assert plant.physics.floor_forces().shape == (connectors, 2, 3)
