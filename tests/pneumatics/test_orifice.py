@@ -234,13 +234,7 @@ def reference(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "case",
-    [
-        name if "compressor" in name else pytest.param(name, marks=pytest.mark.slow)
-        for name in CASES
-    ],
-)
+@pytest.mark.parametrize("case", CASES)
 def test_integration_converges_to_an_independent_integrator(case):
     spec = robot()
     times = np.linspace(0.005, 0.3, 60)
@@ -405,10 +399,9 @@ def speed_and_amplitude(
     plant = AnalyticalSnake(spec, supply_pa=SUPPLY, pneumatics=chambers)
     run = rollout(plant, Gait(0.9), 10.0)
     late = run.time >= 6 - 1e-9
-    ends = [(run["com_x"][k], run["com_y"][k]) for k in (np.flatnonzero(late)[0], -1)]
-    return float(np.hypot(*np.subtract(*ends)) / 4), float(
-        np.abs(run["bend_2"][late]).max()
-    )
+    path = run.com[late]
+    speed = float(np.hypot(*(path[-1] - path[0]))) / 4
+    return speed, float(np.abs(run["bend_2"][late]).max())
 
 
 def test_generation_3_is_limited_by_two_litres_per_minute():
@@ -500,7 +493,6 @@ def test_settings_are_recorded_in_their_units():
 # Invalid settings
 
 
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -554,11 +546,14 @@ def limited(l_per_min: float, **options: float) -> OrificePneumatics:
     return OrificePneumatics(robot(), supply_pa=SUPPLY, flow_limit=flow, **options)
 
 
-@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
-    "inertia", [pytest.param("point", marks=pytest.mark.slow), "connector"]
+    ("l_per_min", "inertia"),
+    [
+        (2.0, "connector"),
+        pytest.param(2.0, "point", marks=pytest.mark.slow),
+        pytest.param(20.0, "connector", marks=pytest.mark.slow),
+    ],
 )
-@pytest.mark.parametrize("l_per_min", [2.0, 20.0])
 def test_coupling_step_is_small_enough_with_a_flow_limit(
     l_per_min, inertia, monkeypatch
 ):
@@ -616,11 +611,7 @@ def test_closed_chambers_are_stable_under_loaded_contact(flow_limit):
             Gait(2.0, offset=0.4),
             2.0,
         )
-        distance = math.hypot(
-            actual["com_x"][-1] - actual["com_x"][0],
-            actual["com_y"][-1] - actual["com_y"][0],
-        )
-        return distance, actual["heading"][-1]
+        return math.hypot(*(actual.com[-1] - actual.com[0])), actual["heading"][-1]
 
     preloaded = crawled(contact="preloaded")
     loaded = crawled(contact="loaded")

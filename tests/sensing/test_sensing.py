@@ -24,11 +24,9 @@ from srs_twin.sensing import (
     make_sensor,
 )
 from srs_twin.sensing.hall import (
-    MOMENT,
     RAIL_FRACTION,
     ROUNDING_BEND_RAD,
     SPAN,
-    dipole,
     element_place,
     field,
     fit_line,
@@ -75,49 +73,6 @@ def slope_along(r: np.ndarray, moment: np.ndarray, direction: np.ndarray) -> flo
 # The field
 
 
-@given(
-    angle=st.floats(0, 6.28), distance=st.floats(0.001, 0.02), tilt=st.floats(0, 6.28)
-)
-def test_dipole_is_the_gradient_of_its_potential(angle, distance, tilt):
-    r = distance * np.array([math.cos(angle), math.sin(angle)])
-    moment = MOMENT * np.array([math.cos(tilt), math.sin(tilt)])
-    result = dipole(r[0], r[1], *moment)
-    scale = MU0_4PI * MOMENT / distance**3
-    expected = [-slope_along(r, moment, axis) for axis in np.eye(2)]
-    assert result == pytest.approx(expected, abs=1e-6 * scale)
-
-
-def test_dipole_is_the_limit_of_a_small_current_loop():
-    """Biot–Savart for circles in the x-z plane: the difference decreases with the squared radius."""
-    place = np.array([0.004, 0.0015, 0.0])
-    turn = np.linspace(0, 2 * np.pi, 400, endpoint=False)
-    b_dipole = np.array(dipole(place[0], place[1], 0.0, MOMENT))
-    errors = []
-    for radius in (4e-4, 2e-4, 1e-4):
-        wire = radius * np.stack([np.sin(turn), 0 * turn, np.cos(turn)], axis=1)
-        piece = (
-            2
-            * np.pi
-            * radius
-            / len(turn)
-            * np.stack([np.cos(turn), 0 * turn, -np.sin(turn)], axis=1)
-        )
-        r = place - wire
-        current = MOMENT / (np.pi * radius**2)
-        b = (
-            MU0_4PI
-            * current
-            * np.cross(piece, r)
-            / np.linalg.norm(r, axis=1, keepdims=True) ** 3
-        )
-        errors.append(
-            np.abs(b.sum(axis=0)[:2] - b_dipole).max() / np.abs(b_dipole).max()
-        )
-    assert errors[-1] < 2e-3
-    assert errors[0] / errors[1] == pytest.approx(4, rel=0.05)
-    assert errors[1] / errors[2] == pytest.approx(4, rel=0.05)
-
-
 @given(strip=STRIPS, bend=st.floats(-6, 6))
 def test_element_place_is_the_integral_along_the_strip(strip, bend):
     s = (np.arange(2000) + 0.5) / 2000 * strip.distance
@@ -146,30 +101,6 @@ def test_equation_1_is_the_field_component_normal_to_the_element(strip, bend):
     assert float(field(bend, strip)) == pytest.approx(wanted, abs=1e-6 * scale)
 
 
-@given(strip=STRIPS)
-def test_straight_strip_has_the_equatorial_field_of_a_dipole(strip):
-    rise = strip.element_height - strip.magnet_height
-    square = strip.distance**2 + rise**2
-    along = (
-        3 * rise**2 - square if strip.orientation == "up" else 3 * rise * strip.distance
-    )
-    wanted = MU0_4PI * strip.moment * along / square**2.5
-    assert float(field(0.0, strip)) == pytest.approx(wanted, rel=1e-12, abs=1e-18)
-
-
-@given(strip=STRIPS, bend=BEND)
-def test_mirrored_strip_and_bend_give_the_mirrored_field(strip, bend):
-    """With mirrored heights, `up` reads the same for −q, and `side` the opposite."""
-    mirrored = replace(
-        strip, magnet_height=-strip.magnet_height, element_height=-strip.element_height
-    )
-    sign = 1 if strip.orientation == "up" else -1
-    scale = MU0_4PI * strip.moment / strip.distance**3
-    assert field(-bend, mirrored) == pytest.approx(
-        sign * field(bend, strip), abs=1e-12 * scale
-    )
-
-
 def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
     for orientation, sign in (("up", 1), ("side", -1)):
         b = field(BENDS, flat(orientation))
@@ -180,37 +111,6 @@ def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
         r" 0\.0%",
     ):
         calibrate(HallSensor.trimmed(flat("up")))
-
-
-@pytest.mark.parametrize("height", [0.0002, 0.00045, 0.0007])
-def test_slope_at_small_bends(height):
-    """First order in θ = κL: −3 k h/L⁴ for `up`, −k/(2 L³) for `side`, k = μ₀ m/4π."""
-    h = 1e-4
-    k = MU0_4PI * MOMENT
-    for orientation, slope in (
-        ("up", -3 * k * height / 0.0031**4),
-        ("side", -k / (2 * 0.0031**3)),
-    ):
-        b = field(np.array([-h, h]), flat(orientation, height))
-        assert (b[1] - b[0]) / (2 * h) * LENGTH / 0.0031 == pytest.approx(
-            slope, rel=1e-6
-        )
-
-
-def test_field_scales_with_the_magnet_and_with_size():
-    strip = Strip(LENGTH)
-    twice = Strip(
-        2 * LENGTH,
-        0.0062,
-        "up",
-        8 * MOMENT,
-        2 * strip.magnet_height,
-        2 * strip.element_height,
-    )
-    assert field(BENDS, replace(strip, moment=3 * MOMENT)) == pytest.approx(
-        3 * field(BENDS, strip), rel=1e-12
-    )
-    assert field(BENDS, twice) == pytest.approx(field(BENDS, strip), rel=1e-12)
 
 
 # The electronics
@@ -580,7 +480,6 @@ def test_sensors_are_selected_by_name():
     assert hall.describe()["calibration"]["r_squared"] > 0.99
 
 
-@pytest.mark.default_cases(at=[0, 1, 2, 3, 4, 7, 10, 15, 16, 18, 19, 20])
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -620,7 +519,7 @@ def test_sensors_are_selected_by_name():
         ),
         (
             {"bias": math.inf},
-            "`bias` inf is not allowed; it must be finite and in V",
+            "`bias` inf is not allowed; it must be finite and a voltage",
         ),
         ({"sensitivity": 0.0}, "`sensitivity` 0.0 is not allowed"),
         ({"bits": 0}, "`bits` 0 is not allowed; it must be between 1 and 32, or None"),
@@ -656,7 +555,6 @@ def test_invalid_sensor_options_raise(options, words):
         assert isinstance(error.value, UnknownNameError)
 
 
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("voltage", "angle", "words"),
     [
