@@ -35,9 +35,7 @@ def driven(
 
 def forces(run: Trajectory) -> np.ndarray:
     """Return the force of the obstacles on each connector, shape (samples, N, 2), N."""
-    return np.stack(
-        [[run[f"obstacle_force_{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]
-    ).transpose(2, 0, 1)
+    return np.stack([run.stack(f"obstacle_force_{axis}") for axis in "xy"], axis=-1)
 
 
 def deepest(twin: TwinSnake, run: Trajectory) -> float:
@@ -45,8 +43,8 @@ def deepest(twin: TwinSnake, run: Trajectory) -> float:
     model = twin.physics.model
     data = mujoco.MjData(model)
     result = 0.0
-    for k in range(0, len(run["time"]), 5):
-        data.qpos[:] = [run[f"qpos_{c}"][k] for c in range(1, model.nq + 1)]
+    for qpos in run.stack("qpos")[::5]:
+        data.qpos[:] = qpos
         mujoco.mj_forward(model, data)
         for contact in data.contact:
             if any(
@@ -62,7 +60,7 @@ def test_a_snake_driven_into_an_obstacle_stays_out_of_it(name):
     assert np.abs(forces(run)).max() > 0.5, "it did run into it"
     assert deepest(twin, run) < 0.001
     if name == "wall":
-        reach = max(run[f"x_{i}"].max() for i in range(1, 6))
+        reach = run.position[..., 0].max()
         assert reach < 0.2 - twin.spec.geometry.width / 2 + 0.001
 
 
@@ -94,10 +92,7 @@ def test_normal_force_of_a_circle_is_radial():
     _, run = driven(World((circle,)), duration=2.0)
     force = forces(run)
     size = np.linalg.norm(force, axis=2)
-    place = np.stack(
-        [[run[f"{axis}_{i}"] for axis in "xy"] for i in range(1, 6)]
-    ).transpose(2, 0, 1)
-    away = place - [circle.x, circle.y]
+    away = run.position - [circle.x, circle.y]
     away /= np.linalg.norm(away, axis=2, keepdims=True)
     hit = size > 0.2
     assert hit.any()
@@ -123,10 +118,9 @@ def test_obstacle_contact_converges_with_the_time_step():
     ends = []
     for timestep in (0.001, 0.0005):
         _, run = driven(OBLIQUE, timestep=timestep, duration=2.0)
-        ends.append([run["com_x"][-1], run["com_y"][-1], run["heading"][-1]])
-    assert ends[0][:2] == pytest.approx(ends[1][:2], abs=0.02) and ends[0][
-        2
-    ] == pytest.approx(ends[1][2], abs=0.2)
+        ends.append([*run.com[-1], run["heading"][-1]])
+    difference = np.abs(np.subtract(*ends))
+    assert (difference < [0.02, 0.02, 0.2]).all()
 
 
 def test_twin_of_a_scenario_has_its_obstacles(tmp_path):
@@ -157,28 +151,33 @@ def contact_forces(obstacles, body, velocity, loads, origin):
     ("speed", "factor"), [(0.0, 1.0), (-0.05, 2.0), (0.05, 0.0), (0.1, 0.0)]
 )
 def test_analytical_contact_is_a_spring_whose_damping_prevents_tension(speed, factor):
-    """The force is m/T² times the overlap at rest, and 0 at rebound speeds above 1/χ = 50 mm/s."""
+    """The force is m/T² times the overlap at rest, and 0 at rebound speeds above 1/χ = 50 mm/s.
+
+    Friction follows the normal force of the previous solution.
+    """
     spec = robot()
     width = spec.geometry.width
     overlap = 1e-5
+    slip = 1e-3
     circle = Circle(0.0, -(0.05 + width / 2 - overlap), 0.05)
+    world = World((circle,), friction=0.4)
     cells = LumpedSegments(spec)
-    obstacles = make_obstacles(World((circle,)), spec, cells, 1e-3)
+    obstacles = make_obstacles(world, spec, cells, slip)
     obstacles.pose[:] = 0.0, 0.0, 1.0, 0.0
     points = len(cells.mass)
+    middle = points // 2
+    obstacles.load[0, middle] = 0.3
     body = np.zeros((kinematics.ROWS, points))
     body[kinematics.COS] = 1.0
     # The middle connector is at the origin, above the circle.
-    body[kinematics.X] = spec.geometry.pitch * (points // 2 - np.arange(points))
+    body[kinematics.X] = spec.geometry.pitch * (middle - np.arange(points))
     loads = WorkArrays.of(points).loads
-    velocity = np.array([0.0, speed, 0.0])
-    force = contact_forces(obstacles, body, velocity, loads, np.zeros(3))
-    stiffness = spec.mass.total / 0.001**2
-    expected = [
-        0.0,
-        factor * stiffness * overlap,
-        0.0,
-        -factor * stiffness * overlap * speed,
-    ]
-    assert force == pytest.approx(expected, rel=1e-9, abs=1e-12)
-    assert obstacles.force[:, 1].argmax() == (points // 2 if factor else 0)
+    velocity = np.array([0.02, speed, 0.0])
+    total = contact_forces(obstacles, body, velocity, loads, np.zeros(3))
+    push = factor * spec.mass.total / 0.001**2 * overlap
+    rub = -0.4 * 0.3 * 0.02 / np.hypot(0.02, slip)
+    expected = [rub, push, width / 2 * rub, -push * speed - rub * 0.02]
+    assert total == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert obstacles.force[middle] == pytest.approx([rub, push], rel=1e-9, abs=1e-12)
+    assert obstacles.normal[0, middle] == pytest.approx(push, rel=1e-9)
+    assert np.count_nonzero(obstacles.force.any(axis=1)) == 1

@@ -55,7 +55,7 @@ def on_slope(plant: str, direction: str, fraction: float):
     world = World(floor=Floor(tilt, DOWNHILL[direction] + math.pi))
     run = rollout(PLANTS[plant](world=world), AIRLESS, 1.0, record_hz=50)
     ahead = np.array([math.cos(DOWNHILL[direction]), math.sin(DOWNHILL[direction])])
-    com = np.stack([run["com_x"], run["com_y"]], axis=1) @ ahead
+    com = run.com @ ahead
     return com[-1] - com[0], (com[-1] - com[-2]) * 50, run
 
 
@@ -97,12 +97,7 @@ def test_both_plants_climb_a_slope_with_similar_speed():
                 2.0,
                 pose=(0, 0, uphill),
             )
-            speeds.append(
-                math.hypot(
-                    run["com_x"][-1] - run["com_x"][50],
-                    run["com_y"][-1] - run["com_y"][50],
-                )
-            )
+            speeds.append(math.hypot(*(run.com[-1] - run.com[50])))
     level = rollout(PLANTS["twin"](supply_pa=48.3e3), Gait(2.0), 2.0)
     assert speeds[0] == pytest.approx(speeds[1], rel=0.1)
     assert speeds[2:] == pytest.approx(

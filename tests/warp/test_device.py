@@ -49,47 +49,55 @@ def both(specs, gaits, seconds, **settings):
     return result
 
 
-def waves(gaits, slot, slots, steps):
-    """Return the valve states that the device computes for gaits, shape (gaits, slots, segments, 2)."""
-    from srs_twin.warp.kernels import (
-        Accumulators,
-        BodyViews,
-        ChamberState,
-        GaitWave,
-        StepSettings,
-        build_kernels,
-    )
+def compiled(twin, settings, air=None):
+    """Return the device kernels of a twin, and a function that puts records of a kind on the device.
+
+    Args:
+        twin: twin with the chambers and sensors of the records.
+        settings: values of `StepSettings`.
+        air: state of the chambers; None for empty chambers.
+    """
+    from srs_twin.warp import kernels
     from srs_twin.warp.translation import stack_records, warp_struct
 
-    twin = TwinSnake(GEN2)
-    empty = np.zeros((GEN2.segments, 2))
+    empty = np.zeros((twin.spec.segments, 2))
     whole = empty.astype(int)
+    at_rest = kernels.ChamberState(empty, *[empty[:, 0]] * 3, whole, whole, empty[:, 0])
     records = {
-        "relaxation": twin.pneumatics.relaxation(slot),
+        "relaxation": twin.pneumatics.relaxation(settings["slot"]),
         "addresses": twin.physics.sensor_addresses,
-        "chambers": ChamberState(empty, *[empty[:, 0]] * 3, whole, whole, empty[:, 0]),
-        "accumulators": Accumulators(empty[0], *3 * [empty]),
-        "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]),
-        "bodies": BodyViews(*7 * [empty]),
+        "chambers": air or at_rest,
+        "accumulators": kernels.Accumulators(empty[0], *3 * [empty]),
+        "wave": kernels.GaitWave(1.0, 0.0, 0.0, empty[:, 0]),
+        "bodies": kernels.BodyViews(*7 * [empty]),
     }
-    ported = {name: warp_struct(entry) for name, entry in records.items()}
-    spec = StepSettings(
-        h=slots * slot, slot=slot, slots=slots, tick=1, mean_control=False
-    )
-    kernel = build_kernels(ported, spec).set_gait
-    actual = []
-    waves_on_device = stack_records(
-        ported["wave"],
+    ported = {name: warp_struct(record) for name, record in records.items()}
+    built = kernels.build_kernels(ported, kernels.StepSettings(tick=1, **settings))
+
+    def on_the_device(name, values=None):
+        return stack_records(ported[name], values or [records[name]], "cpu")
+
+    return built, on_the_device
+
+
+def waves(gaits, slot, slots, steps):
+    """Return the valve states that the device computes for gaits, shape (gaits, slots, segments, 2)."""
+    from srs_twin.warp.kernels import GaitWave
+
+    settings = {"h": slots * slot, "slot": slot, "slots": slots, "mean_control": False}
+    built, on_the_device = compiled(TwinSnake(GEN2), settings)
+    records = on_the_device(
+        "wave",
         [GaitWave(g.frequency, g.offset, g.rest_level, g.phase_lag) for g in gaits],
-        "cpu",
     )
     out = wp.zeros((len(gaits), slots, GEN2.segments, 2), dtype=int, device="cpu")
+    actual = []
     for step in range(steps):
         count = wp.full(1, step, dtype=int, device="cpu")
         wp.launch(
-            kernel,
+            built.set_gait,
             dim=(len(gaits), GEN2.segments),
-            inputs=[count, waves_on_device, out],
+            inputs=[count, records, out],
             device="cpu",
         )
         actual.append(out.numpy().copy())
@@ -126,54 +134,35 @@ def test_device_gait_switches_valves_at_the_schedule_slots():
 @pytest.mark.slow
 def test_device_controls_equal_those_of_the_processor():
     """The bends of these segments saturate, and their damping time differs from the mode time constant."""
-    from srs_twin.warp.kernels import (
-        Accumulators,
-        BodyViews,
-        ChamberState,
-        GaitWave,
-        StepSettings,
-        build_kernels,
-    )
-    from srs_twin.warp.translation import stack_records, warp_struct
+    from srs_twin.warp.kernels import ChamberState
 
     damped = replace(GEN2, bending=replace(GEN2.bending, damping_time=8e-3))
     bent = replace(damped, actuator=replace(GEN2.actuator, bend_limit=0.6))
     twin = TwinSnake(bent)
-    empty = np.zeros((bent.segments, 2))
     h = 1e-4
     valves = np.array([[1, -1], [-1, 1], [1, 1], [-1, -1]])
     chambers = twin.pneumatics
     chambers.advance(
         chambers.schedule(np.array([-valves, valves]), 0.2), np.array([0.2])
     )
-    pressure = chambers.pressure.copy()
-    linear = chambers._linear.copy()
-    free = chambers.bend.copy()
+    state = chambers.pressure.copy(), chambers._linear.copy(), chambers.bend.copy()
     trace = chambers.advance(chambers.schedule(valves, h), np.array([0.0, h]))
-    whole = empty.astype(int)
+    whole = np.zeros((bent.segments, 2), dtype=int)
     air = ChamberState(
-        pressure, linear, free, trace.bend_rate[0], whole, whole, empty[:, 0]
+        *state, trace.bend_rate[0], whole, whole, np.zeros(bent.segments)
     )
-    records = {
-        "relaxation": chambers.relaxation(h),
-        "addresses": twin.physics.sensor_addresses,
-        "chambers": air,
-        "accumulators": Accumulators(empty[0], *3 * [empty]),
-        "wave": GaitWave(1.0, 0.0, 0.0, empty[:, 0]),
-        "bodies": BodyViews(*7 * [empty]),
-    }
-    ported = {name: warp_struct(each) for name, each in records.items()}
-    spec = StepSettings(h=h, slot=h, slots=1, tick=1, mean_control=True)
+    settings = {"h": h, "slot": h, "slots": 1, "mean_control": True}
+    built, on_the_device = compiled(twin, settings, air)
     ctrl = wp.zeros((1, 2 * bent.segments), dtype=float, device="cpu")
-    structs = [
-        stack_records(ported[name], [records[name]], "cpu")
-        for name in ("relaxation", "chambers")
-    ]
-    states = wp.array(valves[None, None], dtype=int, device="cpu")
     wp.launch(
-        build_kernels(ported, spec).advance_chambers,
+        built.advance_chambers,
         dim=(1, bent.segments),
-        inputs=[*structs, states, ctrl],
+        inputs=[
+            on_the_device("relaxation"),
+            on_the_device("chambers"),
+            wp.array(valves[None, None], dtype=int, device="cpu"),
+            ctrl,
+        ],
         device="cpu",
     )
     expected = twin.physics.controls(trace).mean(axis=0)
@@ -194,18 +183,8 @@ def test_runs_agree_with_the_cpu_engine(contact):
         specs, gaits, 0.3, contact=contact, supply_pa=[p for _, p, _, _ in points]
     )
     for a, b in zip(here, there, strict=True):
-        assert (
-            max(np.abs(a[f"bend_{j}"] - b[f"bend_{j}"]).max() for j in range(1, 5))
-            < 1e-3
-        )
-        assert (
-            max(
-                np.abs(a[f"{c}_{i}"] - b[f"{c}_{i}"]).max()
-                for c in "xy"
-                for i in range(1, 6)
-            )
-            < 5e-4
-        )
+        assert np.abs(a.stack("bend") - b.stack("bend")).max() < 1e-3
+        assert np.abs(a.position - b.position).max() < 5e-4
         assert np.abs(a["work"] - b["work"]).max() < 1e-4
         assert np.abs(a["internal_loss"] - b["internal_loss"]).max() < 1e-5
         assert b["pneumatic_energy"] == pytest.approx(
@@ -218,10 +197,10 @@ def test_runs_agree_with_the_cpu_engine(contact):
 def test_each_world_has_individual_parameters(contact):
     specs = [GEN2, SOFT, SLICK, STRONG, HEAVY]
     here, there = both(specs, [(2.0, 0.2)] * 5, 0.3, contact=contact)
-    ends = np.array([[run["com_x"][-1], run["com_y"][-1]] for run in there])
+    ends = np.array([run.com[-1] for run in there])
     assert min(np.hypot(*(ends[0] - end)) for end in ends[1:]) > 1e-4  # they act
     for a, b in zip(here, there, strict=True):
-        assert np.hypot(a["com_x"] - b["com_x"], a["com_y"] - b["com_y"]).max() < 1e-4
+        assert np.linalg.norm(a.com - b.com, axis=1).max() < 1e-4
 
 
 @pytest.mark.slow
@@ -236,7 +215,7 @@ def test_skin_agrees_with_the_cpu_engine(friction_law, capfd):
     )  # too little room for contacts loses forces
     for a, b in zip(here, there, strict=True):
         assert a["work"][-1] > 0.005
-        assert np.hypot(a["com_x"] - b["com_x"], a["com_y"] - b["com_y"]).max() < 1e-5
+        assert np.linalg.norm(a.com - b.com, axis=1).max() < 1e-5
         assert np.abs(a["work"] - b["work"]).max() < 1e-5
         assert np.abs(a["internal_loss"] - b["internal_loss"]).max() < 1e-6
 
@@ -522,11 +501,5 @@ def test_gpu_speed_agrees_with_the_cpu_engine(contact):
         for engine in ("cpu", "warp")
     ]
     for a, b in zip(*found, strict=True):
-        distances = [
-            np.hypot(
-                run["com_x"][-1] - run["com_x"][400],
-                run["com_y"][-1] - run["com_y"][400],
-            )
-            for run in (a, b)
-        ]
+        distances = [np.hypot(*(run.com[-1] - run.com[400])) for run in (a, b)]
         assert distances[1] == pytest.approx(distances[0], rel=5e-3)
