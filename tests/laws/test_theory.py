@@ -81,32 +81,39 @@ def test_the_displacement_without_inertia_is_that_of_the_local_connection(
     assert moved == pytest.approx(own, abs=2e-3 * np.abs(own).max())
 
 
+def wave_speed(spec, period=PERIOD):
+    """Return the distance per period under a slow wave of curvature, body lengths."""
+    wave = CurvatureWave(spec, amplitude=7.0, period=period)
+    return distance(without_inertia(spec, wave, period))
+
+
 @pytest.mark.slow
-def test_coulomb_friction_without_inertia_does_not_depend_on_the_rate():
-    spec = continuous_snake(0.1, 0.1, 0.3, segments=16)
-    slow, fast = (
-        distance(
-            without_inertia(
-                spec, CurvatureWave(spec, amplitude=7.0, period=period), period
-            )
-        )
-        for period in (60.0, 20.0)
+def test_isotropic_skin_hardly_moves():
+    speed = wave_speed(continuous_snake(0.1, 0.1, 0.1, segments=16))
+    assert speed < 0.02 * wave_speed(continuous_snake(0.1, 0.1, 1.0, segments=16))
+
+
+@pytest.mark.slow
+def test_distance_per_period_does_not_depend_on_the_rate():
+    spec = continuous_snake(0.11, 0.14, 0.19, segments=16)
+    assert wave_speed(spec, 120.0) == pytest.approx(wave_speed(spec, 60.0), rel=1e-4)
+
+
+@pytest.mark.slow
+def test_wave_of_curvature_has_the_speed_of_published_theory():
+    """Hu et al. 2009; benchmarks/theory.py has further cases and an independent solver."""
+    assert wave_speed(continuous_snake(0.11, 0.14, 0.19)) == pytest.approx(
+        0.1255, rel=0.01
     )
-    assert slow > 0.2 and fast == pytest.approx(slow, rel=1e-3)
+    other = wave_speed(continuous_snake(0.11, 0.11, 0.19, friction_law="ellipse"))
+    assert other == pytest.approx(
+        1.9 * wave_speed(continuous_snake(0.11, 0.11, 0.19)), rel=0.05
+    )
 
 
 @pytest.mark.slow
 def test_a_model_on_skin_that_fails_in_its_first_step_is_reported():
     spec = continuous_snake(0.1, 0.1, 1e3)
     wave = CurvatureWave(spec, amplitude=0.8 * math.pi, period=PERIOD, waves=2)
-    plant = AnalyticalSnake(
-        spec,
-        pneumatics=wave,
-        track=0.0,
-        tick=0.6,
-        timestep=0.006,
-        slip_speed=1e-4 / PERIOD,
-        tolerance=1e-3 / PERIOD,
-    )
     with pytest.raises(DivergedError, match="no plausible solution"):
-        rollout(plant, HoldValves("vent", "vent"), PERIOD)
+        without_inertia(spec, wave)

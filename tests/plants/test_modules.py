@@ -109,8 +109,7 @@ def test_bend_law_saturates_at_its_limit(x, limit):
     assert apply_bend_law(x, BendLaw(np.inf, 0.0, 1.0, 1.0)) == (x, 1.0, 0.0)
 
 
-@pytest.mark.slow
-@settings(max_examples=100)
+@settings(max_examples=20)
 @given(
     st.floats(-3, 3),
     st.floats(0.5, 3) | st.just(np.inf),
@@ -170,7 +169,7 @@ def test_equivalent_linear_pressure_gives_the_same_bend():
     )
 
 
-def segment_equations(spec: RobotSpec, kind: str, leak: float):
+def segment_equations(spec: RobotSpec, leak: float):
     """Return y' of (p⁺, p⁻, x) of segment 2 from the dissertation, and its bend, for one valve state."""
     modules = spec.modules
     actuator = spec.actuator
@@ -200,7 +199,7 @@ def test_lag_solves_the_equations_of_unequal_modules(leak):
     spec = unlike()
     chambers = LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=leak)
     assert chambers.bend == pytest.approx(spec.modules.bias, abs=0)
-    rates, bend = segment_equations(spec, "lag", leak)
+    rates, bend = segment_equations(spec, leak)
     y = np.zeros(3)
     at = np.linspace(0.002, 0.05, 25)
     for states in np.random.default_rng(2).choice([-1, 0, 1], size=(12, 4, 2)):
@@ -550,7 +549,6 @@ def test_scenario_with_modules_and_faults(tmp_path):
     assert load_scenario(tmp_path / "two.yaml").robot != scenario.robot
 
 
-@pytest.mark.default_cases(at=[0, 1, 2, 4, 6, 7])
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -571,13 +569,6 @@ def test_scenario_with_modules_and_faults(tmp_path):
             "unknown key; did you mean gain_spread?",
         ),
         ("gain_spread: 0.15", "gain_spread: 3", "a number from 0 to 0.3"),
-        ("bend_limit_rad: 1.5", "onset_fraction: 1.5", "a number from 0 to 1"),
-        (
-            "bend_limit_rad: 1.5",
-            "dead_zone_transition_rad: 0",
-            "a number from 0.01 to 6.3",
-        ),
-        ("bend_limit_rad: 1.5", "bend_limit_rad: 9", "a number from 0.1 to 6.3"),
         ("stuck: open", "stuck: ajar", "open"),
     ],
 )

@@ -7,15 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from free_bends import free_bends
-from helpers.curvature_wave import CurvatureWave, continuous_snake
 
 from srs_twin.control.gait import Gait
-from srs_twin.control.replay import HoldValves
 from srs_twin.errors import InputError
 from srs_twin.plants.analytical import AnalyticalSnake
 from srs_twin.plants.analytical.cells import Discretisation, cells_of_skin
 from srs_twin.plants.twin.mjcf.belly import patches, rods
-from srs_twin.plants.twin.mjcf.export import robot_files
 from srs_twin.plants.twin.mjcf.numerics import (
     LoadedContact,
     ModelSettings,
@@ -36,21 +33,6 @@ FRICTION_LAWS = pytest.mark.parametrize("friction_law", friction.SKIN_LAWS)
 def with_skin(spec: RobotSpec = SPEC, **changes: object) -> RobotSpec:
     assert spec.skin is not None
     return replace(spec, skin=replace(spec.skin, **changes))
-
-
-def wave_speed(spec: RobotSpec, period: float = 60.0) -> float:
-    """Return the speed under a slow wave of curvature, body lengths per period, forward positive."""
-    plant = AnalyticalSnake(
-        spec,
-        pneumatics=CurvatureWave(spec, amplitude=7.0, period=period),
-        track=0.0,
-        tick=period / 50,
-        timestep=period / 5000,
-        slip_speed=1e-4 / period,
-        tolerance=1e-3 / period,
-    )
-    run = rollout(plant, HoldValves("vent", "vent"), 2 * period, record_hz=50 / period)
-    return float(np.hypot(*(run.com[-1] - run.com[-51])))
 
 
 def gait_run(plant, offset=0.0, phase=0.0, seconds=3.0):
@@ -155,30 +137,6 @@ def test_mirrored_gait_makes_the_mirrored_path(friction_law, plant):
 
 
 @pytest.mark.slow
-def test_isotropic_skin_hardly_moves():
-    speed = wave_speed(continuous_snake(0.1, 0.1, 0.1, segments=16))
-    assert speed < 0.02 * wave_speed(continuous_snake(0.1, 0.1, 1.0, segments=16))
-
-
-@pytest.mark.slow
-def test_distance_per_period_does_not_depend_on_the_rate():
-    spec = continuous_snake(0.11, 0.14, 0.19, segments=16)
-    assert wave_speed(spec, 120.0) == pytest.approx(wave_speed(spec, 60.0), rel=1e-4)
-
-
-@pytest.mark.slow
-def test_wave_of_curvature_has_the_speed_of_published_theory():
-    """Hu et al. 2009; benchmarks/theory.py has further cases and an independent solver."""
-    assert wave_speed(continuous_snake(0.11, 0.14, 0.19)) == pytest.approx(
-        0.1255, rel=0.01
-    )
-    other = wave_speed(continuous_snake(0.11, 0.11, 0.19, friction_law="ellipse"))
-    assert other == pytest.approx(
-        1.9 * wave_speed(continuous_snake(0.11, 0.11, 0.19)), rel=0.05
-    )
-
-
-@pytest.mark.slow
 def test_backward_friction_brakes_only_backward_slip():
     """A straight body that slides along itself stops after v²/(2 μ g) with the μ of that direction."""
     for v, mu in ((0.3, 0.1), (-0.3, 0.14)):
@@ -269,13 +227,6 @@ def test_saved_state_continues_bit_for_bit():
         first = plant.step(valves)
         plant.restore(saved)
         assert (plant.step(valves).com == first.com).all()
-
-
-def test_robots_with_skin_have_no_mjcf_file():
-    with pytest.raises(
-        InputError, match="skin_example cannot be exported, because an MJCF file"
-    ):
-        robot_files(SPEC)
 
 
 def test_options_that_a_skin_does_not_have_are_refused():
