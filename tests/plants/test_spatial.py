@@ -37,6 +37,30 @@ def with_directions(*degrees):
     )
 
 
+def filled_for_a_tenth(chamber, **options):
+    """Return the traces of a chamber of a planar and of the spatial robot that fills, then vents."""
+    planar_spec = replace(SPEC, chamber=replace(SPEC.chamber, directions=None))
+    planar = LagPneumatics(planar_spec, supply_pa=SUPPLY, **options)
+    spatial = make_pneumatics("lag", SPEC, supply_pa=SUPPLY, layout="3/2", **options)
+    times = np.linspace(0.0, 0.3, 7)
+    starts = np.array([0.0, 0.1])
+    one, many = (np.full((2, 8, count), -1, dtype=np.int8) for count in (2, 4))
+    one[0, 0, 0] = many[0, 0, chamber] = 1
+    return (
+        planar.advance(Schedule(0.3, starts, one), times),
+        spatial.advance(Schedule(0.3, starts, many), times),
+    )
+
+
+def test_leaking_chamber_draws_the_air_of_a_planar_robot():
+    """Both integrate the leak by the trapezoidal rule."""
+    tight, _ = filled_for_a_tenth(2)
+    expected, trace = filled_for_a_tenth(2, leak_per_s=0.8)
+    drawn = trace.pneumatic_energy[-1]
+    assert drawn == pytest.approx(expected.pneumatic_energy[-1], rel=1e-4)
+    assert abs(drawn - tight.pneumatic_energy[-1]) > 0.01 * drawn
+
+
 @pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("filled", "component", "sign"), [(0, 0, 1), (1, 0, -1), (2, 1, 1), (3, 1, -1)]
@@ -44,15 +68,7 @@ def with_directions(*degrees):
 def test_each_chamber_bends_a_segment_as_that_of_a_planar_robot(
     filled, component, sign
 ):
-    planar_spec = replace(SPEC, chamber=replace(SPEC.chamber, directions=None))
-    planar = LagPneumatics(planar_spec, supply_pa=SUPPLY, layout="3/2")
-    spatial = make_pneumatics("lag", SPEC, supply_pa=SUPPLY, layout="3/2")
-    times = np.linspace(0.0, 0.3, 7)
-    starts = np.array([0.0, 0.1])
-    one, many = (np.full((2, 8, count), -1, dtype=np.int8) for count in (2, 4))
-    one[0, 0, 0] = many[0, 0, filled] = 1
-    expected = planar.advance(Schedule(0.3, starts, one), times)
-    trace = spatial.advance(Schedule(0.3, starts, many), times)
+    expected, trace = filled_for_a_tenth(filled)
     assert trace.pressure[:, 0, filled] == pytest.approx(
         expected.pressure[:, 0, 0], rel=1e-12
     )
@@ -71,15 +87,16 @@ def test_each_chamber_bends_a_segment_as_that_of_a_planar_robot(
     assert abs(trace.bend[:, 0, 1 - component]).max() < 1e-12
 
 
-def test_equal_pressures_in_three_chambers_do_not_bend():
-    chambers = make_pneumatics(
-        "lag", with_directions(90, 210, 330), supply_pa=SUPPLY, layout="3/2"
-    )
+def test_equal_pressures_in_three_chambers_leave_the_rest_bends():
+    three = with_directions(90, 210, 330)
+    spec = replace(three, variation=replace(three.modules, bias=(0.1,) * 8))
+    chambers = make_pneumatics("lag", spec, supply_pa=SUPPLY, layout="3/2")
     trace = chambers.advance(
         Schedule(0.5, np.zeros(1), np.ones((1, 8, 3), dtype=np.int8)),
         np.array([0.1, 0.5]),
     )
-    assert abs(trace.bend).max() < 1e-12 and trace.pressure.min() > 0.0
+    assert trace.bend == pytest.approx(np.tile([0.1, 0.0], (2, 8, 1)), abs=1e-12)
+    assert trace.pressure.min() > 0.0
 
 
 def test_the_limit_holds_for_the_magnitude_of_the_bend():
