@@ -81,6 +81,7 @@ def test_each_chamber_bends_a_segment_as_that_of_a_planar_robot(
     assert sign * trace.bend_acceleration[:, 0, component] == pytest.approx(
         expected.bend_acceleration[:, 0], rel=1e-9
     )
+    assert (trace.valves[:, 0, filled] == expected.valves[:, 0, 0]).all()
     assert trace.pneumatic_energy == pytest.approx(
         expected.pneumatic_energy, rel=1e-9, abs=1e-12
     )
