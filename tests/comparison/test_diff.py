@@ -8,21 +8,23 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from conftest import ROOT
 from hypothesis import given, strategies as st
 
-from srs_twin.cli import main
 from srs_twin.comparison.diff import (
     Results,
     Tolerance,
+    Tolerances,
     diff,
     load_tolerances,
     read_results,
 )
-from srs_twin.errors import InputError
 
 SCENARIO = """\
 robot: gen2
@@ -38,117 +40,97 @@ vary: {supply.pressure_kpa: [41, 55]}
 """
 
 
-def call(capsys, *words):
-    """Return the exit code, stdout and stderr of a command that runs here."""
-    with pytest.raises(SystemExit) as ended:
-        main(list(words))
-    said = capsys.readouterr()
-    return ended.value.code or 0, said.out, said.err
+@pytest.fixture
+def call(srs_twin, tmp_path):
+    """Return a function that gives the exit code, stdout and stderr of a `diff`."""
+
+    def run(*words):
+        done = srs_twin("diff", *map(str, words), cwd=tmp_path)
+        return done.returncode, done.stdout, done.stderr
+
+    return run
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
+def runs(tmp_path_factory, srs_twin):
     """Return a folder with two runs of one scenario, and one of another offset."""
     folder = tmp_path_factory.mktemp("runs")
     for name, offset in (("a", 0.0), ("b", 0.0), ("c", 0.001)):
         (folder / "walk.yaml").write_text(SCENARIO.format(offset=offset))
-        with pytest.raises(SystemExit):
-            main(
-                [
-                    "run",
-                    str(folder / "walk.yaml"),
-                    "--out",
-                    str(folder / name / "walk"),
-                    "--quiet",
-                ]
-            )
+        srs_twin("run", "walk.yaml", "--out", f"{name}/walk", "--quiet", cwd=folder)
     return folder
 
 
-def test_run_has_no_difference_from_itself(runs, capsys):
-    code, out, err = call(capsys, "diff", str(runs / "a"), str(runs / "b"))
+def test_run_has_no_difference_from_itself(runs, call):
+    code, out, err = call(runs / "a", runs / "b")
     assert (code, err) == (0, "") and out.startswith("0 different, ")
     assert int(out.split()[2]) > 20  # wall times, which do differ, are left out
 
 
-def test_files_of_a_killed_run_are_not_results(runs, capsys, tmp_path):
+def test_files_of_a_killed_run_are_not_results(runs, call, tmp_path):
     shutil.copytree(runs / "a", tmp_path / "a")
     shutil.copytree(runs / "c/walk", tmp_path / "a/walk/.part-killed/.earlier")
-    assert call(capsys, "diff", str(runs / "a"), str(tmp_path / "a"))[0] == 0
+    assert call(runs / "a", "a")[0] == 0
 
 
-def test_changed_offset_changes_the_yaw_rate(runs, capsys, tmp_path):
-    a = str(runs / "a/walk")
-    c = str(runs / "c/walk/metrics.json")
-    report = tmp_path / "moved.xml"
-    code, out, _ = call(capsys, "diff", a, c, "--json", "--junit", str(report))
+def test_changed_offset_changes_the_yaw_rate(runs, call, tmp_path):
+    a, c = (runs / f"{name}/walk/metrics.json" for name in "ac")
+    code, out, _ = call(a.parent, c, "--json", "--junit", "moved.xml")
     found = json.loads(out)
     assert code == 1 and set(found) == {"moved", "same"}
     moved = {each["metric"]: each for each in found["moved"]}
-    before = json.loads((runs / "a/walk/metrics.json").read_text())["plants"][
-        "analytical"
-    ]
-    after = json.loads((runs / "c/walk/metrics.json").read_text())["plants"][
-        "analytical"
-    ]
-    yaw = moved["analytical.yaw_rate_rad_s"]
-    assert (yaw["where"], yaw["a"], yaw["b"]) == (
-        "walk",
-        before["yaw_rate_rad_s"],
-        after["yaw_rate_rad_s"],
+    before, after = (
+        json.loads(path.read_text())["plants"]["analytical"]["yaw_rate_rad_s"]
+        for path in (a, c)
     )
-    assert yaw["rel"] == pytest.approx((yaw["b"] - yaw["a"]) / abs(yaw["a"]))
+    assert moved["analytical.yaw_rate_rad_s"] == {
+        "where": "walk",
+        "metric": "analytical.yaw_rate_rad_s",
+        "a": before,
+        "b": after,
+        "rel": pytest.approx((after - before) / abs(before)),
+    }
     assert "analytical.wall_s" not in moved and "expectations[0].met" not in moved
-    (case,) = ElementTree.parse(report).iter("testcase")
+    (case,) = ElementTree.parse(tmp_path / "moved.xml").iter("testcase")
     assert "analytical.yaw_rate_rad_s: " in case.find("failure").text
     # The difference is small: wide tolerances, of all or of one metric, take it in.
-    assert call(capsys, "diff", a, c, "--rel", "1", "--abs", "10")[0] == 0
+    assert call(a, c, "--rel", "1", "--abs", "10")[0] == 0
     (tmp_path / "wide.yaml").write_text("metrics: {yaw_rate_rad_s: {abs: 10}}\n")
-    _, out, _ = call(
-        capsys, "diff", a, c, "--tolerances", str(tmp_path / "wide.yaml"), "--json"
-    )
-    assert {each["metric"] for each in json.loads(out)["moved"]} == moved.keys() - {
-        yaw["metric"]
-    }
+    _, out, _ = call(a, c, "--tolerances", "wide.yaml", "--json")
+    del moved["analytical.yaw_rate_rad_s"]
+    assert {each["metric"] for each in json.loads(out)["moved"]} == moved.keys()
 
 
-def test_missing_scenario_is_a_difference(runs, capsys, tmp_path):
+def test_missing_scenario_is_a_difference(runs, call, tmp_path):
     shutil.copytree(runs / "a", tmp_path / "more")
     shutil.copytree(runs / "a/walk", tmp_path / "more/other")
-    code, out, _ = call(
-        capsys, "diff", str(runs / "a"), str(tmp_path / "more"), "--json"
-    )
+    code, out, _ = call(runs / "a", "more", "--json")
     moved = json.loads(out)["moved"]
     assert code == 1 and {each["where"] for each in moved} == {"other/walk"}
     assert {each["a"] for each in moved} == {None}
 
 
-def test_sweeps_are_paired_by_their_fields(capsys, tmp_path, monkeypatch):
+def test_sweeps_are_paired_by_their_fields(call, srs_twin, tmp_path):
     """Keys may differ: another target or another commit has other keys."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "sweep.yaml").write_text(SWEEP + "plants: [analytical]\n")
-    (tmp_path / "turned.yaml").write_text(
-        SWEEP.replace("[41, 55]", "[55, 41]") + "plants: [analytical]\n"
-    )
-    for name in ("sweep", "turned"):
-        call(
-            capsys, "sweep", f"{name}.yaml", "--out", name, "--quiet", "--workers", "1"
-        )
-    assert call(capsys, "diff", "sweep", "turned")[0] == 0
-    (tmp_path / "other.yaml").write_text(
-        SWEEP.replace("41", "42") + "plants: [analytical]\n"
-    )
-    call(capsys, "sweep", "other.yaml", "--out", "other", "--quiet", "--workers", "1")
-    code, out, _ = call(capsys, "diff", "sweep/results.parquet", "other", "--json")
-    moved = json.loads(out)["moved"]
+    for name, pressures in (
+        ("sweep", "[41, 55]"),
+        ("turned", "[55, 41]"),
+        ("other", "[42, 55]"),
+    ):
+        text = SWEEP.replace("[41, 55]", pressures) + "plants: [analytical]\n"
+        (tmp_path / f"{name}.yaml").write_text(text)
+        words = ("--out", name, "--quiet", "--workers", "1")
+        srs_twin("sweep", f"{name}.yaml", *words, cwd=tmp_path)
+    assert call("sweep", "turned")[0] == 0
+    code, out, _ = call("sweep/results.parquet", "other", "--json")
     assert code == 1
-    assert {each["where"] for each in moved} == {
+    assert {each["where"] for each in json.loads(out)["moved"]} == {
         "supply.pressure_kpa=41",
         "supply.pressure_kpa=42",
     }
 
 
-def test_expectation_that_is_no_longer_judged_is_a_difference(capsys, tmp_path):
+def test_expectation_that_is_no_longer_judged_is_a_difference(call, tmp_path):
     row = {"metric": "com_speed_m_s", "of": "twin", "met": True}
     for name, found in (("a", row), ("b", row | {"met": False, "state": "not_judged"})):
         run = {
@@ -158,60 +140,41 @@ def test_expectation_that_is_no_longer_judged_is_a_difference(capsys, tmp_path):
             "expectations": [found],
             "versions": {},
         }
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "metrics.json").write_text(json.dumps(run))
-    code, out, _ = call(
-        capsys, "diff", str(tmp_path / "a"), str(tmp_path / "b"), "--json"
-    )
-    (moved,) = json.loads(out)["moved"]
-    assert (code, moved["metric"], moved["a"], moved["b"]) == (
-        1,
-        "expectations[0].met",
-        True,
-        "not judged",
-    )
+        (tmp_path / f"{name}.json").write_text(json.dumps(run))
+    code, out, _ = call("a.json", "b.json", "--json")
+    assert code == 1
+    change = {"a": True, "b": "not judged", "rel": None}
+    where = {"where": "walk", "metric": "expectations[0].met"}
+    assert json.loads(out)["moved"] == [where | change]
 
 
-def test_changed_verdict_is_a_difference(capsys, tmp_path):
-    outcome = {"verdict": "met", "value": 1.0, "values": [1.0], "error": 0.0, "why": ""}
-    rows = [{"id": "row", "outcomes": {"twin": outcome}}]
+def test_changed_verdict_is_a_difference(call, tmp_path):
     for name, verdict in (("a", "met"), ("b", "missed")):
-        outcome["verdict"] = verdict
-        (tmp_path / f"{name}.json").write_text(
-            json.dumps({"rows": rows, "versions": {"mujoco": name, f"of {name}": "1"}})
-        )
-    code, out, err = call(
-        capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json")
-    )
-    assert (
-        code == 1
-        and "row, twin" in out
-        and "missed" in out
-        and "1 different, 1 equal" in out
-    )
+        rows = [{"id": "row", "outcomes": {"twin": {"verdict": verdict, "value": 1.0}}}]
+        versions = {"mujoco": name, f"of {name}": "1"}
+        document = {"rows": rows, "versions": versions}
+        (tmp_path / f"{name}.json").write_text(json.dumps(document))
+    code, out, err = call("a.json", "b.json")
+    assert code == 1
+    for words in ("row, twin", "missed", "1 different, 1 equal"):
+        assert words in out
     assert err == "different versions of mujoco: a → b\n"
 
 
 @pytest.mark.parametrize("options", [(), ("--json",)])
-def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
+def test_control_characters_in_results_are_escaped(call, tmp_path, options):
     for name, verdict in (("a", "met"), ("b", "[red]x\x1b[31m\x9b")):
         outcomes = {"twin": {"verdict": verdict, "value": 1.0}}
-        document = {
-            "rows": [{"id": "\x1b[31mrow\x7f", "outcomes": outcomes}],
-            "versions": {},
-        }
+        rows = [{"id": "\x1b[31mrow\x7f", "outcomes": outcomes}]
+        document = {"rows": rows, "versions": {}}
         (tmp_path / f"{name}.json").write_text(json.dumps(document))
-    code, out, _ = call(
-        capsys, "diff", str(tmp_path / "a.json"), str(tmp_path / "b.json"), *options
-    )
+    code, out, _ = call("a.json", "b.json", *options)
     assert code == 1 and "[red]x" in out and not set(out) & set("\x1b\x9b")
 
 
-@pytest.mark.default_cases(at=[0, 2, 3, 5, 7, 8, 9])
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (("nowhere", "a"), "nowhere: no such file"),
         (
             ("empty", "a"),
             (
@@ -224,7 +187,6 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
             "analytical.parquet: the file does not contain results",
         ),
         (("junk.json", "a"), "junk.json:1:13: the file is not valid JSON"),
-        (("list.json", "a"), "list.json: the file does not contain results"),
         (("a", "a", "--rel", "-1"), "--rel -1 is not allowed"),
         (("a", "a", "--abs", "nan"), "--abs nan is not allowed"),
         (
@@ -241,22 +203,20 @@ def test_control_characters_in_results_are_escaped(capsys, tmp_path, options):
         ),
     ],
 )
-def test_bad_input(runs, capsys, monkeypatch, words, said):
-    monkeypatch.chdir(runs)
-    (runs / "empty").mkdir(exist_ok=True)
-    (runs / "junk.json").write_text('{"plants": 3')
-    (runs / "list.json").write_text("[1]")
-    (runs / "bad.yaml").write_text("rel: 2\n")
-    (runs / "unknown.yaml").write_text("metrics: {com_sped_m_s: {rel: 0.1}}\n")
-    code, out, err = call(capsys, "diff", *words)
+def test_bad_input(runs, call, tmp_path, words, said):
+    (tmp_path / "a").symlink_to(runs / "a")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "junk.json").write_text('{"plants": 3')
+    (tmp_path / "bad.yaml").write_text("rel: 2\n")
+    (tmp_path / "unknown.yaml").write_text("metrics: {com_sped_m_s: {rel: 0.1}}\n")
+    code, out, err = call(*words)
     assert code == 2 and said in err and out == ""
 
 
-def test_invalid_input_replaces_an_earlier_report_by_an_error(runs, capsys, tmp_path):
+def test_invalid_input_replaces_an_earlier_report_by_an_error(runs, call, tmp_path):
     report = tmp_path / "moved.xml"
     report.write_text("<testsuites/>")
-    words = ("diff", str(runs / "a"), str(runs / "absent"), "--junit", str(report))
-    code, _, err = call(capsys, *words)
+    code, _, err = call(runs / "a", "absent", "--junit", report)
     assert code == 2
     (case,) = ElementTree.parse(report).iter("testcase")
     message = case.find("error").get("message")
@@ -292,7 +252,8 @@ def test_single_runs_are_compared_regardless_of_their_names():
         {(name, "twin.com_speed_m_s"): 0.2, (name, "twin.yaw_rate_rad_s"): None}
         for name in "ab"
     )
-    assert diff(Results(one, {}), Results(other, {})).same == 2
+    found = diff(Results(one, {}), Results(other, {}))
+    assert (found.same, found.wheres) == (2, ("a",))
     assert len(diff(Results(one | {("c", "x"): 1}, {}), Results(other, {})).moved) == 3
 
 
@@ -308,16 +269,10 @@ def test_the_tolerance_is_that_of_its_docstring(a, rel):
 def test_rounding_differences_are_within_the_default_tolerances(tmp_path):
     """The C library's other variants of sin and exp: last digits differ, no metric moves."""
     (tmp_path / "sweep.yaml").write_text(SWEEP)
+    program = "from srs_twin.cli import main; main()"
     results = {}
     for name, tunables in (("own", ""), ("other", "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4")):
-        words = [
-            sys.executable,
-            "-P",
-            "-c",
-            "from srs_twin.cli import main; main()",
-            "sweep",
-            "sweep.yaml",
-        ]
+        words = [sys.executable, "-P", "-c", program, "sweep", "sweep.yaml"]
         words += ["--out", name, "--workers", "1"]
         environment = {**os.environ, "GLIBC_TUNABLES": tunables}
         subprocess.run(
@@ -335,28 +290,21 @@ def test_documented_tolerances_load(tmp_path):
     _, _, rest = page.partition("```yaml tolerances\n")
     (tmp_path / "tolerances.yaml").write_text(rest.partition("```")[0])
     allowed = load_tolerances(tmp_path / "tolerances.yaml")
-    assert (
-        allowed.for_metric("analytical.com_speed_m_s").rel
-        == allowed.for_metric("twin.com_speed_m_s").rel
-        == 0.01
-    )
-    assert (
-        allowed.for_metric("twin.yaw_rate_rad_s").abs
-        == 0.005
-        != allowed.for_metric("analytical.yaw_rate_rad_s").abs
-    )
+    assert allowed.for_metric("analytical.com_speed_m_s").rel == 0.01
+    assert allowed.for_metric("twin.com_speed_m_s").rel == 0.01
+    assert allowed.for_metric("twin.yaw_rate_rad_s").abs == 0.005
+    assert allowed.for_metric("analytical.yaw_rate_rad_s").abs != 0.005
 
 
-def test_foreign_files_are_refused(tmp_path):
-    with pytest.raises(InputError, match="the folder contains no results"):
-        read_results(tmp_path)
+@pytest.mark.parametrize("metric", ["plan.duty[3][0]", "twin.duty_minus_3_period_12"])
+def test_one_tolerance_covers_all_numbers_of_a_list(metric):
+    allowed = Tolerances(rel=0.1, metrics={"duty": Tolerance(abs=0.5)})
+    assert allowed.for_metric(metric).abs == 0.5
+    assert allowed.for_metric("twin.duty_lowest").rel == 0.1
 
 
-def sweep_of(path, value: float):
+def sweep_of(path: Path, value: float) -> Path:
     """Write results of a sweep with one row and one metric."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     row = {
         "key": ["k"],
         "seed": [1],
@@ -364,11 +312,9 @@ def sweep_of(path, value: float):
         "exit_code": [0],
         "twin.com_speed_m_s": [value],
     }
-    pq.write_table(
-        pa.table(row).replace_schema_metadata({"srs_twin.sweep": '{"versions": {}}'}),
-        path,
-    )
-    return str(path)
+    metadata = {"srs_twin.sweep": '{"versions": {}}'}
+    pq.write_table(pa.table(row).replace_schema_metadata(metadata), path)
+    return path
 
 
 @pytest.mark.parametrize(
@@ -376,60 +322,43 @@ def sweep_of(path, value: float):
     [(math.nan, "NaN"), (math.inf, "Infinity"), (-math.inf, "-Infinity")],
 )
 def test_numbers_that_json_does_not_have_are_printed_as_text(
-    capsys, tmp_path, value, text
+    call, tmp_path, value, text
 ):
     a = sweep_of(tmp_path / "a.parquet", 0.1)
     b = sweep_of(tmp_path / "b.parquet", value)
-    code, out, _ = call(capsys, "diff", a, b, "--json")
+    code, out, _ = call(a, b, "--json")
     (moved,) = json.loads(out, parse_constant=pytest.fail)["moved"]
     assert (code, moved["b"], moved["rel"]) == (1, text, None)
-    code, out, _ = call(capsys, "diff", b, b, "--json")
+    code, out, _ = call(b, b, "--json")
     assert (code, json.loads(out)) == (0, {"moved": [], "same": 2})
 
 
-@pytest.mark.default_cases(at=[0, 7, 29])
 @pytest.mark.parametrize(
     "content",
     [
         "[]",
-        "null",
-        "3",
         "{}",
-        '{"versions": 3}',
-        '{"versions": {}, "rows": {"a": 1}}',
-        '{"versions": {}, "rows": [1]}',
-        (
-            '{"versions": {}, "scenario": "s", "plants": [], "comparison": {},'
-            ' "expectations": [1]}'
-        ),
+        '{"versions": "ab"}',
+        '{"versions": {}, "rows": [{"id": "a", "outcomes": 3}]}',
+        '{"versions": {}, "scenario": "s", "plants": [], "comparison": {}}',
     ],
 )
-@pytest.mark.parametrize(
-    "name", ["metrics.json", "plan.json", "sweep.json", "reproduce.json"]
-)
-def test_json_of_something_else_is_refused(capsys, tmp_path, name, content):
-    (tmp_path / name).write_text(content)
-    code, out, err = call(
-        capsys, "diff", str(tmp_path / name), str(tmp_path / name), "--json"
-    )
-    assert (code, out) == (
-        2,
-        "",
-    ) and "the file does not contain results" in err
+def test_json_of_something_else_is_refused(call, tmp_path, content):
+    (tmp_path / "metrics.json").write_text(content)
+    code, out, err = call("metrics.json", "metrics.json", "--json")
+    assert (code, out) == (2, "")
+    assert "metrics.json: the file does not contain results" in err
 
 
-def test_results_are_found_in_nested_folders(capsys, tmp_path, monkeypatch):
+def test_folders_are_searched_to_any_depth(call, tmp_path, monkeypatch):
     levels = sys.getrecursionlimit() + 50
     monkeypatch.chdir(tmp_path)
     for _ in range(levels):
         os.mkdir("a")
         os.chdir("a")
     try:
-        code, _, err = call(capsys, "diff", str(tmp_path / "a"), str(tmp_path / "a"))
+        code, _, err = call("a", "a")
     finally:
-        os.chdir(tmp_path)
-        for _ in range(levels):
-            os.chdir("a")
         for _ in range(levels):  # pytest's own removal recurses
             os.chdir("..")
             os.rmdir("a")

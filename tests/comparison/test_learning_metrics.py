@@ -7,7 +7,15 @@ import math
 
 import numpy as np
 import pytest
-from synthetic import Snake, mirrored, moved, numbered, with_columns, with_metadata
+from synthetic import (
+    Snake,
+    arc,
+    mirrored,
+    moved,
+    numbered,
+    with_columns,
+    with_metadata,
+)
 
 from srs_twin import AnalyticalSnake, InputError, Trajectory, load_robot, rollout
 from srs_twin.comparison.learning import (
@@ -51,7 +59,7 @@ def learnt(
                 measured_bend[middle, j] = peak if side == 0 else -peak
                 # A sample is taken at the end of its tick, so the samples of a period
                 # begin after its start.
-                duty[own, j, side] = 1.0 if n < 3 else 0.5 + 0.01 * n
+                duty[own, j, side] = 1.0 if n < 3 else 0.5 + 0.01 * n + 0.02 * j
     columns = {
         **numbered("measured_bend", measured_bend),
         **numbered("duty_plus", duty[..., 0]),
@@ -78,13 +86,13 @@ def test_amplitudes_and_duties_by_period():
     assert error.shape == (11, SEGMENTS, 2)
     assert error == pytest.approx(np.array([0.7, 0.4]) - amplitudes(FADING))
     duty = np.array(found["duty"])
-    assert duty[:, 2, 1] == pytest.approx([1, 1, 1, *(0.5 + 0.01 * np.arange(3, 11))])
-    assert found["periods_to_converge"] == 7.0
-    assert found["amplitude_error_end_rad"] == pytest.approx(0.0)
-    assert found["duty_lowest"] == found["duty_highest"] == pytest.approx(0.6)
+    assert duty[:, 2, 1] == pytest.approx(
+        [1] * 3 + [0.54 + 0.01 * n for n in range(3, 11)]
+    )
+    assert found["duty_lowest"] == pytest.approx(0.6)
+    assert found["duty_highest"] == pytest.approx(0.66)
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("errors", "period"),
     [
@@ -95,11 +103,10 @@ def test_amplitudes_and_duties_by_period():
     ],
 )
 def test_convergence_requires_staying_within_the_tolerance(errors, period):
-    errors = [0.06 * (e > 0.05) if e != 1.0 else e for e in errors]
-    assert (
-        learning_metrics(learnt(RUN, amplitudes(errors)))["periods_to_converge"]
-        == period
-    )
+    found = learning_metrics(learnt(RUN, amplitudes(errors)))
+    assert found["periods_to_converge"] == period
+    assert found["amplitude_error_end_rad"] == pytest.approx(0.7 * errors[-1])
+    assert found["amplitude_error_end_rel"] == pytest.approx(errors[-1])
 
 
 def test_every_chamber_with_a_target_must_converge():
@@ -132,11 +139,7 @@ def test_lost_readings_are_ignored():
     json.dumps(found, allow_nan=False)
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize(
-    ("speed", "yaw_rate"),
-    [(0.12, 0.3), (0.12, -0.3), (0.15, 0.08), (-0.1, 0.2), (0.1, 0.0)],
-)
+@pytest.mark.parametrize(("speed", "yaw_rate"), [(0.12, -0.3), (-0.1, 0.2), (0.1, 0.0)])
 def test_path_metrics_recover_the_prescribed_circle(speed, yaw_rate):
     found = learning_metrics(
         learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING))
@@ -147,66 +150,46 @@ def test_path_metrics_recover_the_prescribed_circle(speed, yaw_rate):
     assert found["path_curvature_before_per_m"] == pytest.approx(
         found["path_curvature_per_m"], rel=1e-3, abs=1e-6
     )
+    assert found["path_bend_per_m"] == abs(found["path_curvature_per_m"])
     turn = yaw_rate / FREQUENCY
-    chord = speed * np.sinc(turn / (2 * math.pi)) / FREQUENCY
-    assert found["path_speed_m_s"] == pytest.approx(chord * FREQUENCY, rel=2e-3)
-    assert found["heading_drift_rad"] == pytest.approx(yaw_rate / FREQUENCY, abs=1e-6)
-    assert found["heading_drift_by_period_rad"] == pytest.approx(
-        [yaw_rate / FREQUENCY] * 12, abs=1e-6
-    )
+    chord_per_arc = np.sinc(turn / (2 * math.pi))
+    assert found["path_speed_m_s"] == pytest.approx(speed * chord_per_arc, rel=2e-3)
+    assert found["heading_drift_rad"] == pytest.approx(turn, abs=1e-6)
+    assert found["heading_drift_by_period_rad"] == pytest.approx([turn] * 12, abs=1e-6)
     if yaw_rate:
         assert found["path_radius_m"] == pytest.approx(speed / yaw_rate, rel=2e-3)
         assert found["path_radius_spread_rel"] == pytest.approx(0.0, abs=1e-3)
+        assert found["path_bend_left_rel"] == pytest.approx(1.0, rel=1e-3)
     else:
-        assert (
-            found["path_radius_m"] is None and found["path_radius_spread_rel"] is None
-        )
+        for name in ("path_radius_m", "path_radius_spread_rel", "path_bend_left_rel"):
+            assert found[name] is None
 
 
-@pytest.mark.default_cases(at=[0, 2, 4])
-@pytest.mark.parametrize("yaw_rate", [0.4, -0.4, 0.0])
-@pytest.mark.parametrize("width", [None, 0.05])
+@pytest.mark.parametrize(
+    ("yaw_rate", "width"), [(0.4, 0.05), (-0.4, None), (0.0, 0.05)]
+)
 def test_box_edges_of_a_body_on_a_circle(yaw_rate, width):
-    """A path prescribed without a wave covers only the width of the body."""
-    time = np.arange(601) / 100
+    """A body that follows its path exactly covers only its width."""
     speed = 0.12
-    bend = 0.25
-    lag = np.linspace(0.11, -0.11, 5) / speed
-    angle = yaw_rate * (time[:, None] + lag)
-    if yaw_rate:
-        radius = speed / yaw_rate
-        position = np.stack(
-            [radius * np.sin(angle), radius * (1 - np.cos(angle))], axis=-1
-        )
-        centre = yaw_rate * time
-        com = np.stack(
-            [radius * np.sin(centre), radius * (1 - np.cos(centre))], axis=-1
-        )
-    else:
-        position = np.stack(
-            [speed * (time[:, None] + lag), np.zeros(angle.shape)], axis=-1
-        )
-        com = np.stack([speed * time, np.zeros(len(time))], axis=-1)
+    snake = Snake(speed=speed, yaw_rate=yaw_rate, sway=(0.0, 0.0), heading_sway=0.0)
+    run = learnt(snake, amplitudes(FADING), width=width)
+    passes = run.time[:, None] + np.linspace(0.11, -0.11, 5) / speed
+    angle = yaw_rate * passes
+    position = arc(speed, yaw_rate, passes)
     # One connector is to the left of the path and determines the left edge.
     lateral = np.stack([-np.sin(angle[:, 2]), np.cos(angle[:, 2])], axis=-1)
     position[:, 2] += 0.03 * lateral
-    run = learnt(Snake(speed=speed, yaw_rate=yaw_rate), amplitudes(FADING), width=width)
     run = with_columns(
         run,
-        com_x=com[:, 0],
-        com_y=com[:, 1],
-        heading=yaw_rate * time,
         **numbered("x", position[..., 0]),
         **numbered("y", position[..., 1]),
         **numbered("connector_heading", angle),
-        **numbered("bend", np.full((601, 4), bend)),
     )
     half = (width or 0.0) / 2
-    found = learning_metrics(run)
-    assert found["extent_left_m"] == pytest.approx(0.03 + half, abs=1e-6)
-    assert found["extent_right_m"] == pytest.approx(half, abs=1e-6)
-    other = learning_metrics(moved(run, 2.0, -1.0, 2.5))
-    assert other["extent_left_m"] == pytest.approx(found["extent_left_m"], abs=1e-9)
+    for seen in (run, moved(run, 2.0, -1.0, 2.5)):
+        found = learning_metrics(seen)
+        assert found["extent_left_m"] == pytest.approx(0.03 + half, abs=1e-6)
+        assert found["extent_right_m"] == pytest.approx(half, abs=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -257,7 +240,6 @@ def test_a_real_run_has_all_metrics(real):
     assert {name for name in LEARNING_UNITS if found[name] is None} <= {
         "path_bend_left_rel"
     }
-    assert found["path_bend_per_m"] == abs(found["path_curvature_per_m"])
     assert found["periods_to_converge"] <= 12
     assert found["path_radius_m"] == pytest.approx(
         1 / found["path_curvature_per_m"], rel=1e-6
@@ -281,8 +263,7 @@ def test_a_short_run_has_no_path_metrics():
     )
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize("begins", [None, [[0.0, 0.25]], "now", [[math.nan, 0.0]] * 4])
+@pytest.mark.parametrize("begins", [None, [[0.0, 0.25]], [[math.nan, 0.0]] * 4])
 def test_runs_without_fill_starts_are_refused(begins):
     run = with_metadata(
         learnt(RUN, amplitudes(FADING)), control={"fill_begins_s": begins}

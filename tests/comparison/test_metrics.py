@@ -13,14 +13,16 @@ from synthetic import (
     backwards,
     mirrored,
     moved,
+    numbered,
     sampled,
     with_columns,
     with_metadata,
 )
 
 from srs_twin.comparison import metrics
+from srs_twin.comparison.compare import compare
 from srs_twin.comparison.contacts import CONTACT_UNITS, OBJECT_UNITS
-from srs_twin.comparison.gait import SPATIAL_UNITS, GaitWindow
+from srs_twin.comparison.gait import ENERGY_MEANINGS, SPATIAL_UNITS, GaitWindow
 from srs_twin.comparison.learning import LEARNING_LIST_UNITS, LEARNING_UNITS
 from srs_twin.comparison.metrics import (
     LIST_METRIC_UNITS,
@@ -89,8 +91,7 @@ def test_speed_of_a_straight_run_is_recovered(speed, frequency, phase, angle):
     assert found["turning_radius_m"] is None
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize("record_hz", [25, 60, 100, 1000 / 7])
+@pytest.mark.parametrize("record_hz", [25, 1000 / 7])
 def test_speed_does_not_depend_on_the_recording_rate(record_hz):
     run = Snake(
         speed=0.2, frequency=1.37, record_hz=record_hz, duration=8.4
@@ -134,16 +135,11 @@ def test_a_radius_above_100_body_lengths_is_straight():
     curved, straight = (
         0.22 / (fraction * 100 * snake.body_length) for fraction in (0.99, 1.01)
     )
-    assert (
-        plant_metrics(replace(snake, yaw_rate=curved).trajectory())["turning_radius_m"]
-        > 0
-    )
-    assert (
-        plant_metrics(replace(snake, yaw_rate=straight).trajectory())[
-            "turning_radius_m"
-        ]
-        is None
-    )
+    radii = [
+        plant_metrics(replace(snake, yaw_rate=rate).trajectory())["turning_radius_m"]
+        for rate in (curved, straight)
+    ]
+    assert radii == [pytest.approx(99 * snake.body_length, rel=1e-3), None]
 
 
 def test_creep_on_the_spot_has_no_radius():
@@ -269,7 +265,6 @@ def test_a_window_needs_three_whole_periods():
     assert plant_metrics(exactly)["com_speed_m_s"] == pytest.approx(0.03, rel=1e-6)
 
 
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     "snake",
     [
@@ -281,15 +276,83 @@ def test_a_window_needs_three_whole_periods():
 )
 def test_gait_metrics_are_none_without_a_resolved_gait(snake):
     found = plant_metrics(snake.trajectory(), wall_s=2.0)
-    learning = LEARNING_UNITS.keys() | LEARNING_LIST_UNITS.keys()
-    others = TRACKING_UNITS.keys() | READING_UNITS.keys() | FOLLOWING_UNITS.keys()
-    others |= (
-        MEASURED_UNITS.keys() | CONTACT_UNITS.keys() | learning | {"final_bend_rad"}
+    others = {"final_bend_rad"}.union(
+        LEARNING_UNITS,
+        LEARNING_LIST_UNITS,
+        TRACKING_UNITS,
+        READING_UNITS,
+        FOLLOWING_UNITS,
+        MEASURED_UNITS,
+        CONTACT_UNITS,
     )
-    assert {
-        name for name, value in found.items() if value is None
-    } == GAIT_METRICS | others
-    assert found["path_length_m"] >= 0
+    undefined = {name for name, value in found.items() if value is None}
+    assert undefined == GAIT_METRICS | others
+
+
+@pytest.mark.parametrize("speed", [0.2, -0.2])
+def test_power_and_cost_of_transport_follow_from_constant_rates(speed):
+    run = Snake(speed=speed, sway=(0, 0)).trajectory()
+    energies = {
+        "work": 3.0 * run.time - 1.0,
+        "internal_loss": 0.5 * run.time,
+        "pneumatic_energy": 12.0 * run.time,
+    }
+    found = plant_metrics(with_metadata(with_columns(run, **energies), mass_kg=0.5))
+    # The weight is 4.905 N.
+    assert {name: found[name] for name in ENERGY_MEANINGS} == pytest.approx(
+        {
+            "mechanical_power_w": 3.0,
+            "internal_power_w": 0.5,
+            "cost_of_transport": 3.0 / (4.905 * 0.2),
+            "pneumatic_power_w": 12.0,
+            "pneumatic_cost_of_transport": 12.0 / (4.905 * 0.2),
+        },
+        rel=1e-3,
+    )
+    unknown = plant_metrics(with_columns(run, **energies))
+    assert unknown["mechanical_power_w"] == pytest.approx(3.0)
+    assert unknown["cost_of_transport"] is None
+
+
+def sidewinder(direction: float, **columns: np.ndarray) -> Trajectory:
+    """Return a run that travels in a direction relative to its heading of 0.4 rad."""
+    run = Snake(sway=(0, 0), heading_sway=0.0).trajectory()
+    run = moved(run, 0.0, 0.0, 0.4 + direction)
+    zero = np.zeros((len(run), 5))
+    signals = dict.fromkeys(("quaternion_x", "quaternion_y", "quaternion_z"), zero)
+    signals |= {"quaternion_w": zero + 1.0, "z": zero + 0.02}
+    signals |= {"load": zero + [0.5, 0.3, 0.0, 0.2, 0.0]} | columns
+    for name, values in signals.items():
+        run = with_columns(run, **numbered(name, values))
+    return with_columns(run, heading=np.full(len(run), 0.4))
+
+
+def test_travel_and_supports_of_a_sidewinder():
+    height = np.full((601, 5), 0.02)
+    height[300, 3] = 0.07
+    height[50, 1] = 0.5  # before the third gait period
+    found = plant_metrics(sidewinder(-1.2, z=height))
+    assert {name: found[name] for name in SPATIAL_UNITS} == pytest.approx(
+        {
+            "travel_speed_m_s": 0.2,
+            "travel_direction_rad": -1.2,
+            "body_height_m": 0.07,
+            "contact_fraction": 0.6,
+            "supports": 2.0,
+            "roll_turns": 0.0,
+        },
+        abs=1e-6,
+    )
+    assert found["com_speed_m_s"] == pytest.approx(0.2)
+
+
+def test_sidewinders_differ_by_the_angle_between_their_directions():
+    load = np.tile([0.5, 0.3, 0.0, 0.0, 0.1], (601, 1))
+    reference = sidewinder(3.0)
+    found = compare(reference, sidewinder(-3.0, load=load)).metrics
+    assert found["travel_direction_abs"] == pytest.approx(2 * math.pi - 6.0)
+    assert found["travel_speed_rel"] == pytest.approx(0.0, abs=1e-6)
+    assert found["contact_agreement"] == pytest.approx(0.6)
 
 
 def test_path_length_is_that_of_the_raw_path():
@@ -316,13 +379,8 @@ def test_every_metric_is_json_and_has_a_unit(periodic):
     others = SPATIAL_UNITS.keys() | OBJECT_UNITS.keys()
     assert found.keys() == (METRIC_UNITS.keys() | LIST_METRIC_UNITS.keys()) - others
     assert json.loads(json.dumps(found, allow_nan=False)) == found
-    assert all(
-        value is None or type(value) is float for value in map(found.get, METRIC_UNITS)
-    )
-    assert all(
-        value is None or type(value) is list
-        for value in map(found.get, LIST_METRIC_UNITS)
-    )
+    for kind, units in ((float, METRIC_UNITS), (list, LIST_METRIC_UNITS)):
+        assert {type(found.get(name)) for name in units} <= {kind, type(None)}
 
 
 def spoiled(name: str, index: int, value: float) -> Trajectory:
@@ -332,7 +390,6 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
     return with_columns(run, **{name: column})
 
 
-@pytest.mark.default_cases(at=[0, 2, 3, 4, 5, 8])
 @pytest.mark.parametrize(
     ("run", "words"),
     [
@@ -358,8 +415,8 @@ def spoiled(name: str, index: int, value: float) -> Trajectory:
             " number",
         ),
         (
-            with_metadata(Snake().trajectory(), gait_frequency_hz="2"),
-            "gait_frequency_hz` is '2'",
+            with_metadata(Snake().trajectory(), gait_frequency_hz=True),
+            "gait_frequency_hz` is True",
         ),
         (
             with_metadata(Snake().trajectory(), gait_frequency_hz=math.nan),

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from synthetic import with_metadata
 
 from srs_twin.comparison.metrics import MEASURED_UNITS, METRIC_UNITS
 from srs_twin.comparison.undefined import why_undefined
 from srs_twin.experiment import PreparedRun, stored_intervals
-from srs_twin.io.files import shipped_names
 from srs_twin.rollout import rollout
 from srs_twin.scenario.expectation import (
     Expectation,
@@ -82,88 +82,78 @@ def ran(document: dict[str, Any], **changes: Any) -> tuple[dict[str, Any], Traje
     return run.measure(found, {"analytical": 1.0})[0], found["analytical"]
 
 
-def judged(
-    document: dict[str, Any], metric: str, limit: dict[str, float], **changes: Any
-) -> dict[str, Any]:
-    """Return the row of one expectation of the analytical plant."""
-    expect = [{"metric": metric, "plant": "analytical"} | limit]
-    (row,) = ran(document, expect=expect, **changes)[0]["expectations"]
-    return row
-
-
-@pytest.mark.default_cases(at=[0, 3, 7, 10, 14, 15, 16, 17, 18, 19])
 @pytest.mark.parametrize(
-    ("document", "changes", "metric", "reason"),
+    ("document", "changes", "reasons"),
     [
         (
             GAIT,
-            {"duration_s": 1.0},
-            "com_speed_m_s",
-            "has 2 of the 3 whole gait periods",
+            {},
+            {
+                "settling_5_s": "the run follows no reference",
+                "final_bend_rad": "only a run on a bench or with a reference has",
+                "periods_to_converge": "the run has no iterative learning",
+                "reading_r_squared": "the run has no sensor, or an ideal sensor",
+                "goal_reached": "no plan",
+                "travel_speed_m_s": "the robot bends in one plane",
+                "clearance_m": "the world has no obstacles",
+                "internal_power_w": "the run does not record internal_loss",
+            },
         ),
         (
             GAIT,
-            {"duration_s": 0.02},
-            "cost_of_transport",
-            "has 0 of the 3 whole gait periods",
+            {"duration_s": 1.0},
+            {"com_speed_m_s": "the run has 2 of the 3 whole gait periods that are"},
         ),
         (
             GAIT,
             {"record_hz": 5},
-            "mean_bend_amplitude_rad",
-            "fewer than 4 samples per gait period",
+            {"com_speed_m_s": "the run has fewer than 4 samples per gait period"},
         ),
-        (STEP, {}, "com_speed_m_s", "no gait frequency"),
-        (GAIT, {}, "settling_5_s", "follows no reference"),
-        (GAIT, {}, "final_bend_rad", "only a run on a bench"),
-        (GAIT, {}, "periods_to_converge", "no iterative learning"),
-        (GAIT, {}, "reading_r_squared", "no sensor"),
-        (GAIT, {}, "goal_reached", "no plan"),
-        (GAIT, {}, "travel_speed_m_s", "bends in one plane"),
-        (SINE, {}, "rise_time_s", "not a single step"),
-        (SINE, {"duration_s": 0.9}, "amplitude_rel", "enough whole periods of a sine"),
-        (STEP, {}, "amplitude_rel", "sine reference"),
-        (STEP, {"duration_s": 0.05}, "rise_time_s", "not a single step"),
         (
             STEP,
-            {"duration_s": 0.2},
-            "settling_5_s",
-            "not reached within 0.1 s after the step",
+            {"record_hz": 50, "duration_s": 0.2},
+            {
+                "com_speed_m_s": "the run has no gait frequency",
+                "amplitude_rel": "not contain enough whole periods of a sine",
+                "settling_5_s": "not reached within 0.1 s after the step",
+                "outlet_openings": "does not record the openings of these valves",
+            },
         ),
-        (LEARNING, {}, "periods_to_converge", "not converged within 4 periods"),
+        (SINE, {}, {"rise_time_s": "the reference is not a single step"}),
+        (
+            LEARNING,
+            {},
+            {"periods_to_converge": "have not converged within 4 periods"},
+        ),
         (
             LEARNING,
             {"duration_s": 1.0},
-            "amplitude_error_end_rel",
-            "undefined for the 0 learning periods",
+            {
+                "amplitude_error_end_rel": "undefined for the 0 learning periods",
+                "path_speed_m_s": "the run has fewer than 5 whole periods",
+            },
         ),
-        (LEARNING, {"duration_s": 1.0}, "path_speed_m_s", "fewer than 5 whole periods"),
-        (STEP, {"record_hz": 50}, "outlet_openings", "does not record"),
-        (LEARNING, {"duration_s": 1.0}, "extent_left_m", "fewer than 5 whole periods"),
     ],
 )
-def test_undefined_metrics_are_not_judged(document, changes, metric, reason):
-    row = judged(document, metric, {"near": 5.0, "rel": 0.1}, **changes)
-    assert (row["state"], row["met"], row["value"]) == ("not_judged", False, None)
-    assert reason in row["reason"]
+def test_undefined_metrics_have_a_reason(document, changes, reasons):
+    metrics, run = ran(document, **changes)
+    for metric, reason in reasons.items():
+        found = why_undefined(metric, "analytical", metrics, {"analytical": run})
+        assert reason in found.reason
 
 
 @pytest.mark.parametrize(
     ("document", "changes", "metric", "limit"),
     [
         (GAIT, {}, "turning_radius_m", {"below": 5.0}),  # the path is straight
-        (
-            STEP,
-            {"duration_s": 0.2},
-            "settling_5_s",
-            {"below": 0.09},
-        ),  # 0.1 s have passed already
+        # 0.1 s have passed already.
+        (STEP, {"duration_s": 0.2}, "settling_5_s", {"below": 0.09}),
         (LEARNING, {}, "periods_to_converge", {"below": 4}),  # and four periods here
-        (GAIT, {}, "com_speed_m_s", {"above": 3.0}),
     ],
 )
 def test_an_undefined_outcome_is_missed(document, changes, metric, limit):
-    row = judged(document, metric, limit, **changes)
+    expect = [{"metric": metric, "plant": "analytical"} | limit]
+    (row,) = ran(document, expect=expect, **changes)[0]["expectations"]
     assert (row["state"], row["met"], row["reason"]) == ("missed", False, None)
 
 
@@ -178,29 +168,20 @@ def test_an_undefined_outcome_is_missed(document, changes, metric, limit):
 )
 def test_every_missing_metric_has_a_reason_or_is_an_outcome(document, outcomes):
     metrics, run = ran(document, duration_s=1.5)
-    runs = {"analytical": run}
-    without = {
+    values = metrics["plants"]["analytical"]
+    unexplained = {
         name
         for name in METRIC_UNITS
-        if metrics["plants"]["analytical"].get(name) is None
+        if why_undefined(name, "analytical", metrics, {"analytical": run}) is None
     }
-    assert {
-        name
-        for name in without
-        if why_undefined(name, "analytical", metrics, runs) is None
-    } <= outcomes
-    defined = METRIC_UNITS.keys() - without
-    assert defined and all(
-        why_undefined(name, "analytical", metrics, runs) is None for name in defined
-    )
+    defined = {name for name in METRIC_UNITS if values.get(name) is not None}
+    assert defined <= unexplained <= defined | outcomes
 
 
 def test_differences_from_the_robot_need_its_recording():
     metrics, run = ran(GAIT, duration_s=0.5)
-    clamped = replace(
-        run, metadata=run.metadata | {"base": "clamped", "gait_frequency_hz": 20.0}
-    )
-    only_bends = replace(clamped, metadata=clamped.metadata | {"bends_only": True})
+    clamped = with_metadata(run, base="clamped", gait_frequency_hz=20.0)
+    only_bends = with_metadata(clamped, bends_only=True)
 
     def reasons(**runs: Trajectory) -> set[str]:
         found = [
@@ -221,53 +202,39 @@ def test_differences_from_the_robot_need_its_recording():
 
 def test_a_run_that_ended_early_is_judged():
     metrics, run = ran(GAIT, duration_s=0.5)
-    ended = replace(run, metadata=run.metadata | {"ended_by": "controller"})
-    assert (
-        why_undefined("com_speed_m_s", "analytical", metrics, {"analytical": run})
-        is not None
-    )
-    assert (
-        why_undefined("com_speed_m_s", "analytical", metrics, {"analytical": ended})
-        is None
-    )
+    for ended_by, is_judged in ((None, False), ("controller", True)):
+        runs = {"analytical": with_metadata(run, ended_by=ended_by)}
+        why = why_undefined("com_speed_m_s", "analytical", metrics, runs)
+        assert (why is None) == is_judged
 
 
 def test_a_comparison_needs_the_gaits_of_both_plants():
     long = ran(GAIT)[1]
     short = ran(GAIT, duration_s=1.0)[1]
     metrics = {"plants": {}, "comparison": {"com_speed_rel": None}}
-    for runs in (
-        {"analytical": long, "twin": short},
-        {"analytical": short, "twin": long},
-    ):
-        assert why_undefined("com_speed_rel", "comparison", metrics, runs) is not None
-    both = {"analytical": long, "twin": long, "measured": short}
-    assert why_undefined("com_speed_rel", "comparison", metrics, both) is None
+    for analytical, twin in ((long, short), (short, long), (long, long)):
+        runs = {"analytical": analytical, "twin": twin, "measured": short}
+        why = why_undefined("com_speed_rel", "comparison", metrics, runs)
+        assert (why is None) == (analytical is twin)
 
 
 def test_a_plan_that_is_not_found_is_missed_and_a_goal_without_heading_is_not_judged():
     run = ran(GAIT, duration_s=0.1)[1]
-    plan = {"time": 0.0, "outcome": "stuck", "nodes": 1, "segments": []}
     about = {
-        "plans": [plan],
+        "plans": [{"time": 0.0, "outcome": "stuck", "nodes": 1, "segments": []}],
         "goal": {"heading": None},
         "world": {"obstacles": [], "polygons": []},
     }
-    followed = replace(run, metadata=run.metadata | {"control": {"following": about}})
+    runs = {"analytical": with_metadata(run, control={"following": about})}
     metrics = {"plants": {"analytical": {}}, "comparison": None}
-    reasons = {
-        name: why_undefined(name, "analytical", metrics, {"analytical": followed})
-        for name in (
-            "plan_length_m",
-            "cross_track_rms_m",
-            "arrival_heading_error_rad",
-            "clearance_m",
-        )
-    }
-    assert [name for name, why in reasons.items() if why is None] == [
-        "plan_length_m",
-        "cross_track_rms_m",
-    ]
+    for name, is_judged in (
+        ("plan_length_m", True),
+        ("cross_track_rms_m", True),
+        ("arrival_heading_error_rad", False),
+        ("clearance_m", False),
+    ):
+        why = why_undefined(name, "analytical", metrics, runs)
+        assert (why is None) == is_judged, name
 
 
 @pytest.mark.parametrize(
@@ -323,11 +290,8 @@ def within(
     expected = Expectation(
         metric="com_speed_m_s", plant="twin", published=published, within="interval_95"
     )
-    intervals = {
-        "stale": stale,
-        "renew": "`renew`",
-        "plants": {"twin": {"com_speed_m_s": SPREAD | spread}},
-    }
+    plants = {"twin": {"com_speed_m_s": SPREAD | spread}}
+    intervals = {"stale": stale, "renew": "`renew`", "plants": plants}
     return expected.check(
         {"plants": {"twin": {"com_speed_m_s": value}}, "intervals": intervals}
     )
@@ -335,54 +299,42 @@ def within(
 
 def test_a_published_value_is_compared_in_a_sentence():
     row = within(0.2)
-    assert (row["state"], row["largest"], row["largest_parameter"]) == (
-        "met",
-        "u_input",
-        "friction.drag_n",
-    )
+    assert (row["state"], row["largest"]) == ("met", "u_input")
+    assert row["largest_parameter"] == "friction.drag_n"
     said = (
         "the published value 0.214 lies within the 95 % interval 0.1 to 0.25 (largest"
         " uncertainty: axial drag)"
     )
     assert result_text(row) == f"= 0.2 m/s; {said}"
-    assert "outside the 95 % interval 0.1 to 0.25" in result_text(
-        within(0.2, published=0.3)
-    )
-    assert "(largest uncertainty: the time step)" in result_text(within(0.2, u_num=1.0))
-    assert "(largest uncertainty: the published value)" in result_text(
-        within(0.2, published=0.24, u_input=1e-5)
-    )
-    assert "(largest uncertainty: the robot's parameters)" in result_text(
-        within(0.2, sensitivity=None)
-    )
+    outside = within(0.2, published=0.3)
+    assert "outside the 95 % interval 0.1 to 0.25" in result_text(outside)
+    for cause, found in (
+        ("the time step", within(0.2, u_num=1.0)),
+        ("the published value", within(0.2, published=0.24, u_input=1e-5)),
+        ("the robot's parameters", within(0.2, sensitivity=None)),
+    ):
+        assert f"(largest uncertainty: {cause})" in result_text(found)
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize("published", [0.10004, 0.1, 0.09996, 0.25, 0.25004])
+@pytest.mark.parametrize("published", [0.10004, 0.1, 0.25, 0.25004])
 def test_the_printed_interval_shows_on_which_side_a_published_value_lies(published):
     row = within(0.2, published=published, interval_95=[0.100031, 0.250033])
-    low, high = row["allowed"].split("interval ")[1].split(" (")[0].split(" to ")
-    assert (
-        (float(low) <= published <= float(high))
-        == row["met"]
-        == (0.100031 <= published <= 0.250033)
-    )
+    ends = re.search(r"interval (\S+) to (\S+) ", row["allowed"]).groups()
+    low, high = map(float, ends)
+    is_inside = 0.100031 <= published <= 0.250033
+    assert (low <= published <= high) == row["met"] == is_inside
 
 
-@pytest.mark.default_cases(at=[0, 3, 5])
 @pytest.mark.parametrize(
     ("published", "error", "state", "verdict_by_interval"),
     [
-        (
-            0.09998,
-            0.0045,
-            "not_judged",
-            "undecided",
-        ),  # as generation 4: 0.02 mm/s below an end known to 4.5
+        # As for generation 4: 0.02 mm/s below an end known to 4.5 mm/s.
+        (0.09998, 0.0045, "not_judged", "undecided"),
         (0.1089, 0.0045, "not_judged", "undecided"),
         (0.1091, 0.0045, "met", "within"),
         (0.0909, 0.0045, "missed", "outside"),
         (0.2589, 0.0045, "not_judged", "undecided"),
+        (0.2591, 0.0045, "missed", "outside"),
         (0.25, 0.0, "met", "within"),
     ],
 )
@@ -390,14 +342,10 @@ def test_a_published_value_within_two_standard_errors_of_an_end_is_undecided(
     published, error, state, verdict_by_interval
 ):
     row = within(0.2, published=published, interval_95_error=[error, error])
-    assert (row["state"], row["verdict"], row["met"]) == (
-        state,
-        verdict_by_interval,
-        state == "met",
-    )
-    assert (row["reason"] or "").startswith(
-        "undecided, because the published value"
-    ) == (state == "not_judged")
+    assert (row["state"], row["met"]) == (state, state == "met")
+    assert row["verdict"] == verdict_by_interval
+    is_explained = (row["reason"] or "").startswith("undecided, because the published")
+    assert is_explained == (state == "not_judged")
     assert row["interval_error"] == [error, error]
 
 
@@ -407,28 +355,21 @@ def test_an_undecided_value_names_its_distance_from_the_nearest_end():
     assert "lies near an end of the 95 % interval" in row["allowed"]
 
 
-@pytest.mark.default_cases(at=[0, 3, 4])
-@pytest.mark.parametrize("high", [0.25, 0.2])
-@pytest.mark.parametrize("digits", [1e-9, -1e-9, 4e-6])
-def test_rounding_differences_keep_the_interval_valid(high, digits):
+@pytest.mark.parametrize("low", [0.15, 0.2])
+@pytest.mark.parametrize("digits", [-1e-9, 4e-6])
+def test_rounding_differences_keep_the_interval_valid(low, digits):
     # Rounding of another processor and of the stored digits, also for an interval of
     # zero width.
-    row = within(
-        0.2 * (1 + digits),
-        interval_95=[high - 0.05 * (high > 0.2), high],
-        published=high,
-    )
+    row = within(0.2 * (1 + digits), interval_95=[low, 0.2], published=0.2)
     assert row["state"] == "met"
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("row", "state"),
     [
         (within(0.2 + 0.0016), "not_judged"),
         (within(0.2 + 0.0014), "met"),
         (within(0.2, stale="another robot"), "not_judged"),
-        (within(0.2, published=0.3), "missed"),
         (within(None), "missed"),
         (within(math.nan), "missed"),
     ],
@@ -436,7 +377,7 @@ def test_rounding_differences_keep_the_interval_valid(high, digits):
 def test_stale_intervals_are_not_judged_and_diverged_runs_are_missed(row, state):
     assert (verdict(row), row["met"]) == (state, state == "met")
     assert (row["reason"] is not None) == (state == "not_judged")
-    assert row["allowed"].startswith("published")
+    assert "published" in row["allowed"]
 
 
 def test_a_parameter_is_named_only_if_it_stands_out_from_the_error_of_its_index():
@@ -448,52 +389,42 @@ def test_a_parameter_is_named_only_if_it_stands_out_from_the_error_of_its_index(
     assert largest(a=0.3, b=0.5) == "b"
     assert largest(a=0.45, b=0.5) is None
     assert largest(a=0.05) is None
-    assert largest_parameter({}) is None
+    assert largest() is None
 
 
-@pytest.mark.default_cases(at=[0, 2, 5, 10, 14, 25, 37, 52])
-@pytest.mark.parametrize("name", sorted(shipped_names("scenario")))
+@pytest.mark.parametrize("name", [f"gen{n}_straight" for n in range(1, 5)])
 def test_shipped_intervals_are_for_the_shipped_scenarios(name):
-    """None is unjudged; `tests/scenarios` checks this in the runs."""
     scenario = load_scenario(name)
-    if any(each.within for each in scenario.expect):
-        kept = stored_intervals(scenario)
-        assert kept["stale"] is None
-        assert all(
-            each.metric in kept["plants"][each.subject]
-            for each in scenario.expect
-            if each.within
-        )
+    kept = stored_intervals(scenario)
+    assert kept["stale"] is None
+    published = [each for each in scenario.expect if each.within]
+    assert published
+    for each in published:
+        assert each.metric in kept["plants"][each.subject]
 
 
 def test_seed_and_duration_keep_the_interval_valid_but_another_robot_does_not():
-    def stale(**changes: Any) -> bool:
-        return (
-            stored_intervals(load_scenario("gen2_straight", set=changes))["stale"]
-            is not None
-        )
+    def stale(**changes: Any) -> str | None:
+        return stored_intervals(load_scenario("gen2_straight", set=changes))["stale"]
 
-    assert not stale(seed=1, duration_s=5)
-    assert stale(robot="gen3")
-    assert stale(**{"controller.frequency_hz": 1.9})
-
-
-def test_an_interval_for_another_contact_is_reported():
-    other = load_scenario("gen2_straight", set={"plants.twin.contact": "preloaded"})
+    assert stale(seed=1, duration_s=5) is None
+    assert stale(robot="gen3") is not None
+    assert stale(**{"controller.frequency_hz": 1.9}) is not None
     assert (
         "belongs to a twin with the contact 'loaded', but this twin has the contact"
-        " 'preloaded'" in stored_intervals(other)["stale"]
+        " 'preloaded'" in stale(**{"plants.twin.contact": "preloaded"})
     )
 
 
 @pytest.mark.parametrize(("step_at", "passed"), [(0, 2.0), (50, 1.5)])
 def test_the_time_after_a_step_begins_at_its_first_sample(step_at, passed):
-    time = np.arange(201) / 100
-    reference = np.where(np.arange(201) < step_at, 0.0, 0.4)
-    run = Trajectory({"time": time, "reference_1": reference, "bend_1": 0 * time})
-    values = {"error_rms_rad": 0.1, "overshoot_rel": 0.0}
-    metrics = {"plants": {"twin": values}, "comparison": {}}
-    found = why_undefined("settling_5_s", "twin", metrics, {"twin": run})
-    assert (
-        found.reason == f"the level is not reached within {passed:g} s after the step"
+    samples = np.arange(201)
+    reference = np.where(samples < step_at, 0.0, 0.4)
+    columns = {"time": samples / 100, "reference_1": reference, "bend_1": 0.0 * samples}
+    metrics = {"plants": {"twin": {"error_rms_rad": 0.1, "overshoot_rel": 0.0}}}
+    metrics["comparison"] = {}
+    found = why_undefined(
+        "settling_5_s", "twin", metrics, {"twin": Trajectory(columns)}
     )
+    assert found.beyond == passed
+    assert f"is not reached within {passed:g} s after the step" in found.reason

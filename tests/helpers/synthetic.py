@@ -53,7 +53,7 @@ class Snake:
         sway = np.stack(
             [self.sway[0] * np.sin(2 * beat), self.sway[1] * np.cos(beat)], axis=-1
         )
-        com = _carried(self.speed, self.yaw_rate, time) + _turned(sway, path_heading)
+        com = arc(self.speed, self.yaw_rate, time) + _turned(sway, path_heading)
         bend = self.bends(time)
         theta = _headings(bend, heading)
         body = _centre_line(theta, self.segment_length, self.rigid_gap)
@@ -140,7 +140,7 @@ def _turned(points: np.ndarray, angle: float | np.ndarray) -> np.ndarray:
     return np.stack([turned.real, turned.imag], axis=-1)
 
 
-def _carried(speed: float, yaw_rate: float, time: np.ndarray) -> np.ndarray:
+def arc(speed: float, yaw_rate: float, time: np.ndarray) -> np.ndarray:
     """Return points of a path that starts along x with a constant yaw rate, shape (samples, 2)."""
     half = yaw_rate * time / 2
     chord = speed * time * np.sinc(half / np.pi)
