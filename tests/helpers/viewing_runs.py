@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+from rerun.chunk import RrdReader
+from scipy.spatial.transform import Rotation
 from synthetic import Snake, numbered, with_columns
 
 from srs_twin.robot.spec import (
@@ -57,3 +61,28 @@ def pair(**changes: object) -> dict[str, Trajectory]:
         snake, speed=0.91 * snake.speed, amplitude=0.9 * snake.amplitude, yaw_rate=-0.02
     )
     return {"analytical": run("analytical", snake), "twin": run("twin", twin)}
+
+
+def read_back(path: Path) -> dict[str, dict[str, tuple[np.ndarray, pa.Array]]]:
+    """Return entity path → component → (seconds, column) of what changes with time."""
+    found: dict[str, dict[str, tuple[np.ndarray, pa.Array]]] = {}
+    for chunk in RrdReader(path).stream().to_chunks():
+        if not chunk.is_static:
+            batch = chunk.to_record_batch()
+            time = batch.column("sim_time").to_numpy(zero_copy_only=False)
+            for name in batch.schema.names[2:]:
+                signals = found.setdefault(chunk.entity_path, {})
+                signals[name] = time.astype(float) * 1e-9, batch.column(name)
+    return found
+
+
+def flat(column: pa.Array) -> np.ndarray:
+    """Return the numbers of a column of lists."""
+    while pa.types.is_nested(column.type):
+        column = column.flatten()
+    return column.to_numpy(zero_copy_only=False)
+
+
+def directions(quaternions: pa.Array, axis: list[float]) -> np.ndarray:
+    """Return an axis of each rotated shape, shape (n, 3)."""
+    return Rotation.from_quat(flat(quaternions).reshape(-1, 4)).apply(axis)

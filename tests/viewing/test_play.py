@@ -19,35 +19,52 @@ SPEC = robot()
 
 
 class FakeWindow:
-    """Fake window that is open for some ticks, presses keys and records the displayed states."""
+    """Fake window that is open for some ticks, presses keys and records the displayed states.
+
+    Attributes:
+        delays: time that a picture takes to draw, s, keyed by the number of the picture.
+    """
 
     def __init__(
-        self, ticks: int, keys: dict[int, tuple[int, ...]] | None = None
+        self,
+        ticks: int,
+        keys: dict[int, tuple[int, ...]] | None = None,
+        delays: dict[int, float] | None = None,
     ) -> None:
         self.ticks = ticks
         self.keys = keys or {}
+        self.delays = delays or {}
         self.shown = []
-        self.snake: LiveSnake | None = None
+        self.time = FakeTime()
 
     def is_open(self) -> bool:
-        if self.snake is not None:
-            for key in self.keys.get(len(self.shown), ()):
-                self.snake.press(key)
+        for key in self.keys.get(len(self.shown), ()):
+            self.snake.press(key)
         return len(self.shown) < self.ticks
 
     def show(self, snake: LiveSnake) -> None:
-        self.snake = snake
         self.shown.append(
             (float(snake.state.time), snake.command, snake.status_lines())
         )
+        self.time.now += self.delays.get(len(self.shown), 0.0)
+
+    def play(self, snake: LiveSnake | None = None) -> LiveSnake:
+        """Play a robot, or the given snake, until the window is closed."""
+        self.snake = snake or LiveSnake(SPEC)
+        steer(self.snake, self, clock=self.time.clock, sleep=self.time.sleep)
+        return self.snake
 
 
 class FakeTime:
-    """Simulated clock that advances only in `sleep` and by the simulated work."""
+    """Simulated clock that advances only in `sleep` and while a picture is drawn."""
 
     def __init__(self) -> None:
         self.now = 100.0
         self.slept = []
+
+    @property
+    def passed(self) -> float:
+        return self.now - 100.0
 
     def clock(self) -> float:
         return self.now
@@ -57,15 +74,6 @@ class FakeTime:
         self.now += seconds
 
 
-def run(window: FakeWindow, time: FakeTime | None = None) -> LiveSnake:
-    snake = LiveSnake(SPEC)
-    time = time or FakeTime()
-    window.snake = snake
-    steer(snake, window, clock=time.clock, sleep=time.sleep)
-    return snake
-
-
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("key", "name", "step"),
     [
@@ -95,7 +103,7 @@ def test_key_changes_its_command_by_one_step_up_to_the_limit(key, name, step):
 
 def test_left_key_turns_left_and_home_resets():
     window = FakeWindow(200, {0: (live.LEFT,) * 4, 1: (ord("Q"), 7), 199: (live.HOME,)})
-    snake = run(window)
+    snake = window.play()
     offsets = [command.offset for _, command, _ in window.shown]
     assert offsets[:199] == [pytest.approx(0.2)] * 199 and offsets[199] == 0.0
     assert float(snake.state.heading) > 0.5
@@ -103,89 +111,62 @@ def test_left_key_turns_left_and_home_resets():
 
 def test_without_keys_the_twin_follows_the_gait():
     window = FakeWindow(100)
-    snake = run(window)
+    snake = window.play()
     middle = window.shown[0][1]
     twin = TwinSnake(SPEC, supply_pa=middle.pressure)
     alone = rollout(twin, Gait(middle.frequency), 2.0)
-    assert snake.state.com == pytest.approx(
-        [alone["com_x"][-1], alone["com_y"][-1]], abs=1e-6
-    )
+    assert snake.state.com == pytest.approx(alone.com[-1], abs=1e-6)
 
 
 def test_space_pauses_and_backspace_restarts():
-    window = FakeWindow(
-        12, {0: (live.UP,), 3: (live.SPACE,), 6: (live.SPACE,), 9: (live.BACKSPACE,)}
-    )
-    run(window)
+    keys = {0: (live.UP,), 3: (live.SPACE,), 6: (live.SPACE,), 9: (live.BACKSPACE,)}
+    window = FakeWindow(12, keys)
+    window.play()
     ticks = [round(time / 0.02) for time, _, _ in window.shown]
     assert ticks == [1, 2, 3, 3, 3, 3, 4, 5, 6, 1, 2, 3]
-    assert (
-        "paused" in window.shown[4][2][4][1]
-        and "paused" not in window.shown[7][2][4][1]
-    )
+    notes = [dict(lines)["time (space: pause)"] for _, _, lines in window.shown]
+    assert (notes[4], notes[7]) == ("0.1 s, paused", "0.1 s")
     assert window.shown[8][1].frequency > window.shown[9][1].frequency
 
 
 def test_simulation_runs_in_real_time():
-    time = FakeTime()
-    run(FakeWindow(50), time)
-    assert time.now - 100.0 == pytest.approx(1.0)
+    window = FakeWindow(50)
+    window.play()
+    assert window.time.passed == pytest.approx(1.0)
 
 
 def test_lag_is_made_up_for_to_a_limit():
-    class Slow(FakeWindow):
-        def show(self, snake: LiveSnake) -> None:
-            super().show(snake)
-            time.now += {10: 0.1, 40: 5.0}.get(len(self.shown), 0.0)
-
-    time = FakeTime()
-    window = Slow(100)
-    snake = run(window, time)
+    window = FakeWindow(100, delays={10: 0.1, 40: 5.0})
+    snake = window.play()
     # Of the 5 s that one picture took, all but the quarter that is caught up is lost,
     # on a raster of ticks.
-    passed = time.now - 100.0
     crawled = float(snake.state.time)
-    assert passed - crawled == pytest.approx(5.0 - live.MAX_LAG_S, abs=0.05)
+    lost = window.time.passed - crawled
+    assert lost == pytest.approx(5.0 - live.MAX_LAG_S, abs=0.05)
     assert crawled == pytest.approx(2.0 + 0.1 + live.MAX_LAG_S, abs=0.05)
-    assert np.min(time.slept) >= 0
+    assert np.min(window.time.slept) >= 0
 
 
 def test_slow_pictures_do_not_slow_the_snake():
-    class Slow(FakeWindow):
-        def show(self, snake: LiveSnake) -> None:
-            super().show(snake)
-            time.now += 0.2
-
-    time = FakeTime()
-    window = Slow(10)
-    snake = run(window, time)
-    assert float(snake.state.time) == pytest.approx(time.now - 100.0, abs=0.21)
+    window = FakeWindow(10, delays=dict.fromkeys(range(1, 11), 0.2))
+    snake = window.play()
+    assert float(snake.state.time) == pytest.approx(window.time.passed, abs=0.21)
 
 
 def test_status_lines_have_units():
     status = dict(LiveSnake(SPEC).status_lines())
-    assert (
-        status["frequency (up, down)"] == "1.50 Hz"
-        and status["pressure (page up, page down)"] == "48.3 kPa"
-    )
-    assert status["offset (left, right)"] == "+0.00" and status["speed"] == "0.000 m/s"
+    assert status["frequency (up, down)"] == "1.50 Hz"
+    assert status["pressure (page up, page down)"] == "48.3 kPa"
+    assert (status["offset (left, right)"], status["speed"]) == ("+0.00", "0.000 m/s")
 
 
 def test_a_scenario_is_played_as_it_runs():
     scenario = load_scenario("gen2_turn")
     window = FakeWindow(60)
-    time = FakeTime()
-    snake = LiveSnake(scenario=scenario)
-    steer(snake, window, clock=time.clock, sleep=time.sleep)
-    ran = rollout(
-        scenario.build_plant("twin"),
-        scenario.build_controller(),
-        1.2,
-        seed=scenario.seed,
-    )
-    assert snake.state.com == pytest.approx(
-        [ran["com_x"][-1], ran["com_y"][-1]], abs=1e-9
-    )
+    snake = window.play(LiveSnake(scenario=scenario))
+    pair = scenario.build_plant("twin"), scenario.build_controller()
+    ran = rollout(*pair, 1.2, seed=scenario.seed)
+    assert snake.state.com == pytest.approx(ran.com[-1], abs=1e-9)
     assert window.shown[-1][2][0] == ("controller", "gait")
 
 
@@ -196,18 +177,14 @@ def test_first_steering_key_takes_over_until_a_restart():
         20: (live.HOME,),
         30: (live.BACKSPACE,),
     }
-    snake = LiveSnake(scenario=load_scenario("gen2_turn"))
     window = FakeWindow(40, keys)
-    time = FakeTime()
-    window.snake = snake
-    steer(snake, window, clock=time.clock, sleep=time.sleep)
+    snake = window.play(LiveSnake(scenario=load_scenario("gen2_turn")))
     by_keys = [dict(lines).get("offset (left, right)") for _, _, lines in window.shown]
     assert by_keys == [None] * 10 + ["+0.05"] * 10 + ["+0.00"] * 10 + [None] * 10
     # The air supply of the scenario bounds the pressure.
     assert snake.limits.pressure[1] == snake.scenario.supply_pa
-    assert [round(shown[0] / 0.02) for shown in window.shown[-10:]] == list(
-        range(1, 11)
-    )
+    ticks = [round(time / 0.02) for time, _, _ in window.shown]
+    assert ticks[-10:] == list(range(1, 11))
 
 
 def test_controller_of_a_bench_cannot_be_replaced():
@@ -243,9 +220,8 @@ def test_a_new_plan_replaces_the_lines_of_the_old_one(monkeypatch):
     follower = snake._controller
     shorter = replace(follower.plan, segments=follower.plan.segments[:1])
     follower.plans.append((0.02, shorter))
-    monkeypatch.setattr(
-        follower, "events", lambda: [Event(0.02, "new_plan", "a new plan")]
-    )
+    event = Event(0.02, "new_plan", "a new plan")
+    monkeypatch.setattr(follower, "events", lambda: [event])
     snake.advance()
     assert len(snake.floor_lines[0].strips) == 1 < len(before[0].strips)
 
@@ -253,60 +229,47 @@ def test_a_new_plan_replaces_the_lines_of_the_old_one(monkeypatch):
 def test_help_and_window_name_all_keys(srs_twin, tmp_path):
     text = " ".join(srs_twin("play", "--help", cwd=tmp_path).stdout.split())
     shown = " ".join(label for label, _ in LiveSnake(SPEC).status_lines())
-    for key in (
-        "left",
-        "right",
-        "up",
-        "down",
-        "page up",
-        "page down",
-        "home",
-        "space",
-        "backspace",
-    ):
+    keys = "left, right, up, down, page up, page down, home, space, backspace"
+    for key in keys.split(", "):
         assert key in text and key in shown, key
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("display", "words"),
-    [
-        (
-            "",
-            "no display was found: neither DISPLAY nor WAYLAND_DISPLAY is set",
-        ),
-        (":4711", "the display :4711 does not respond"),
-    ],
-)
-def test_missing_display_is_reported(srs_twin_process, tmp_path, display, words):
-    done = srs_twin_process(
-        "play", "gen2", cwd=tmp_path, DISPLAY=display, WAYLAND_DISPLAY=""
-    )
-    assert done.returncode == 2 and done.stdout == ""
-    assert done.stderr.startswith(words) and done.stderr.count("\n") == 1
+def test_an_unknown_robot_is_reported_before_a_missing_display(
+    srs_twin, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("DISPLAY", "")
+    monkeypatch.setenv("WAYLAND_DISPLAY", "")
+    for name, words in (
+        ("gen5", "unknown scenario or robot 'gen5'; did you mean gen"),
+        ("gen2", "no display was found: neither DISPLAY nor WAYLAND_DISPLAY is set"),
+    ):
+        done = srs_twin("play", name, cwd=tmp_path)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert done.stderr.startswith(words) and done.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.slow
-def test_unknown_robot_is_reported_first(srs_twin_process, tmp_path):
-    done = srs_twin_process("play", "gen5", cwd=tmp_path, DISPLAY="")
-    assert (
-        done.returncode == 2
-        and "unknown scenario or robot 'gen5'; did you mean gen" in done.stderr
-    )
+def test_a_display_that_does_not_respond_is_reported(srs_twin_process, tmp_path):
+    given = {"DISPLAY": ":4711", "WAYLAND_DISPLAY": ""}
+    done = srs_twin_process("play", "gen2", cwd=tmp_path, **given)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("the display :4711 does not respond")
+    assert done.stderr.count("\n") == 1
 
 
 def test_the_body_has_the_colours_of_its_pressures():
-    snake = run(FakeWindow(20))
+    snake = FakeWindow(20).play()
     physics = snake.twin.physics
+    nominal = SPEC.supply.nominal
     skins = Skins(physics.model, SPEC.segments)
-    skins.show(snake.state.pressure, SPEC.supply.nominal)
+    skins.show(snake.state.pressure, nominal)
     difference = snake.state.pressure[:, 0] - snake.state.pressure[:, 1]
-    assert np.ptp(difference) > 0.1 * SPEC.supply.nominal
-    wanted = pressure_colors(difference, SPEC.supply.nominal) / 255
+    assert np.ptp(difference) > 0.1 * nominal
+    wanted = pressure_colors(difference, nominal) / 255
     for geoms, color in zip(skins.geoms, wanted, strict=True):
         assert geoms and np.allclose(physics.model.geom_rgba[geoms], color, atol=1e-6)
-    assert np.array_equal(
-        pressure_colors(np.array([2.0, -3.0]), 2.0),
-        pressure_colors(np.array([2.0, -2.0])),
+    beyond, ends = (
+        pressure_colors(np.array(values), 2.0) for values in ([2.0, -3.0], [2.0, -2.0])
     )
+    assert np.array_equal(beyond, ends)
