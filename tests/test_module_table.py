@@ -11,7 +11,7 @@ import json
 
 import pytest
 from conftest import ROOT
-from module_lines import LINES, Line, Values
+from module_lines import LINES
 
 from srs_twin.comparison.metrics import METRIC_UNITS
 from srs_twin.io.files import shipped_names
@@ -62,26 +62,3 @@ def test_benches_are_as_close_as_the_issue_asks():
         cells = line.cells(FIGURES)
         worst[cells[0]] = float(cells[4].rstrip("%"))
     assert max(worst.values()) <= 10.0, worst
-
-
-def test_only_what_is_compared_counts_for_apart():
-    line = Line(
-        "x",
-        "y",
-        lambda v: v.select("static", "final_bend_rad"),
-        "{:.1f} ± {:.1f}",
-        beside=lambda v: (1.0 if v.plant == "twin" else 2.0,),
-    )
-    cells = line.cells(FIGURES)
-    assert cells[2].endswith("± 2.0") and cells[3].endswith("± 1.0")
-    assert float(cells[4].rstrip("%")) < 1.0
-
-
-def test_values_name_both_controllers():
-    values = Values(FIGURES, "twin")
-    both = values.select("step_", "rise_time_s", unit=1e3)
-    item = [
-        values.select(f"step_{kind}", "rise_time_s")[0]
-        for kind in ("direct", "iterative")
-    ]
-    assert both == pytest.approx([1e3 * one for one in item])
