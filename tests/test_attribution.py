@@ -81,102 +81,71 @@ def test_shapley_values_of_null_and_symmetric_players():
     assert (values["a"].low[0], values["a"].high[0]) == (0.0, 3.0)
 
 
+def share(name, value, low=None, high=None):
+    return AssumptionShare(name, name, value, low or value, high or value, "averaged")
+
+
 def test_plot_has_bars_sorted_by_size_that_add_up():
-    small = np.array([0.001, 0.1, 0.0, 0.0])
-    large = np.array([-0.004, 0.7, 0.05, 0.002])
-    shares = [
-        AssumptionShare(
-            name, name, tuple(v), tuple(v - 1e-3), tuple(v + 1e-3), "averaged"
-        )
-        for name, v in (("small", small), ("large", large))
-    ]
-    rest = np.full(4, 0.001)
-    gap = tuple(small + large + rest)
-    figure = attribution_plot(
-        Attribution((0.1,) * 4, gap, tuple(rest), gap, (), tuple(shares))
-    )
+    small = (0.001, 0.1, 0.0, 0.0)
+    large = (-0.004, 0.7, 0.05, 0.002)
+    rest = (0.001,) * 4
+    gap = tuple(np.sum([small, large, rest], axis=0))
+    shares = (share("small", small), share("large", large))
+    figure = attribution_plot(Attribution((0.1,) * 4, gap, rest, gap, (), shares))
     assert len(figure.axes) == len(MEASURES)
     speed, yaw = figure.axes[:2]
     rows = [tick.get_text() for tick in speed.get_yticklabels()]
     assert rows == ["large", "small", "not explained", "twin − analytical"]
-    assert (speed.get_title("left"), yaw.get_title("left")) == (
-        "CoM speed (mm/s)",
-        "yaw rate (rad/s)",
-    )
-    for axes, scale, values in (
-        (speed, 1e3, [-4.0, 1.0, 1.0, -2.0]),
-        (yaw, 1.0, [0.7, 0.1, 0.001, 0.801]),
+    for axes, title, values, label in (
+        (speed, "CoM speed (mm/s)", [-4.0, 1.0, 1.0, -2.0], "−4.0"),
+        (yaw, "yaw rate (rad/s)", [0.7, 0.1, 0.001, 0.801], "+0.70"),
     ):
+        assert axes.get_title("left") == title
         assert [bar.get_x() for bar in axes.patches] == [0.0] * 4
         assert [bar.get_width() for bar in axes.patches] == pytest.approx(values)
-        assert [text.get_text() for text in axes.texts][0] == {
-            1e3: "−4.0",
-            1.0: "+0.70",
-        }[scale]
+        assert axes.texts[0].get_text() == label
     assert yaw.texts[2].get_text() == "0"
 
 
-def printed_lines(shares):
-    """Return the words of each line of the table of contributions."""
-    attribution = Attribution(
-        (1.0,) * 4, (0.51, 2.0, 0, 0), (0,) * 4, (0,) * 4, (), shares
-    )
+def printed(*shares):
+    """Return the last four words of each line about a contribution in the printed table."""
+    gap = (0.51, 2.0, 0.0, 0.0)
+    attribution = Attribution((1.0,) * 4, gap, (0,) * 4, (0,) * 4, (), shares)
     console = Console(width=80, file=StringIO())
     console.print(_attribution_table(attribution.document()))
-    return [line.split() for line in console.file.getvalue().splitlines()]
+    lines = [line.split() for line in console.file.getvalue().splitlines()]
+    names = {share.name for share in shares} | {"lowest,", "highest,"}
+    return [" ".join(line[-4:]) for line in lines if names.intersection(line[:1])]
 
 
 def test_table_states_the_range_over_the_orders():
-    shares = (
-        AssumptionShare(
-            "alone", "", (0.5, 0.0, 0.0, 0.0), (0.5, 0, 0, 0), (0.5, 0, 0, 0), "refined"
-        ),
-        AssumptionShare(
-            "mean",
-            "",
-            (0.01, 2.0, 0.0, 0.0),
-            (-0.04, 1.0, 0, 0),
-            (0.05, 3.0, 0, 0),
-            "averaged",
-        ),
-    )
-    lines = printed_lines(shares)
-    ranges = [
-        line[-4:]
-        for line in lines
-        if line[:1] in (["alone"], ["mean"], ["lowest,"], ["highest,"])
-    ]
-    expected = [
+    alone = share("alone", (0.5, 0.0, 0.0, 0.0))
+    low, high = (-0.04, 1.0, 0.0, 0.0), (0.05, 3.0, 0.0, 0.0)
+    mean = share("mean", (0.01, 2.0, 0.0, 0.0), low, high)
+    assert printed(alone, mean) == [
         "+0.5000 0 0 0",
         "+0.0100 +2.0000 0 0",
         "-0.0400 +1.0000 0 0",
         "+0.0500 +3.0000 0 0",
     ]
-    assert [" ".join(line) for line in ranges] == expected
 
 
 def test_contributions_that_round_to_zero_have_no_sign():
     value = (4.9e-5, -4.9e-5, 5.1e-5, -5.1e-5)
-    lines = printed_lines(
-        (AssumptionShare("alone", "", value, value, value, "refined"),)
-    )
-    (printed,) = (line[-4:] for line in lines if line[:1] == ["alone"])
-    assert printed == ["0", "0", "+0.0001", "-0.0001"]
+    assert printed(share("alone", value)) == ["0 0 +0.0001 -0.0001"]
 
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
 def test_variants_of_the_twin_keep_its_friction_solver(contact):
     """The effect of another solver is no part of the difference between model and twin."""
-    variants = PlantVariants(
-        scenario(plants={"analytical": {}, "twin": {"contact": contact}})
-    )
-    solver = type(variants.twin().contact)
+    plants = {"analytical": {}, "twin": {"contact": contact}}
+    variants = PlantVariants(scenario(plants=plants))
     changed = [
-        refinement.options["contact"]
+        type(refinement.options["contact"])
         for refinement in variants.refinements
         if "contact" in refinement.options
     ]
-    assert [type(contact) for contact in changed] == [solver]
+    assert changed == [type(variants.twin().contact)]
 
 
 def scenario(**changes):
@@ -189,11 +158,30 @@ def scenario(**changes):
     return parse_scenario(data | changes, name="short")
 
 
+def ran(s, plant, **options):
+    """Return a run of a plant of a scenario with other options."""
+    plant = s.build_plant(plant, **options)
+    return rollout(plant, s.build_controller(), **s.timing)
+
+
 def both(s):
-    return {
-        k: rollout(s.build_plant(k), s.build_controller(), s.duration)
-        for k in ("analytical", "twin")
-    }
+    return {plant: ran(s, plant) for plant in ("analytical", "twin")}
+
+
+def between(runs, end=None):
+    """Return the differences between two runs until a time."""
+    pair = [runs[plant] for plant in ("analytical", "twin")]
+    if end is not None:
+        pair = [run.between(0.0, end) for run in pair]
+    return gap_between(*pair)
+
+
+def assert_adds_up(attribution, gap):
+    """Assert that the contributions and the remainder add up to a difference."""
+    assert attribution.gap == pytest.approx(gap)
+    parts = [share.value for share in attribution.shares]
+    total = np.sum([*parts, attribution.remainder], axis=0)
+    assert total == pytest.approx(gap, abs=1e-12)
 
 
 @pytest.fixture(scope="module")
@@ -201,28 +189,26 @@ def explained():
     s = scenario()
     progress: list[tuple[float, float | None]] = []
     walls = {"analytical": 0.01, "twin": 0.5}
-    report = lambda *reported: progress.append(reported)  # noqa: E731
-    return explain(s, both(s), progress=report, wall_s=walls), progress
+    attribution = explain(
+        s, both(s), progress=lambda *reported: progress.append(reported), wall_s=walls
+    )
+    return attribution, progress
 
 
 @pytest.mark.slow
 def test_variants_under_a_controller_with_sensors_are_the_same_in_worker_processes():
     s = load_scenario("ilc_straight", set={"duration_s": 1.0})
-    variants = PlantVariants(s)
-    names = list(_builders(variants))[:2]
+    builders = _builders(PlantVariants(s))
+    names = list(builders)[:2]
     counts = []
     tasks = [_Task(s, name, s.build_controller(), s.duration) for name in names]
     runs = _in_processes(tasks, counts.append)
-    assert counts == [1, 2] and [run.metadata["plant"] for run in runs] == [
-        "twin",
-        "analytical",
-    ]
+    assert counts == [1, 2]
+    assert [run.metadata["plant"] for run in runs] == ["twin", "analytical"]
     for name, run in zip(names, runs, strict=True):
-        here = rollout(_builders(variants)[name](), s.build_controller(), **s.timing)
-        assert all(
-            (here[column] == run[column]).all()
-            for column in ("com_x", "bend_1", "duty_plus_1")
-        )
+        here = rollout(builders[name](), s.build_controller(), **s.timing)
+        for column in ("com_x", "bend_1", "duty_plus_1"):
+            assert (here[column] == run[column]).all()
 
 
 @pytest.mark.slow
@@ -279,73 +265,57 @@ def test_shares_equal_the_changes_of_switches_and_refinements():
     alike = {"model": "compliant", "friction": "wheel", "inertia": "point"}
     s = scenario(plants={"analytical": alike, "twin": {}})
     runs = both(s)
-
-    def ran(plant, **options):
-        return rollout(
-            s.build_plant(plant, **options), s.build_controller(), s.duration
-        )
-
-    model = ran("analytical", inertia="connector")
     twin = runs["twin"]
-    gap = gap_between(model, runs["twin"])
-    coarse = s.build_plant("twin").timestep
+    model = ran(s, "analytical", inertia="connector")
+    gap = gap_between(model, twin)
+    half_step = ran(s, "twin", timestep=s.build_plant("twin").timestep / 2)
+    still_wheels = ran(s, "twin", numerics=Numerics(wheel_spin=0.0))
     finer = ran(
-        "analytical", inertia="connector", timestep=0.002 / 4, slip_speed=0.00025 / 4
+        s,
+        "analytical",
+        inertia="connector",
+        timestep=0.002 / 4,
+        slip_speed=0.00025 / 4,
     )
     expected = {
-        "connector inertia": gap_between(runs["analytical"], twin) - gap,
-        "twin time step": (
-            4 / 3 * (gap - gap_between(model, ran("twin", timestep=coarse / 2)))
-        ),
-        "wheel inertia": (
-            gap - gap_between(model, ran("twin", numerics=Numerics(wheel_spin=0.0)))
-        ),
+        "connector inertia": between(runs) - gap,
+        "twin time step": 4 / 3 * (gap - gap_between(model, half_step)),
+        "wheel inertia": gap - gap_between(model, still_wheels),
         "model time step": 4 / 3 * (gap - gap_between(finer, twin)),
     }
     attribution = explain(s, runs)
-    assert attribution.gap == pytest.approx(gap_between(runs["analytical"], twin))
-    shares = {share.name: share.value for share in attribution.shares}
+    assert_adds_up(attribution, between(runs))
     averaged = {share.name for share in attribution.shares if share.how == "averaged"}
     assert averaged == {"connector inertia"}
+    shares = {share.name: share.value for share in attribution.shares}
     for name, value in expected.items():
-        assert np.abs(value[:2]).min() > 1e-4 and shares[name] == pytest.approx(
-            value
-        ), name
-
-
-@pytest.mark.slow
-@pytest.mark.slow
-def test_document_is_plain_data_and_names_its_measures(explained):
-    document = json.loads(json.dumps(explained[0].document()))
-    assert document["measures"] == list(MEASURES)
-    assert len(document["shares"][0]["value"]) == len(MEASURES)
+        assert np.abs(value[:2]).min() > 1e-4
+        assert shares[name] == pytest.approx(value), name
 
 
 def test_only_differing_assumptions_are_switched():
+    def variants(analytical, robot="gen2", **twin):
+        plants = {"analytical": analytical, "twin": twin}
+        return PlantVariants(scenario(plants=plants, robot=robot))
+
+    def names(items):
+        return [item.name for item in items]
+
     alike = {"model": "compliant", "friction": "wheel", "inertia": "connector"}
-    assert (
-        PlantVariants(scenario(plants={"analytical": alike, "twin": {}})).switches == []
-    )
+    assert variants(alike).switches == []
     other = {"model": "simplified", "friction_torque": False, "gaps": False}
-    variants = PlantVariants(
-        scenario(plants={"analytical": other, "twin": {"wheels": "skid"}})
-    )
-    names = [
+    found = variants(other, wheels="skid")
+    assert names(found.switches) == [
         "friction law",
         "wheel track",
         "rigid gaps",
         "compliance",
         "connector inertia",
     ]
-    assert [switch.name for switch in variants.switches] == names
-    assert [switch.name for switch in variants.first] == ["frozen chords"]
-    assert "wheel inertia" not in [
-        refinement.name for refinement in variants.refinements
-    ]
-    bending = {"base": "gen2", "bending": {"damping_time_s": 0.01}}
-    assert "damping" in [
-        switch.name for switch in PlantVariants(scenario(robot=bending)).switches
-    ]
+    assert names(found.first) == ["frozen chords"]
+    assert "wheel inertia" not in names(found.refinements)
+    damped = {"base": "gen2", "bending": {"damping_time_s": 0.01}}
+    assert "damping" in names(variants({}, robot=damped).switches)
 
 
 def test_every_switch_changes_the_plant():
@@ -356,59 +326,32 @@ def test_every_switch_changes_the_plant():
     plain, all_on = (
         variants.analytical(frozenset(on)).describe() for on in ((), every)
     )
-    assert (plain["model"], plain["friction"], plain["track_m"], plain["inertia"]) == (
-        "simplified",
-        "axis",
-        0.0,
-        "point",
-    )
-    assert (
-        all_on["model"],
-        all_on["friction"],
-        all_on["track_m"],
-        all_on["inertia"],
-    ) == (
-        "compliant",
-        "wheel",
-        0.015,
-        "connector",
-    )
+    for key, off, on in (
+        ("model", "simplified", "compliant"),
+        ("friction", "axis", "wheel"),
+        ("track_m", 0.0, 0.015),
+        ("inertia", "point", "connector"),
+    ):
+        assert (plain[key], all_on[key]) == (off, on)
     for refinement in variants.refinements:
         if refinement.plant == "twin" and "robot" not in refinement.options:
             about = variants.twin(**refinement.options).describe()
-            usual = variants.twin().describe()
-            assert about != usual, refinement.name
+            assert about != variants.twin().describe(), refinement.name
 
 
 @pytest.mark.slow
 def test_frozen_chords_are_switched_first_and_shares_add_up():
     """Compliant bends include arcs; averaging over both orders would split the contribution of arcs."""
-    s = scenario(
-        plants={
-            "analytical": {"model": "simplified", "friction_torque": False},
-            "twin": {},
-        }
-    )
+    frozen = {"model": "simplified", "friction_torque": False}
+    s = scenario(plants={"analytical": frozen, "twin": {}})
     runs = both(s)
     attribution = explain(s, runs)
-    assert (attribution.shares[0].name, attribution.shares[0].how) == (
-        "frozen chords",
-        "first",
-    )
-    total = (
-        np.sum([share.value for share in attribution.shares], axis=0)
-        + attribution.remainder
-    )
-    assert total == pytest.approx(attribution.gap, abs=1e-12)
-    arcs = rollout(
-        s.build_plant("analytical", model="complete", friction_torque=True),
-        s.build_controller(),
-        2.0,
-    )
-    expected = gap_between(runs["analytical"], runs["twin"]) - gap_between(
-        arcs, runs["twin"]
-    )
-    assert attribution.shares[0].value == pytest.approx(expected)
+    assert_adds_up(attribution, between(runs))
+    first = attribution.shares[0]
+    assert (first.name, first.how) == ("frozen chords", "first")
+    arcs = ran(s, "analytical", model="complete", friction_torque=True)
+    change = between(runs) - gap_between(arcs, runs["twin"])
+    assert first.value == pytest.approx(change)
 
 
 @pytest.mark.slow
@@ -419,51 +362,39 @@ def test_diverged_variant_is_named_and_keeps_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(PlantVariants, "stiff_twin", stuck)
     result = prepare(scenario(), tmp_path).execute(explain=explain)
     (error,) = result.failed_attributions
-    assert (
-        str(error)
-        == "short: attribution: stiff twin: twin diverged at t = 0.3 s: it flew"
-    )
-    assert (
-        result.metrics["plants"]["twin"]["com_speed_m_s"] > 0.1
-        and "attribution" not in result.metrics
-    )
-    assert (tmp_path / "report.html").is_file() and (
-        tmp_path / "twin.parquet"
-    ).is_file()
+    said = "short: attribution: stiff twin: twin diverged at t = 0.3 s: it flew"
+    assert str(error) == said
+    assert result.metrics["plants"]["twin"]["com_speed_m_s"] > 0.1
+    assert "attribution" not in result.metrics
+    for name in ("report.html", "twin.parquet"):
+        assert (tmp_path / name).is_file()
 
 
-def test_only_long_runs_under_feedback_are_attributed_over_a_window():
-    gait = load_scenario("gen1_straight")
-    learning = load_scenario("ilc_straight")
-    assert _window(gait, gait.build_controller(), 1e3) is None
-    controller = learning.build_controller()
-    assert (
-        _window(learning, controller, 25.0) == 12.0
-        and _window(learning, controller, 11.0) is None
-    )
-    fine = load_scenario("ilc_growth")
-    assert (
-        _window(fine, fine.build_controller(), 8.0) == 4.0
-    )  # four periods of 1 s, 16,000 steps
+@pytest.mark.parametrize(
+    ("name", "seconds", "window"),
+    [
+        ("gen1_straight", 1e3, None),
+        ("ilc_straight", 25.0, 12.0),
+        ("ilc_straight", 11.0, None),
+        ("ilc_growth", 8.0, 4.0),  # four periods of 1 s, 16,000 steps
+    ],
+)
+def test_only_long_runs_under_feedback_are_attributed_over_a_window(
+    name, seconds, window
+):
+    s = load_scenario(name)
+    assert _window(s, s.build_controller(), seconds) == window
 
 
 def test_window_of_a_run_equals_a_shorter_run():
-    s = load_scenario("ilc_straight", set={"duration_s": 1.2})
     long, short = (
-        rollout(
-            s.build_plant("analytical"),
-            s.build_controller(),
-            seed=s.seed,
-            duration=duration,
-        )
+        ran(load_scenario("ilc_straight", set={"duration_s": duration}), "analytical")
         for duration in (1.2, 0.8)
     )
     part = long.between(0.0, 0.8)
     assert part.columns.keys() == short.columns.keys() and len(part) == len(short) == 81
-    assert all(
-        np.array_equal(part[name], short[name], equal_nan=True)
-        for name in short.columns
-    )
+    for name, column in short.columns.items():
+        assert np.array_equal(part[name], column, equal_nan=True)
 
 
 @pytest.mark.slow
@@ -471,45 +402,29 @@ def test_attribution_over_a_window_adds_up_to_the_difference_in_it(monkeypatch):
     s = load_scenario("ilc_straight", set={"duration_s": 5})
     monkeypatch.setattr(attribution_module, "_MAX_STEPS", 3000)
     monkeypatch.setattr(attribution_module, "_MIN_WINDOW_PERIODS", 3)
-    runs = {
-        k: rollout(s.build_plant(k), s.build_controller(), **s.timing)
-        for k in ("analytical", "twin")
-    }
+    runs = both(s)
     attribution = explain(s, runs)
-    assert attribution.window_s == 3.0 and attribution.document()["window_s"] == 3.0
-    gap = gap_between(
-        *(runs[kind].between(0.0, 3.0) for kind in ("analytical", "twin"))
-    )
-    total = (
-        np.sum([share.value for share in attribution.shares], axis=0)
-        + attribution.remainder
-    )
-    assert attribution.gap == pytest.approx(gap) and total == pytest.approx(
-        gap, abs=1e-12
-    )
-    assert attribution.gap != pytest.approx(
-        gap_between(runs["analytical"], runs["twin"])
-    )
+    assert attribution.window_s == attribution.document()["window_s"] == 3.0
+    assert_adds_up(attribution, between(runs, 3.0))
+    assert attribution.gap != pytest.approx(between(runs))
 
 
 def test_run_without_attribution_is_rejected():
     s = scenario(duration_s=1.0)
     runs = both(s)
-    with pytest.raises(
-        InputError, match="an attribution compares the two plants, but only one"
-    ):
-        explain(s, {"twin": runs["twin"]})
     scaled = {"analytical": {"gaps": False}, "twin": {}}
     with_factor = scenario(plants=scaled, comparison={"gap_factor": True})
-    with pytest.raises(
-        InputError,
-        match="cannot be attributed, because `comparison.gap_factor` scales the speed",
+    for case, plants, words in (
+        (s, {"twin": runs["twin"]}, "an attribution compares the two plants, but only"),
+        (
+            with_factor,
+            both(with_factor),
+            "because `comparison.gap_factor` scales the speed",
+        ),
+        (s, runs, r"short: .*; at least three gait periods are needed"),
     ):
-        explain(with_factor, both(with_factor))
-    with pytest.raises(
-        InputError, match=r"short: .*; at least three gait periods are needed"
-    ):
-        explain(s, runs)
+        with pytest.raises(InputError, match=words):
+            explain(case, plants)
 
 
 def blocked(x):
@@ -527,21 +442,16 @@ def test_main_cause_refers_to_the_time_before_the_contact():
     first = touches(runs["twin"])[0].begin
     assert end == pytest.approx(first - 0.01) and 1.5 <= end < s.duration
     cause = main_cause(s, runs)
-    compliant = rollout(
-        PlantVariants(s).analytical(frozenset({"compliance"})),
-        s.build_controller(),
-        s.duration,
-    )
+    assert cause["window_s"] == end
+    plant = PlantVariants(s).analytical(frozenset({"compliance"}))
+    compliant = rollout(plant, s.build_controller(), s.duration)
     before, after = (
         plant_metrics(run.between(0.0, end)) for run in (runs["analytical"], compliant)
     )
-    assert cause["window_s"] == end
     for name in ("com_speed_m_s", "yaw_rate_rad_s"):
         assert cause[name] == pytest.approx(after[name] - before[name])
-    assert (
-        main_cause(s, {kind: run.between(0.0, 1.2) for kind, run in runs.items()})
-        is None
-    )
+    short = {plant: run.between(0.0, 1.2) for plant, run in runs.items()}
+    assert main_cause(s, short) is None
 
 
 def test_variants_of_the_twin_run_without_obstacles():
@@ -553,20 +463,12 @@ def test_variants_of_the_twin_run_without_obstacles():
 def test_attribution_adds_up_to_the_difference_before_the_contact():
     s = blocked(0.45)
     runs = both(s)
-    end = contact_free_s(runs.values())
     attribution = explain(s, runs)
-    free = [runs[kind].between(0.0, end) for kind in ("analytical", "twin")]
-    assert attribution.window_s == end
-    total = (
-        np.sum([share.value for share in attribution.shares], axis=0)
-        + attribution.remainder
-    )
-    assert attribution.gap == pytest.approx(
-        gap_between(*free)
-    ) and total == pytest.approx(attribution.gap)
+    assert attribution.window_s == contact_free_s(runs.values())
+    assert_adds_up(attribution, between(runs, attribution.window_s))
     # Compliance explains most of the difference, as in a run without an obstacle.
-    shares = {share.name: share.value[0] for share in attribution.shares}
-    assert max(shares, key=lambda name: abs(shares[name])) == "compliance"
+    largest = max(attribution.shares, key=lambda share: abs(share.value[0]))
+    assert largest.name == "compliance"
 
 
 def test_early_contact_leaves_nothing_to_explain(tmp_path, srs_twin):

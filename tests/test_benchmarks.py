@@ -50,17 +50,6 @@ def test_lsoda_and_the_compiled_model_solve_the_same_equations(
     )
 
 
-def test_lsoda_error_decreases_with_its_tolerance():
-    gait = Gait(2.0, 0.2)
-    bends = bend_intervals(SPEC, gait, 0.3, SUPPLY)
-    model = CompleteModel(SPEC, friction="wheel", slip=0.0005)
-    paths = [
-        solve(model, bends, rtol=t, atol=1e-3 * t)[:, :2] for t in (1e-2, 1e-5, 1e-8)
-    ]
-    rough, good = (np.abs(path - paths[-1]).max() for path in paths[:2])
-    assert good < 0.1 * rough < 1e-3
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("script", ["timing", "scaling"])
 def test_doctests_of_the_timing_helpers(script):

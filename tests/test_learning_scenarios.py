@@ -49,16 +49,12 @@ def test_the_command_line_runs_a_file(tmp_path, srs_twin):
     (tmp_path / "turn.yaml").write_text(FILE, "utf-8")
     done = srs_twin("run", "turn.yaml", "--check", "--out", "out", cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
-    assert (
-        "periods to converge" in done.stdout and "curvature at the end" in done.stdout
-    )
-    found = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))["plants"][
-        "analytical"
-    ]
-    assert (
-        found["periods_to_converge"] <= 12
-        and min(found["extent_left_m"], found["extent_right_m"]) > 0
-    )
+    assert "periods to converge" in done.stdout
+    assert "curvature at the end" in done.stdout
+    metrics = json.loads((tmp_path / "out/metrics.json").read_text("utf-8"))
+    found = metrics["plants"]["analytical"]
+    assert found["periods_to_converge"] <= 12
+    assert min(found["extent_left_m"], found["extent_right_m"]) > 0
     assert len(found["duty"]) == len(found["amplitude_error_rad"]) == 11
     page = (tmp_path / "out/report.html").read_text("utf-8")
     assert "Learning: amplitudes and duties of each module per period." in page
@@ -68,43 +64,34 @@ def test_the_command_line_runs_a_file(tmp_path, srs_twin):
 
 
 def test_settings_reach_the_controller():
-    given = scenario(
-        offset=0.2,
-        target_rad=0.5,
-        k_per_rad=0.4,
-        free_periods=3,
-        carrier_hz=100,
-        on_fault="stop",
-        steering="targets_and_wave",
-        phase_rad=1.0,
-    )
-    controller = given.build_controller()
-    snake = given.build_plant("analytical")
-    controller.reset(snake.spec, snake.tick)
-    about = controller.describe()
+    def described(given):
+        controller = given.build_controller()
+        snake = given.build_plant("analytical")
+        controller.reset(snake.spec, snake.tick)
+        return controller.describe()
+
     settings = {
         "k_per_rad": 0.4,
         "free_periods": 3,
         "carrier_hz": 100,
-        "target": 0.5,
         "on_fault": "stop",
+        "steering": "targets_and_wave",
     }
-    assert about | settings | {"steering": "targets_and_wave"} == about
-    assert (
-        controller.offset == 0.2
-        and controller.frequency == 1.0
-        and given.layout == "3/2"
-    )
-    defaults = scenario().build_controller()
-    defaults.reset(snake.spec, snake.tick)
-    about = defaults.describe()
-    settings = {
+    given = scenario(offset=0.2, target_rad=0.5, phase_rad=1.0, **settings)
+    about = described(given)
+    assert about | settings | {"target": 0.5} == about
+    controller = given.build_controller()
+    assert (controller.offset, controller.frequency) == (0.2, 1.0)
+    assert given.layout == "3/2"
+    defaults = {
         "k_per_rad": 0.3,
         "free_periods": 2,
         "carrier_hz": 60,
         "target": "smallest",
+        "steering": "targets",
     }
-    assert about | settings | {"steering": "targets"} == about
+    about = described(scenario())
+    assert about | defaults == about
 
 
 def test_a_target_out_of_reach_is_warned_of():
@@ -117,17 +104,16 @@ def test_a_target_out_of_reach_is_warned_of():
     )
 
 
-def test_the_shipped_pairs_differ_in_nothing_but_the_learning():
-    for name in ("straight", "curve"):
-        learning = load_scenario(f"ilc_{name}")
-        without = load_scenario(f"ilc_{name}_without")
-        assert learning.robot == without.robot and learning.duration == without.duration
-        assert learning.controller.offset == without.controller.offset
-        assert learning.controller.frequency_hz == without.controller.frequency_hz
-        assert (
-            learning.supply_pa == without.supply_pa
-            and learning.file.pneumatics == without.file.pneumatics
-        )
+@pytest.mark.parametrize("name", ["ilc_straight", "ilc_curve"])
+def test_the_shipped_pairs_differ_in_nothing_but_the_learning(name):
+    def shared(scenario):
+        controller = scenario.controller
+        gait = (controller.offset, controller.frequency_hz)
+        air = (scenario.supply_pa, scenario.file.pneumatics)
+        return scenario.robot, scenario.duration, *gait, *air
+
+    learning, without = (load_scenario(each) for each in (name, f"{name}_without"))
+    assert shared(learning) == shared(without)
 
 
 class Silent(Sensor):

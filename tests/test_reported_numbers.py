@@ -48,10 +48,9 @@ def fitted(bias: float, spread: float = 0.0) -> Accuracy:
 
 
 def test_a_value_shifted_by_model_error_names_the_value_without_it():
-    high = fitted(0.5).parameter(0)
-    assert "the reference simulates with 9 give this value" in high.why
-    low = fitted(-0.5).parameter(0)
-    assert "the reference simulates with 11 give this value" in low.why
+    for bias, value in ((0.5, 9), (-0.5, 11)):
+        why = fitted(bias).parameter(0).why
+        assert f"the reference simulates with {value} give this value" in why
     assert "model error" not in fitted(0.0).parameter(0).why
 
 
@@ -217,29 +216,21 @@ def test_lumped_inertia_is_that_of_rods_of_half_a_pitch(name):
 
 
 def test_wheels_of_a_placed_twin_roll_without_slip():
-    """Along its straight body, the wheels turn by the distance over their radius."""
     spec = load_robot("gen2")
     twin = TwinSnake(spec, contact="preloaded")
     state = twin.reset(pose=(0.0, 0.0, 0.3))
-    velocity = 0.2 * np.array([math.cos(0.3), math.sin(0.3)])
-    twin.set_state(replace(state, com_velocity=velocity))
     model, data = twin.physics.model, twin.physics.data
-    rates = [
-        data.qvel[model.jnt_dofadr[joint]]
-        for joint in range(model.njnt)
-        if model.joint(joint).name.startswith("axle_")
-    ]
-    assert len(rates) >= spec.geometry.connectors
-    assert rates == pytest.approx([0.2 / spec.geometry.wheel_radius] * len(rates))
-    # Wheels do not turn while the body slides sideways.
-    across = np.array([-velocity[1], velocity[0]])
-    twin.set_state(replace(state, com_velocity=across))
-    rates = [
-        data.qvel[model.jnt_dofadr[joint]]
-        for joint in range(model.njnt)
-        if model.joint(joint).name.startswith("axle_")
-    ]
-    assert np.abs(rates).max() < 1e-9
+    names = [model.joint(joint).name for joint in range(model.njnt)]
+    wheels = [name for name in names if name.startswith("axle_")]
+    assert len(wheels) >= spec.geometry.connectors
+    # Along its straight body, the wheels turn by the distance over their radius; they
+    # do not turn while the body slides sideways.
+    turning = 0.2 / spec.geometry.wheel_radius
+    for direction, rate in ((0.3, turning), (0.3 + math.pi / 2, 0.0)):
+        velocity = 0.2 * np.array([math.cos(direction), math.sin(direction)])
+        twin.set_state(replace(state, com_velocity=velocity))
+        rates = [float(data.joint(name).qvel[0]) for name in wheels]
+        assert rates == pytest.approx([rate] * len(wheels), abs=1e-9)
 
 
 def test_a_report_of_valves_holds_from_one_tick_before_it():
