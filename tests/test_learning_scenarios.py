@@ -12,11 +12,9 @@ import pytest
 
 from srs_twin import InputError, Trajectory, load_scenario
 from srs_twin.comparison.compare import compare
-from srs_twin.comparison.learning import PeriodAmplitudes
 from srs_twin.experiment import prepare
 from srs_twin.scenario.loading import parse_scenario
 from srs_twin.sensing import Sensor
-from srs_twin.viewing.plots.runs import learning_plot
 
 FILE = """\
 title: Learning to turn
@@ -155,18 +153,6 @@ def test_a_run_that_a_fault_ends_still_gives_everything(stopped):
     assert compare(ended, whole).time[-1] == ended.time[-1]
     again = Trajectory.from_parquet(Path(stopped.folder) / "analytical.parquet")
     assert np.isnan(again["measured_bend_1"]).all() and again.events[-1].kind == "fault"
-
-
-@pytest.mark.slow
-def test_the_picture_shows_what_was_measured(stopped):
-    figure = learning_plot(stopped.trajectories)
-    panels = figure.get_axes()
-    assert len(panels) == 8
-    twin = PeriodAmplitudes.from_trajectory(stopped.trajectories["twin"])
-    drawn = [line.get_ydata() for line in panels[2].get_lines()]
-    assert any(np.array_equal(each, twin.amplitude[:, 1, 0]) for each in drawn)
-    duties = [line.get_ydata() for line in panels[7].get_lines()]
-    assert any(np.array_equal(each, twin.duty[:, 3, 1]) for each in duties)
 
 
 def test_a_carrier_as_slow_as_the_gait_is_refused():

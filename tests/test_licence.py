@@ -6,10 +6,10 @@ import tomllib
 from importlib import metadata
 
 import pytest
+import yaml
 from conftest import ROOT
 
 import srs_twin
-from srs_twin.io.documents import parse_yaml
 
 pytestmark = pytest.mark.fast
 
@@ -25,15 +25,10 @@ def test_installed_package_states_its_licence():
 
 
 def test_citation_has_this_version_and_names_the_dissertation():
-    document = parse_yaml((ROOT / "CITATION.cff").read_text("utf-8"), "CITATION.cff")
-    document.raise_problems()
-    assert document.get("version") == srs_twin.__version__ == PROJECT["version"]
-    assert document.get("license") == PROJECT["license"]
-    assert document.get("authors", 0, "name") == PROJECT["authors"][0]["name"]
-    thesis = document.get("references", 0)
-    assert thesis["type"] == "thesis" and thesis["year"] == 2017
-    assert (
-        thesis["title"]
-        in (ROOT / "docs/reproduction.md").read_text("utf-8")
-        + (ROOT / "calibration/README.md").read_text()
-    )
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert citation["version"] == srs_twin.__version__
+    assert citation["license"] == PROJECT["license"]
+    thesis = citation["references"][0]
+    assert (thesis["type"], thesis["year"]) == ("thesis", 2017)
+    pages = [ROOT / name for name in ("docs/reproduction.md", "calibration/README.md")]
+    assert any(thesis["title"] in page.read_text("utf-8") for page in pages)

@@ -27,6 +27,7 @@ from srs_twin.comparison.learning import (
 from srs_twin.comparison.metrics import headline, plant_metrics
 from srs_twin.control.learning import ILC
 from srs_twin.studies.sweep.task import flat_metrics
+from srs_twin.viewing.plots.runs import learning_plot
 
 pytestmark = pytest.mark.fast
 
@@ -91,6 +92,18 @@ def test_amplitudes_and_duties_by_period():
     )
     assert found["duty_lowest"] == pytest.approx(0.6)
     assert found["duty_highest"] == pytest.approx(0.66)
+
+
+def test_amplitudes_targets_and_duties_are_plotted_by_period():
+    panels = learning_plot({"twin": learnt(RUN, amplitudes(FADING))}).axes
+    bends, duties = panels[4:6]
+    plus, target, minus, _ = (line.get_ydata() for line in bends.lines)
+    assert plus == pytest.approx(0.7 * (1 + np.array(FADING)))
+    assert minus == pytest.approx(0.4 * (1 + np.array(FADING)))
+    assert target == pytest.approx(np.full(11, 0.7))
+    for line in duties.lines:
+        assert line.get_xdata().tolist() == list(range(1, 12))
+        assert line.get_ydata()[-1] == pytest.approx(0.64)
 
 
 @pytest.mark.parametrize(

@@ -207,6 +207,9 @@ def test_the_report_shows_readings_only_with_a_sensor(tmp_path):
         "sensed (°)",
         "mean − bend (°)",
     ]
+    errors = figure.axes[1].lines[0]
+    assert errors.get_ydata() == pytest.approx(errors.get_xdata())
+    assert errors.get_xdata()[-1] == pytest.approx(math.degrees(1.0), abs=0.5)
     assert reading_plot({"twin": run(bend, bend, {"kind": "ideal"})}) is None
     lost = reading_plot({"twin": run([0.0, 0.1], [np.nan, np.nan])})
     lost.savefig(tmp_path / "lost.png")

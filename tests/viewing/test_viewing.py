@@ -23,7 +23,12 @@ from synthetic import Snake, numbered, sampled, with_columns
 from viewing_runs import directions, flat, pair, read_back, robot, run
 
 from srs_twin.comparison.centre_line import centre_lines, line_height
-from srs_twin.comparison.compare import compare
+from srs_twin.comparison.compare import (
+    AssumptionShare,
+    Attribution,
+    MeasuredDifference,
+    compare,
+)
 from srs_twin.comparison.metrics import plant_metrics
 from srs_twin.errors import InputError
 from srs_twin.robot.world import Circle, MovableObject, Polygon, World
@@ -31,7 +36,14 @@ from srs_twin.trajectory import Event
 from srs_twin.viewing.content import RunContent
 from srs_twin.viewing.html.report import write_report
 from srs_twin.viewing.plots.from_above import plan_view, strobe_times
-from srs_twin.viewing.plots.runs import bend_plot, error_plot, pressure_plot, speed_plot
+from srs_twin.viewing.plots.runs import (
+    bend_plot,
+    error_plot,
+    measured_plot,
+    pressure_plot,
+    speed_plot,
+    tracking_plot,
+)
 from srs_twin.viewing.plots.signals import (
     body_line,
     forward_speed,
@@ -393,6 +405,40 @@ def test_errors_are_plotted_in_mm_and_body_lengths(spec, runs):
     assert percent.get_ylim() == pytest.approx((0, share))
 
 
+def test_differences_from_the_robot_are_plotted_in_mm_and_rad(runs):
+    difference = MeasuredDifference.between(runs["analytical"], runs["twin"])
+    both = difference.comparison
+    figure = measured_plot({"twin": difference})
+    plotted = [axes.lines[0].get_ydata() for axes in figure.axes]
+    for values, expected in zip(
+        plotted,
+        (
+            1e3 * both.shape_error,
+            1e3 * both.path_error,
+            both.heading_error,
+            np.linalg.norm(both.bend_error, axis=1) / 2,  # of four segments
+        ),
+        strict=True,
+    ):
+        assert values == pytest.approx(expected)
+    assert measured_plot({}) is None
+
+
+def test_the_last_four_periods_of_a_tracked_reference_are_plotted():
+    snake = run("twin", Snake(duration=10.0))
+    reference = np.sign(np.sin(np.pi * snake.time + 0.1))  # a period of 2 s
+    tracked = with_columns(
+        snake, reference_1=reference, measured_bend_1=snake["bend_1"] + 0.1
+    )
+    bends, valves = tracking_plot({"twin": tracked}).axes
+    shown = snake.time >= 2.0
+    asked, measured, bend = (line.get_ydata() for line in bends.lines)
+    assert np.array_equal(asked, reference[shown])
+    assert measured == pytest.approx(snake["bend_1"][shown] + 0.1)
+    assert np.array_equal(bend, snake["bend_1"][shown])
+    assert np.array_equal(valves.lines[0].get_ydata(), snake["valve_plus_1"][shown])
+
+
 def test_strobe_bodies_do_not_overlap(spec, runs):
     times = strobe_times(runs, spec.geometry)
     places = np.interp(times, runs["twin"].time, runs["twin"]["com_x"])
@@ -472,6 +518,25 @@ EXPECTATIONS = [
 ]
 
 
+SHARE = AssumptionShare(
+    name="compliance",
+    title="bends: prescribed → compliant",
+    value=(0.02, 4e-6, -0.1234567, 0.01),
+    low=(0.02, 4e-6, -0.2, 0.01),
+    high=(0.02, 4e-6, 0.1, 0.01),
+    how="averaged",
+)
+ATTRIBUTION = Attribution(
+    reference=(0.2,) * 4,
+    gap=(0.03, 0.0, 0.0, 0.0),
+    remainder=(0.01, 0.0, 0.0, 0.0),
+    matched=(-6e-6, 0.0, 0.0, 0.0),
+    same=("rigid gaps",),
+    shares=(SHARE,),
+    damping={"damping of 1 ms": (0.5, 0.0, 0.0, 0.0)},
+)
+
+
 @pytest.fixture(scope="module")
 def report(tmp_path_factory, spec, runs):
     path = tmp_path_factory.mktemp("report") / "report.html"
@@ -485,7 +550,13 @@ def report(tmp_path_factory, spec, runs):
     }
     written = []
     for _ in range(2):
-        write_report(path, content, scenario_title=TITLE, metrics=metrics)
+        write_report(
+            path,
+            content,
+            scenario_title=TITLE,
+            metrics=metrics,
+            attribution=ATTRIBUTION,
+        )
         written.append(path.read_text("utf-8"))
     assert written[0] == written[1], "the same run gives the same report"
     return written[0]
@@ -520,7 +591,7 @@ def test_report_is_one_small_file(report):
     assert len(report) < 2e6
     tree = elements(report)
     sources = [image.get("src") for image in tree.iter("img")]
-    assert len(sources) == 5
+    assert len(sources) == 6
     for source in sources:
         kind, _, content = source.partition(",")
         assert kind == "data:image/svg+xml;base64"
@@ -556,6 +627,16 @@ def test_report_contains_results_and_expectations(report):
     assert "Expectations: 1 met, 1 missed, 1 known to be missed, 1 not judged" in report
     assert rows["geometry.segment_length"] == "m | 0.037"
     assert rows["mujoco"] == "3.17"
+
+
+def test_report_contains_the_contributions_of_the_assumptions(report):
+    rows = {row[0]: row[3:] for row in rows_of(report) if row}
+    assert rows["compliance"] == ["+0.02", "0", "-0.123 [-0.2, +0.1]", "+0.01"]
+    assert rows["not explained"] == ["+0.01", "0", "0", "0"]
+    assert rows["difference"] == ["+0.03", "0", "0", "0"]
+    assert rows["matched (stiff bends)"] == ["-6e-06", "0", "0", "0"]
+    assert rows["damping of 1 ms"] == ["+0.5", "0", "0", "0"]
+    assert "Identical in both plants of this scenario: rigid gaps." in report
 
 
 @pytest.mark.slow
