@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from rich.console import Console
+from synthetic import Snake
 
 from srs_twin import Numerics, TwinSnake, attribution as attribution_module, rollout
 from srs_twin.attribution import (
@@ -291,6 +292,56 @@ def test_shares_equal_the_changes_of_switches_and_refinements():
     for name, value in expected.items():
         assert np.abs(value[:2]).min() > 1e-4
         assert shares[name] == pytest.approx(value), name
+
+
+def test_contributions_follow_from_the_speeds_of_the_variants(monkeypatch):
+    speeds = {
+        "model with compliance": 0.17,
+        "model with connector inertia": 0.19,
+        "model with compliance, connector inertia": 0.15,
+        "model time step": 0.152,
+        "twin time step": 0.163,
+        "stiff twin": 0.18,
+        "matched": 0.175,
+    }
+
+    def crawling(speed):
+        return Snake(speed=speed, sway=(0, 0)).trajectory()
+
+    def simulated(scenario, variants, *options):
+        names = _builders(variants)
+        assert speeds.keys() < names.keys()
+        runs = {name: crawling(speeds.get(name, 0.16)) for name in names}
+        return runs | dict.fromkeys(variants.damped_twins(), crawling(0.161))
+
+    monkeypatch.setattr(attribution_module, "_run_all", simulated)
+    alike = {"model": "complete", "friction": "wheel", "inertia": "point"}
+    s = scenario(plants={"analytical": alike, "twin": {}})
+    found = explain(s, {"analytical": crawling(0.2), "twin": crawling(0.16)})
+    shares = {each.name: each for each in found.shares}
+    compliance = shares.pop("compliance")
+    assert compliance.value[0] == pytest.approx(-0.035)
+    assert (compliance.low[0], compliance.high[0]) == pytest.approx((-0.04, -0.03))
+    values = {name: each.value[0] for name, each in shares.items()}
+    # Refinements by which no speed changed contribute nothing.
+    assert values == pytest.approx(
+        dict.fromkeys(shares, 0.0)
+        | {
+            "connector inertia": -0.015,
+            "twin time step": -4 / 3 * 0.003,
+            "model time step": 4 / 3 * 0.002,
+        },
+        abs=1e-6,
+    )
+    assert found.reference[0] == pytest.approx(0.2)
+    assert found.gap[0] == pytest.approx(-0.04)
+    assert found.matched[0] == pytest.approx(0.005, rel=1e-4)
+    assert found.remainder[0] == pytest.approx(
+        -0.04 + 0.05 + 0.004 - 0.008 / 3, abs=1e-6
+    )
+    assert len(found.damping) == 2
+    for change in found.damping.values():
+        assert change[0] == pytest.approx(0.001, rel=1e-3)
 
 
 def test_only_differing_assumptions_are_switched():
