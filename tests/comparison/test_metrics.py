@@ -3,7 +3,6 @@
 import json
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,34 +122,28 @@ def test_radius_and_yaw_rate_of_a_circle_are_recovered(
     assert found["com_speed_m_s"] == pytest.approx(speed * inside, rel=1e-6)
 
 
-def test_lateral_oscillation_does_not_change_the_radius():
-    found = plant_metrics(
-        Snake(speed=0.15, yaw_rate=0.3, frequency=1.3, duration=12).trajectory()
-    )
-    assert found["turning_radius_m"] == pytest.approx(0.5, rel=1e-3)
-
-
-def test_a_radius_above_100_body_lengths_is_straight():
-    snake = Snake(speed=0.22, sway=(0, 0), duration=20.0)
-    curved, straight = (
-        0.22 / (fraction * 100 * snake.body_length) for fraction in (0.99, 1.01)
-    )
-    radii = [
-        plant_metrics(replace(snake, yaw_rate=rate).trajectory())["turning_radius_m"]
-        for rate in (curved, straight)
-    ]
-    assert radii == [pytest.approx(99 * snake.body_length, rel=1e-3), None]
-
-
-def test_creep_on_the_spot_has_no_radius():
-    found = plant_metrics(Snake(speed=1e-6, yaw_rate=1e-4).trajectory())
-    assert found["yaw_rate_rad_s"] == pytest.approx(1e-4, rel=1e-4)
-    assert found["turning_radius_m"] is None
-
-
-def test_rotation_on_the_spot_has_radius_zero():
-    run = Snake(speed=0.0, yaw_rate=0.5, sway=(0, 0)).trajectory()
-    assert plant_metrics(run)["turning_radius_m"] == pytest.approx(0, abs=1e-9)
+@pytest.mark.parametrize(
+    ("snake", "radius"),
+    [
+        # A lateral oscillation does not change the radius.
+        (
+            Snake(speed=0.15, yaw_rate=0.3, frequency=1.3, duration=12),
+            pytest.approx(0.5, rel=1e-3),
+        ),
+        (Snake(speed=0.0, yaw_rate=0.5, sway=(0, 0)), pytest.approx(0, abs=1e-9)),
+        (Snake(speed=1e-6, yaw_rate=1e-4), None),
+        # 99 and 101 body lengths.
+        (
+            Snake(speed=0.22, yaw_rate=0.01010101, sway=(0, 0), duration=20.0),
+            pytest.approx(21.78, rel=1e-3),
+        ),
+        (Snake(speed=0.22, yaw_rate=0.00990099, sway=(0, 0), duration=20.0), None),
+    ],
+)
+def test_radius_of_turns_on_the_spot_and_of_nearly_straight_paths(snake, radius):
+    found = plant_metrics(snake.trajectory())
+    assert found["turning_radius_m"] == radius
+    assert found["yaw_rate_rad_s"] == pytest.approx(snake.yaw_rate, abs=1e-5)
 
 
 @some

@@ -9,36 +9,18 @@ import numpy as np
 import pyarrow as pa
 from rerun.chunk import RrdReader
 from scipy.spatial.transform import Rotation
+from snakes import chain
 from synthetic import Snake, numbered, with_columns
 
-from srs_twin.robot.spec import (
-    Actuator,
-    Bending,
-    Chamber,
-    Friction,
-    Geometry,
-    Mass,
-    RobotSpec,
-    Supply,
-)
+from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
 
 SUPPLY_PA = 48_300.0
 
 
 def robot(connectors: int = 5) -> RobotSpec:
-    return RobotSpec(
-        name="synthetic",
-        title="Synthetic snake",
-        geometry=Geometry(connectors, 0.037, 0.018, 0.03, 0.012, 0.02, 0.036),
-        mass=Mass((0.03,) * connectors, 0.003),
-        friction=Friction(0.043, 0.57),
-        bending=Bending(0.1, 0.002, 0.1, 0.1, 0.01),
-        actuator=Actuator(0.1, 0.1, 0.002, 3e-5),
-        chamber=Chamber(1e-5, 3e-5),
-        supply=Supply(48_000.0, 69_000.0, 69_000.0, "test"),
-        phase_step=2 * np.pi / (connectors - 1),
-    )
+    """Return generation 2, whose segments are those of the synthetic snake."""
+    return chain((0.03,) * connectors)
 
 
 def run(plant: str, snake: Snake) -> Trajectory:
