@@ -9,13 +9,12 @@ import ast
 import re
 import runpy
 import shutil
-import subprocess
-import sys
 from collections.abc import Iterator
 from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
+from processes import python
 
 from srs_twin import extensions
 
@@ -120,22 +119,12 @@ def test_imports_only_from_the_left():
     assert wrong == []
 
 
-def printed(code: str, **options: Path) -> str:
-    """Return what Python code prints in another process."""
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=False, **options
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
 def test_importing_the_package_imports_nothing_but_the_registry():
     code = (
         "import sys, srs_twin; print(*sorted(name for name in sys.modules if"
         " name.startswith('srs_twin')))"
     )
-    names = printed(code).split()
+    names = python("-c", code).stdout.split()
     assert names == ["srs_twin", "srs_twin.errors", "srs_twin.extensions"]
 
 
@@ -152,7 +141,8 @@ def test_compare_imports_what_its_scenario_names(tmp_path):
         "try:\n    main(['compare', 'gen2_straight', '--duration', '2', '-q'])\n"
         "finally:\n    print(*(n for n in sys.modules if n.startswith('srs_twin')))\n"
     )
-    names = [name.partition(".")[2] for name in printed(code, cwd=tmp_path).split()]
+    imported = python("-c", code, cwd=tmp_path).stdout.split()
+    names = [name.partition(".")[2] for name in imported]
     extensions_used = {name for name in names if name.partition(".")[0] in EXTENSIONS}
     assert sorted(extensions_used) == METRICS_AND_PICTURES
     assert len(names) <= MAX_MODULES
@@ -230,7 +220,7 @@ def test_the_core_runs_without_extensions(root, tmp_path):
     )
     for code in (imports_all, command):
         begin = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); "
-        printed(begin + code, cwd=tmp_path)
+        python("-c", begin + code, cwd=tmp_path)
     assert (tmp_path / "runs" / "gen2_straight" / "report.html").is_file()
 
 

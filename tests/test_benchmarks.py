@@ -6,8 +6,6 @@ import getpass
 import json
 import re
 import socket
-import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,6 +14,7 @@ import pytest
 from benchmark_runs import run_benchmark
 from conftest import ROOT
 from lsoda import CompleteModel, bend_intervals, solve, trajectory
+from processes import python
 
 from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
 
@@ -53,14 +52,7 @@ def test_lsoda_and_the_compiled_model_solve_the_same_equations(
 @pytest.mark.slow
 @pytest.mark.parametrize("script", ["timing", "scaling"])
 def test_doctests_of_the_timing_helpers(script):
-    done = subprocess.run(
-        [sys.executable, "-m", "doctest", f"common/{script}.py"],
-        cwd=ROOT / "benchmarks",
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    python("-m", "doctest", f"common/{script}.py", cwd=ROOT / "benchmarks")
 
 
 @pytest.mark.slow

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from functools import wraps
-from pathlib import Path
 
 import pytest
 
 from srs_twin import load_scenario
-from srs_twin.cli import main
 from srs_twin.control.base import Controller
 from srs_twin.control.gait import Gait
 from srs_twin.io.files import shipped_names
@@ -49,12 +47,6 @@ def built(monkeypatch) -> Counter[str]:
     return counted
 
 
-def start(*words: str) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(list(words))
-    assert not left.value.code
-
-
 @pytest.mark.default_cases(at=[0, 2, 5, 25, 34, 37, 52])
 @pytest.mark.parametrize("name", shipped_names("scenario"))
 def test_loading_builds_no_plant_and_no_controller(built, name):
@@ -65,10 +57,9 @@ def test_loading_builds_no_plant_and_no_controller(built, name):
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize(("command", "twins"), [("compare", 1), ("run", 0)])
 def test_a_command_builds_each_plant_and_each_controller_once(
-    built, tmp_path, monkeypatch, command, twins
+    built, srs_twin, tmp_path, command, twins
 ):
-    monkeypatch.chdir(tmp_path)
-    Path("brief.yaml").write_text(BRIEF + "plants: {analytical: {}}\n")
-    start(command, "brief.yaml", "--quiet")
+    (tmp_path / "brief.yaml").write_text(BRIEF + "plants: {analytical: {}}\n")
+    assert srs_twin(command, "brief.yaml", "-q", cwd=tmp_path).returncode == 0
     expected = {AnalyticalSnake.__name__: 1, TwinSnake.__name__: twins}
     assert built == Counter(expected | {Gait.__name__: 1 + twins})

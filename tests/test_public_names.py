@@ -5,13 +5,12 @@ from __future__ import annotations
 import copy
 import pickle
 import re
-import subprocess
-import sys
 from importlib import import_module
 from pathlib import Path
 
 import jedi
 import pytest
+from processes import python
 
 import srs_twin as srs
 
@@ -44,15 +43,7 @@ def speed(frequency):
 def run_script(folder: Path, source: str) -> str:
     script = folder / "script.py"
     script.write_text(source, "utf-8")
-    done = subprocess.run(
-        [sys.executable, script.name],
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return python(script.name, cwd=folder).stdout
 
 
 @pytest.mark.default_cases(2)
@@ -127,13 +118,9 @@ def test_type_checkers_understand_a_users_script_and_a_new_controller(
     (tmp_path / USER_SCRIPT.name).write_bytes(USER_SCRIPT.read_bytes())
     scripts = ("mistakes.py", USER_SCRIPT.name, "wriggle.py")
     cache = request.config.cache.mkdir("mypy")
-    command = (sys.executable, "-m", "mypy", "--strict", "--cache-dir", cache, *scripts)
-    done = subprocess.run(
-        command, cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.stdout == "Success: no issues found in 3 source files\n", (
-        done.stdout + done.stderr
-    )
+    options = ("--strict", "--cache-dir", cache)
+    done = python("-m", "mypy", *options, *scripts, cwd=tmp_path)
+    assert done.stdout == "Success: no issues found in 3 source files\n"
 
 
 @pytest.mark.slow

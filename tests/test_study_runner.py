@@ -7,13 +7,13 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from benchmark_runs import run_benchmark, run_script
 from conftest import ROOT
+from processes import python
 
 from srs_twin.scenario.provenance import code_digest, code_digests, source_digests
 
@@ -146,13 +146,7 @@ from common.study_pages import DOCS, rendered
 pages = [path for path in DOCS.glob("*.md") if "<!-- study " in path.read_text("utf-8")]
 print(len(pages), [p.name for p in pages if rendered(p.read_text("utf-8")) != p.read_text("utf-8")])
 """
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=BENCHMARKS,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = python("-c", code, cwd=BENCHMARKS)
     number, outdated = done.stdout.split(" ", 1)
     assert int(number) > 0, done.stderr
     assert outdated == "[]\n"

@@ -1,9 +1,6 @@
 """Trajectories: Parquet round trips, equal bytes, units, and rejected files."""
 
 import io
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pyarrow as pa
@@ -11,6 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra import numpy as npst
+from processes import python
 from synthetic import Snake
 
 from srs_twin.errors import InputError
@@ -106,16 +104,7 @@ def test_another_process_writes_the_same_bytes():
         "run.to_parquet(file)\n"
         "print(hashlib.sha256(file.getvalue()).hexdigest())\n"
     )
-    digests = {
-        subprocess.run(
-            [sys.executable, "-c", program],
-            capture_output=True,
-            text=True,
-            env={**os.environ, "PYTHONHASHSEED": seed},
-            check=True,
-        ).stdout
-        for seed in ("1", "2")
-    }
+    digests = {python("-c", program, PYTHONHASHSEED=seed).stdout for seed in ("1", "2")}
     assert len(digests) == 1
 
 

@@ -6,7 +6,6 @@ import json
 import math
 import os
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
@@ -16,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from conftest import ROOT
 from hypothesis import given, strategies as st
+from processes import python
 
 from srs_twin.comparison.diff import (
     Results,
@@ -272,12 +272,8 @@ def test_rounding_differences_are_within_the_default_tolerances(tmp_path):
     program = "from srs_twin.cli import main; main()"
     results = {}
     for name, tunables in (("own", ""), ("other", "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4")):
-        words = [sys.executable, "-P", "-c", program, "sweep", "sweep.yaml"]
-        words += ["--out", name, "--workers", "1"]
-        environment = {**os.environ, "GLIBC_TUNABLES": tunables}
-        subprocess.run(
-            words, cwd=tmp_path, env=environment, check=True, capture_output=True
-        )
+        words = ("sweep", "sweep.yaml", "--out", name, "--workers", "1")
+        python("-P", "-c", program, *words, cwd=tmp_path, GLIBC_TUNABLES=tunables)
         results[name] = read_results(tmp_path / name)
     if results["own"].versions == results["other"].versions:
         pytest.skip("this processor has one variant only")

@@ -2,11 +2,11 @@
 
 import os
 import re
-import subprocess
 import sys
 
 import pytest
 from conftest import ROOT
+from processes import python
 
 FOLDER = ROOT / "examples"
 MAX_LINES = 60
@@ -16,17 +16,8 @@ MAX_SCRIPTS = 10
 def run(folder, name, *arguments):
     """Run an example in a folder, and return what it prints."""
     path = os.pathsep.join([str(ROOT), *filter(None, sys.path)])
-    done = subprocess.run(
-        [sys.executable, str(FOLDER / f"{name}.py"), *arguments],
-        cwd=folder,
-        env={**os.environ, "PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-        timeout=600,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    script = FOLDER / f"{name}.py"
+    return python(script, *arguments, cwd=folder, PYTHONPATH=path).stdout
 
 
 def numbers(text, pattern):

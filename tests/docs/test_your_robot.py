@@ -13,7 +13,6 @@ import pytest
 from conftest import ROOT
 
 from srs_twin import load_robot
-from srs_twin.cli import main
 from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.parameters import free_parameters
 
@@ -30,18 +29,15 @@ HIDDEN = MADE["HIDDEN"]
 
 
 @pytest.fixture(scope="module")
-def walked_through(tmp_path_factory):
+def walked_through(tmp_path_factory, srs_twin):
     """A folder in which all commands of the page were run, in their order."""
     folder = tmp_path_factory.mktemp("user")
     shutil.copytree(ROOT / RECORDINGS, folder / RECORDINGS)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        for command in COMMANDS:
-            words = shlex.split(command)
-            assert words[:3] == ["uv", "run", "srs-twin"]
-            with pytest.raises(SystemExit) as end:
-                main(words[3:])
-            assert end.value.code == 0, command
+    for command in COMMANDS:
+        uv, run, program, *words = shlex.split(command)
+        assert (uv, run, program) == ("uv", "run", "srs-twin")
+        done = srs_twin(*words, cwd=folder)
+        assert done.returncode == 0, (command, done.stderr)
     return folder
 
 
@@ -95,23 +91,10 @@ def test_identified_robot_is_the_hidden_one(walked_through):
 
 @pytest.mark.slow
 def test_fitted_robot_replays_more_accurately_than_the_initial_one(
-    walked_through, monkeypatch
+    walked_through, srs_twin
 ):
-    monkeypatch.chdir(walked_through)
-    with pytest.raises(SystemExit):
-        main(
-            [
-                "replay",
-                f"{RECORDINGS}/walk_check.csv",
-                "-r",
-                "gen2",
-                "--plants",
-                "analytical",
-                "-q",
-                "--out",
-                "before",
-            ]
-        )
+    options = ("-r", "gen2", "--plants", "analytical", "-q", "--out", "before")
+    srs_twin("replay", f"{RECORDINGS}/walk_check.csv", *options, cwd=walked_through)
     after, before = (
         json.loads((walked_through / run / "metrics.json").read_text("utf-8"))[
             "plants"

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 from conftest import ROOT
+from processes import python
 
 PROGRAMS = ("srs-twin ", "uv ")
 
@@ -117,18 +115,9 @@ class Page:
         """Run the Python blocks of the page as a script in a folder, and return its output."""
         self.save_files(folder)
         (folder / "example.py").write_text(self.script, "utf-8")
-        words = [sys.executable, "example.py"]
-        paths = os.environ | {"PYTHONPATH": str(ROOT / "tests/helpers")}
-        done = subprocess.run(
-            words,
-            cwd=folder,
-            env=paths,
-            capture_output=True,
-            text=True,
-            timeout=600,
-            check=False,
-        )
-        assert (done.returncode, done.stderr) == (0, ""), done.stderr
+        helpers = str(ROOT / "tests/helpers")
+        done = python("example.py", cwd=folder, PYTHONPATH=helpers)
+        assert done.stderr == ""
         return done.stdout
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import signal
 import subprocess
 import sys
@@ -14,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import wait_until
 from matplotlib.image import imread
+from processes import python
 
 from srs_twin import load_scenario
 from srs_twin.errors import InputError, WriteError
@@ -470,9 +470,7 @@ def test_egl_and_osmesa_draw_equal_images(runs, name, tmp_path):
         " load_run(sys.argv[1])\nwrite_image(__import__('pathlib').Path('p.png'),"
         " run.scenario, run.trajectories['twin'], 2.0, size=Size(160, 90))"
     )
-    environment = {**os.environ, "MUJOCO_GL": name}
-    command = [sys.executable, "-c", code, str(runs / "gen2_straight")]
-    subprocess.run(command, check=True, cwd=tmp_path, env=environment)
+    python("-c", code, runs / "gen2_straight", cwd=tmp_path, MUJOCO_GL=name)
     run, stage = staged(runs / "gen2_straight")
     row = stage.row_at(2.0)
     with Canvas(stage.model, 160, 90) as canvas:
@@ -490,11 +488,5 @@ def test_unclosed_canvas_is_freed_silently_at_exit(opengl_here):
         f"canvas = Canvas(model, 32, 32, opengl={opengl_here!r})\n"
         "print(canvas.draw(mujoco.MjData(model), mujoco.MjvCamera()).shape)\n"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "(32, 32, 3)\n", "")
+    ended = python("-c", program)
+    assert (ended.stdout, ended.stderr) == ("(32, 32, 3)\n", "")

@@ -18,6 +18,7 @@ from hero import write_plan_animation
 from matplotlib import patches
 from matplotlib.figure import Figure
 from matplotlib.image import imread
+from processes import python
 from screenshot import screenshots
 from synthetic import Snake, numbered, sampled, with_columns
 from viewing_runs import directions, flat, pair, read_back, robot, run
@@ -647,9 +648,7 @@ def test_twin_and_report_need_neither_rerun_nor_pyplot_nor_glfw(monkeypatch):
         "import sys, srs_twin.plants.twin.snake, srs_twin.viewing.html.report\n"
         "print({'rerun', 'matplotlib.pyplot', 'glfw'} & sys.modules.keys())"
     )
-    said = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
+    said = python("-c", code)
     assert said.stdout.strip() == "set()"
 
 
