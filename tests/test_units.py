@@ -162,7 +162,6 @@ PLANNING = {
 }
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("units", "written"),
     [

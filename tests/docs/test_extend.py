@@ -92,7 +92,6 @@ def edited(text: str, lines: list[str]) -> str:
     return "\n".join(result) + "\n"
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("name", "lines"), [edit for text in sections().values() for edit in edits(text)]
 )

@@ -83,7 +83,6 @@ def test_the_site_shows_every_word_of_a_page(page):
     assert lost(page.text) == []
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "dropped",
     [
