@@ -109,11 +109,11 @@ def rollout(
         controller (``control``).
 
     Raises:
-        InputError: the duration or the sampling rate does not fit the tick, or several
-            of pose, initial_state and resume are given. The error is also raised if the
-            controller does not support the robot, the valves or the saved state, if an
-            obstacle overlaps the body at the start, or if another thread uses the plant
-            or the controller.
+        InputError: the duration or the sampling period is not a multiple of the tick,
+            or several of pose, initial_state and resume are given. The error is also
+            raised if the controller does not support the robot, the valves or the
+            saved state, if an obstacle overlaps the body at the start, or if another
+            thread uses the plant or the controller.
         DivergedError: the plant or the controller diverged. The attribute `trajectory`
             of the error contains the samples before the divergence.
     """

@@ -62,8 +62,8 @@ _LOCKS_UNSUPPORTED = (
 def replace_files(folder: Path, products: Sequence[str]) -> Iterator[Path]:
     """Yield an empty folder whose files replace the earlier set when the block ends.
 
-    After an error or an interrupt, the earlier set is restored. Other files in the
-    folder are kept.
+    After an error or an interrupt, the files of the earlier set are restored. Other
+    files in the folder are kept.
 
     Args:
         folder: folder that contains the set.

@@ -417,8 +417,8 @@ def emulate(
         robot: emulated robot.
         link: MQTT link that receives commands and publishes measurements.
         capture: motion capture server, or None if motion capture is not emulated.
-        transport: queue that simulates message loss and delay, or None for transport
-            without loss and delay.
+        transport: queue that simulates message loss and delay, or None if messages arrive
+            at once.
         duration: duration of the run, s.
         stop: function that is called once per tick and returns whether to end the run.
         publishes_supply: whether the supply pressure is also published.

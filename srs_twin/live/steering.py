@@ -27,7 +27,7 @@ PAUSE_LIMIT_S = 30.0
 After a longer pause, the chambers are vented, so that a forgotten robot does not remain
 pressurised.
 """
-# Reasons for ending the steering, in addition to the reasons of the path follower.
+# Reasons for ending the steering. The path follower has further reasons of its own.
 LOST = "estimate_lost"
 EMPTY = "supply_empty"
 STOPPED = "stopped"  # The session ended before the end of the path.

@@ -2,8 +2,8 @@
 
 The search grows a tree from the start and, if the footprint has no transients, another
 tree from the goal. If the first round finds no path, the search tries to prove that
-none exists. Without a proof, the search adds a tree guided by the module `guidance`.
-Finally, shorter Dubins paths replace parts of the path.
+none exists. If that proof fails, the search adds a tree that the module `guidance`
+guides. Finally, shorter Dubins paths replace parts of the path.
 """
 
 from __future__ import annotations

@@ -64,7 +64,10 @@ Search = Callable[[Problem, Settings], Plan]
 
 
 def touch_limits(spec: RobotSpec, footprint: Footprint) -> TouchLimits:
-    """Return the limits for leaning on obstacles from a footprint without margin."""
+    """Return the limits for leaning on obstacles.
+
+    The footprint must not contain a margin.
+    """
     core = spec.geometry.width / 2
     hard_left, hard_right = (
         tuple(core + (1 - TOUCH_FRACTION) * max(edge - core, 0.0) for edge in edges)

@@ -225,7 +225,7 @@ class LagChambers(Pneumatics):
 
 
 class LagPneumatics(LagChambers):
-    """Chambers of a planar robot with a first-order lag."""
+    """First-order lag chambers of a planar robot."""
 
     state_attributes = ("_linear", "_asymptote", "_energy_per_amount")
 

@@ -155,8 +155,8 @@ def inspect(
     whether the files can be read as recordings or logs of this robot.
 
     Options:
-        robot: Robot that the recordings should belong to: name of a shipped robot, or
-            path of a robot file.
+        robot: Name of a shipped robot or path of a robot file. The recordings are
+            checked against this robot.
         picture: Draw the markers from above and write the picture to this file. With
             several recordings, the name of each picture begins with the name of the
             recording.

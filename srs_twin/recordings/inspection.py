@@ -131,7 +131,7 @@ def inspect(
         path: path of a motion recording, or of a log with valve states, pressures or
             bends.
         map: recording map, given as an object, a mapping or a path.
-        robot: robot that the recording should belong to, or None to skip this check.
+        robot: robot against which the recording is checked, or None.
 
     Raises:
         InputError: the file cannot be read.

@@ -314,7 +314,7 @@ class Expectation(Section):
     def check(
         self, metrics: Mapping[str, Any], undefined: Undefined | None = None
     ) -> ExpectationRow:
-        """Return the result of the expectation for a run.
+        """Judge a run by the expectation.
 
         Args:
             metrics: contents of metrics.json. The entry "intervals" is the result of
@@ -470,7 +470,7 @@ def largest_parameter(sensitivity: Mapping[str, Mapping[str, float]]) -> str | N
     error.
 
     Args:
-        sensitivity: dictionary for each parameter, keyed by parameter path. The entry
+        sensitivity: mapping from parameter paths to Sobol indices. In each entry,
             `total` is the Sobol index, and `total_error` is half the width of its 95 %
             interval.
     """

@@ -170,7 +170,7 @@ def _plugin_digests(modules: Iterable[str]) -> dict[str, str]:
 def judged_provenance(document: Mapping[str, object]) -> Provenance:
     """Return the provenance that decides whether stored intervals are valid.
 
-    The provenance contains the scenario and the input files. Code, duration and seed
+    The provenance consists of the scenario and the input files. Code, duration and seed
     are excluded, because changes to them show in the results. Explanatory texts are
     excluded, so that intervals remain valid if a text is reworded.
     """

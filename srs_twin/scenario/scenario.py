@@ -219,7 +219,9 @@ class Scenario:
     def build_plant(
         self, kind: str, *, robot: RobotSpec | None = None, **changes: object
     ) -> Plant:
-        """Build a plant at rest, with default options if the file does not name it.
+        """Build a plant at rest.
+
+        A plant that the scenario file does not name gets the default options.
 
         Args:
             kind: "analytical" or "twin".

@@ -18,7 +18,8 @@ Here ( )₊ denotes the positive part, so N is never negative. The dissipation c
 coefficient, and ε is the slip speed. The contact stiffness is k = m/T², where m is the
 mass of the robot and T = `CONTACT_TIME_S` is a time constant. Forces are evaluated at
 the end of each implicit stage of length a = γ h, in which δ changes by −a v_n. Stiff
-contacts therefore do not limit the time step. The Newton matrix contains the derivative
+contacts therefore do not limit the time step. The contribution of the force to the
+Newton matrix is the derivative
 
 $$ \frac{∂N}{∂v_n} = -k\,\bigl(a\,(1 - χ v_n) + χ δ\bigr) . $$
 

@@ -140,8 +140,8 @@ def robot_markers(
         points: positions of all tracks, m, shape (frames, tracks, 2).
         connectors: number N of connectors.
         pitch: length of a straight segment, m.
-        layout: marker layout, one of `LAYOUTS`. With "auto", every layout that has the
-            visible number of markers is possible.
+        layout: marker layout, one of `LAYOUTS`. With "auto", every layout is possible
+            that has as many markers as are visible.
         named: number of columns with a known place on the robot.
     """
     visible = ~np.isnan(points[..., 0])

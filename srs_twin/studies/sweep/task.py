@@ -69,7 +69,7 @@ def run_point(
     """Simulate or plan one sweep point, and compute its metrics.
 
     Plants with a trajectory or an error in `ran` are not simulated again. If an
-    `SrsError` occurs, a failed row with the error message is returned.
+    `SrsError` occurs, the returned row contains the error message.
     """
     start = time.perf_counter()
     trajectories: dict[str, Trajectory] = {}

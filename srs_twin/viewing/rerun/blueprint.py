@@ -165,7 +165,8 @@ def _measured_plots(layout: Layout) -> list[rrb.TimeSeriesView]:
 def _modules(layout: Layout, signal: str, name: str, **options: Any) -> rrb.Tabs:
     """Return tabs with one plot per module.
 
-    The middle tab is active, because plants differ little in the first module.
+    The tab of the middle module is active, because the first module hardly shows
+    differences between the plants.
     """
     views = [
         _plot(f"module/{j}{signal}", name.format(j), **options)

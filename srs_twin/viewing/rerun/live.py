@@ -76,7 +76,7 @@ class LiveEstimate(Protocol):
 
     @property
     def pose_sd(self) -> np.ndarray:
-        """Standard deviations of the pose, shape (3,), m, m, rad."""
+        """Standard deviations of x, y (m) and heading (rad), shape (3,)."""
 
     @property
     def lost(self) -> str | None:
@@ -100,7 +100,7 @@ class LiveForecast(Protocol):
 
     @property
     def pose_sd(self) -> np.ndarray:
-        """Standard deviations of the poses, shape (times, 3), m, m, rad."""
+        """Standard deviations of x, y (m) and heading (rad), shape (times, 3)."""
 
 
 class LiveView:
