@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,8 @@ class Maker:
     """Makes messages of ROS 1 or 2."""
 
     def __init__(self, ros1):
-        self.store, self.ros1 = (ROS1, True) if ros1 else (ROS2, False)
+        self.ros1 = ros1
+        self.store = ROS1 if ros1 else ROS2
 
     def __call__(self, kind, **fields):
         return self.store.types[kind.replace("/", "/msg/")](**fields)
@@ -52,12 +54,13 @@ class Maker:
             f"geometry_msgs/{kind}", **dict(zip("xyz", map(float, place), strict=True))
         )
 
-    def pose(self, place):
-        turn = self(
-            "geometry_msgs/Quaternion",
-            **dict(zip("xyzw", map(float, TURN), strict=True)),
+    def pose(self, place, turn=TURN):
+        parts = dict(zip("xyzw", map(float, turn), strict=True))
+        return self(
+            "geometry_msgs/Pose",
+            position=self.point(place),
+            orientation=self("geometry_msgs/Quaternion", **parts),
         )
-        return self("geometry_msgs/Pose", position=self.point(place), orientation=turn)
 
     def covariant(self, place):
         spread = np.zeros(36)
@@ -87,12 +90,14 @@ class Maker:
         )
 
     def array(self, kind, values, dtype):
+        """Return the full kind and the message."""
         layout = self("std_msgs/MultiArrayLayout", dim=[], data_offset=0)
-        return self(
-            f"std_msgs/{kind}", layout=layout, data=np.array(values, dtype=dtype)
-        )
+        data = np.array(values, dtype=dtype)
+        return f"std_msgs/{kind}", self(f"std_msgs/{kind}", layout=layout, data=data)
 
     def serialized(self, message, kind):
+        if kind == "json":
+            return json.dumps(message).encode()
         name = kind.replace("/", "/msg/")
         write = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
         return bytes(write(message, name))
@@ -102,8 +107,12 @@ def ns(k):
     return ORIGIN + round(k / RATE * 1e9)
 
 
-def written(folder: Path, container: str, messages) -> Path:
-    """Write (topic, kind, time in ns, message of a Maker) with the library of the container."""
+def written(folder: Path, container: str, messages, **options) -> Path:
+    """Write (topic, kind, time in ns, message of a Maker) with the library of the container.
+
+    MCAP files may contain JSON, whose kind is "json". `options` are given to their
+    writer.
+    """
     how, _, compression = container.partition(" ")
     make = Maker("bag" in container or "ros1" in container)
     rows = [
@@ -111,47 +120,53 @@ def written(folder: Path, container: str, messages) -> Path:
         for topic, kind, time, message in messages(make)
     ]
     if how == "mcap":
-        return by_mcap(folder / "walk.mcap", rows, make, compression)
-    path = folder / "walk.bag" if how == "bag" else folder / "walk"
-    writer = (
-        Writer1(path)
-        if how == "bag"
-        else Writer2(path, version=9, storage_plugin=StoragePlugin.SQLITE3)
-    )
-    if how == "bag" and compression:
-        writer.set_compression(Writer1.CompressionFormat[compression.upper()])
-    elif compression:
-        writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+        return by_mcap(folder / "walk.mcap", rows, make, compression, **options)
+    path = folder / "walk.bag"
+    if how == "bag":
+        writer = Writer1(path)
+        if compression:
+            writer.set_compression(Writer1.CompressionFormat[compression.upper()])
+    else:
+        writer = Writer2(
+            folder / "walk", version=9, storage_plugin=StoragePlugin.SQLITE3
+        )
+        path = folder / "walk/walk.db3"
+        if compression:
+            writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
     with writer:
         connections = {}
         for topic, kind, time, data in rows:
-            name = kind.replace("/", "/msg/")
             if topic not in connections:
                 connections[topic] = writer.add_connection(
-                    topic, name, typestore=make.store
+                    topic, kind.replace("/", "/msg/"), typestore=make.store
                 )
             writer.write(connections[topic], time, data)
-    return path if how == "bag" else path / "walk.db3"
+    return path
 
 
-def by_mcap(path, rows, make, compression):
+def by_mcap(path, rows, make, compression, chunk_size=4096, **options):
     how = CompressionType[(compression.removeprefix("ros1").strip() or "none").upper()]
     with path.open("wb") as stream:
-        writer = McapWriter(stream, compression=how, chunk_size=4096)
+        writer = McapWriter(stream, compression=how, chunk_size=chunk_size, **options)
         writer.start(profile="ros1" if make.ros1 else "ros2")
         channels = {}
         for topic, kind, time, data in rows:
             if topic not in channels:
-                name = kind if make.ros1 else kind.replace("/", "/msg/")
-                text = make.store.generate_msgdef(
-                    kind.replace("/", "/msg/"), ros_version=2 - make.ros1
-                )[0]
-                schema = writer.register_schema(
-                    name, "ros1msg" if make.ros1 else "ros2msg", text.encode()
-                )
-                channels[topic] = writer.register_channel(
-                    topic, "ros1" if make.ros1 else "cdr", schema
-                )
+                channels[topic] = channel(writer, topic, kind, make)
             writer.add_message(channels[topic], time, data, time)
         writer.finish()
     return path
+
+
+def channel(writer, topic, kind, make):
+    """Register a topic of an MCAP file."""
+    if kind == "json":
+        schema = writer.register_schema(topic, "jsonschema", b"{}")
+        return writer.register_channel(topic, "json", schema)
+    name = kind.replace("/", "/msg/")
+    text = make.store.generate_msgdef(name, ros_version=2 - make.ros1)[0].encode()
+    if make.ros1:
+        schema = writer.register_schema(kind, "ros1msg", text)
+        return writer.register_channel(topic, "ros1", schema)
+    schema = writer.register_schema(name, "ros2msg", text)
+    return writer.register_channel(topic, "cdr", schema)

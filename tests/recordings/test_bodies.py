@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from recorded import SPEC
 from synthetic import Snake
+from test_formats import motive
 
 from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording import read_motion
@@ -16,28 +17,12 @@ RATES = (5.0, 10.0, 15.0, 30.0, 120.0)
 
 
 def motive_bodies(path, truth, names, mounted=0.0):
-    """Write the connectors as rigid bodies of Motive, each turned by `mounted` on its connector."""
-    order = [f"{name}" for name in names]
-    axes = ",X,Y,Z,W,X,Y,Z" * len(names)
-    head = [
-        "Format Version,1.23,Take Name,t,Rotation Type,Quaternion,Length Units,Meters",
-        "",
-        ",Type" + ",Rigid Body" * 7 * len(names),
-        ",Name" + "".join(f",{name}" * 7 for name in order),
-        ",ID" + "".join(f",{name}" * 7 for name in order),
-        "," + (",Rotation" * 4 + ",Position" * 3) * len(names),
-        "Frame,Time (Seconds)" + axes,
-    ]
+    """Write the connectors as rigid bodies of Motive that are mounted at given angles, rad."""
     half = (truth.stack("connector_heading") + mounted) / 2
-    rows = []
-    for k, time in enumerate(truth.time):
-        cells = [f"{k}", f"{time:.6f}"]
-        for j in range(len(names)):
-            x, y = truth.position[k, j]
-            turn = (0.0, np.sin(half[k, j]), 0.0, np.cos(half[k, j]))
-            cells += [f"{value:.6f}" for value in (*turn, x, 0.03, -y)]
-        rows.append(",".join(cells))
-    path.write_text("\n".join([*head, *rows]) + "\n")
+    turns = np.stack([0 * half, np.sin(half), 0 * half, np.cos(half)], axis=-1)
+    x, y = np.moveaxis(truth.position, -1, 0)
+    points = np.stack([x, np.full_like(x, 0.03), -y], axis=-1)
+    path.write_bytes(motive(truth.time, points, turns, names=names))
 
 
 @pytest.mark.default_cases(at=[0, 9, 10])
@@ -49,7 +34,7 @@ def test_bodies_are_read_at_any_rate(tmp_path, rate, speed):
     ).trajectory()
     path = tmp_path / "bodies.csv"
     # The order in the file is not the order along the body.
-    motive_bodies(path, truth, ["e", "a", "c", "b", "d"], mounted=0.7)
+    motive_bodies(path, truth, ["e", "a", "c", "b", "d"], 0.7 * np.arange(5))
     found = read_motion(path, SPEC, head="e").trajectory
     assert len(found.time) == len(truth.time)
     error = found.stack("bend") - truth.stack("bend")

@@ -6,15 +6,13 @@ import json
 
 import numpy as np
 import pytest
-from mcap_ros2.writer import Writer
-from recorded import RATE, csv_text, motion
-from synthetic_takes import Take, markers, write_motive
-from test_formats import DEFINED, ns, pose, stamped
+from bag_files import ns, written
+from recorded import SPEC, csv_text, motion, true_at
+from synthetic_takes import Take, markers
 
-from srs_twin import Trajectory
 from srs_twin.cli import main
-
-pytestmark = pytest.mark.slow
+from srs_twin.recordings.recording_map import read_map
+from srs_twin.recordings.takes import RecordingReader
 
 SHIFT = 7.3  # s, of the log's clock in the CSV files
 NOISE = 2e-4
@@ -33,43 +31,28 @@ def seen():
     return place + NOISE * np.random.default_rng(4).standard_normal(place.shape)
 
 
-def bag(path):
+def bag(folder):
     """Write a bag with a pose of each connector, mounted at any angle, and the valves as JSON."""
     truth = motion()
     random = np.random.default_rng(5)
-    states = valves()
-    name = "geometry_msgs/msg/PoseStamped"
-    with path.open("wb") as stream:
-        writer = Writer(stream)
-        kind = writer.register_msgdef(name, DEFINED[name])
-        raw = writer._writer
-        channel = raw.register_channel(
-            "/valves", "json", raw.register_schema("valves", "jsonschema", b"{}")
-        )
-        for k, time in enumerate(truth.time):
-            stamp = ns(time)
+    states = valves().astype(int)
+    kind = "geometry_msgs/PoseStamped"
+    mounted = 0.3 * np.arange(5)
+    heading = truth.stack("connector_heading") + mounted
+    half = (heading + 5e-3 * random.standard_normal(heading.shape)) / 2
+    places = truth.position + NOISE * random.standard_normal(truth.position.shape)
+
+    def messages(make):
+        for k in range(len(truth)):
             for j in range(5):
-                place = [
-                    *(truth.position[k, j] + NOISE * random.standard_normal(2)),
-                    0.03,
-                ]
-                half = (
-                    truth[f"connector_heading_{j + 1}"][k]
-                    + 0.3 * j
-                    + 5e-3 * random.standard_normal()
-                ) / 2
-                body = {
-                    "header": stamped(stamp),
-                    "pose": pose(place, [0.0, 0.0, np.sin(half), np.cos(half)]),
-                }
-                writer.write_message(f"/snake/link{j + 1}", kind, body, log_time=stamp)
-            said = {
-                side: states[k, :, c].astype(int).tolist()
-                for c, side in enumerate(SIDES)
-            }
-            raw.add_message(channel, stamp, json.dumps(said).encode(), stamp)
-        writer.finish()
-    return path
+                turn = [0.0, 0.0, np.sin(half[k, j]), np.cos(half[k, j])]
+                pose = make.pose([*places[k, j], 0.03], turn)
+                body = make(kind, header=make.header(k), pose=pose)
+                yield f"/snake/link{j + 1}", kind, ns(k), body
+            said = {side: states[k, :, c].tolist() for c, side in enumerate(SIDES)}
+            yield "/valves", "json", ns(k), said
+
+    return written(folder, "mcap", messages)
 
 
 BAG = {
@@ -113,84 +96,46 @@ def leds(folder):
     (folder / "io.csv").write_text(csv_text(names, rows, 6))
 
 
-def run(words):
-    with pytest.raises(SystemExit) as left:
-        main(words)
-    assert left.value.code == 0
-
-
 @pytest.fixture(scope="module")
-def replayed(tmp_path_factory):
-    """Return a folder with replays of one run from a Motive export, a bag and foreign CSV files."""
+def lab(tmp_path_factory):
+    """Return a folder with a bag and foreign CSV files of one run."""
     folder = tmp_path_factory.mktemp("lab")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        write_motive(motion(), Take(layout="head", noise=NOISE, seed=4), "take.csv")
-        names = [f"valve_{side}_{j}" for j in range(1, 5) for side in SIDES]
-        rows = np.column_stack([motion().time, valves().reshape(len(motion()), -1)])
-        (folder / "take.valves.csv").write_text(csv_text(["time", *names], rows, 6))
-        bag(folder / "walk.mcap")
-        leds(folder)
-        (folder / "bag.yaml").write_text(json.dumps(BAG))
-        (folder / "leds.yaml").write_text(json.dumps(NAMED))
-        robot = ["--robot", "gen2", "--quiet"]
-        run(["replay", "take.csv", *robot])
-        run(["replay", "walk.mcap", "--map", "bag.yaml", *robot])
-        run(["replay", "leds.csv", "--valves", "io.csv", "--map", "leds.yaml", *robot])
+    bag(folder)
+    leds(folder)
     return folder
 
 
-@pytest.mark.parametrize("name", ["take", "walk", "leds"])
-def test_the_motion_is_recovered_within_its_errors(replayed, name):
-    found = Trajectory.from_parquet(replayed / f"runs/{name}/measured.parquet")
-    rows = np.rint((found.time - found.time[0]) * RATE).astype(int)
-    truth = motion().stack("bend")
-    offset = min(
-        range(3),
-        key=lambda k: np.abs(
-            found.stack("bend") - truth[(rows + k) % len(truth)]
-        ).mean(),
-    )
-    error = found.stack("bend") - truth[(rows + offset) % len(truth)]
-    assert 0.9 < (np.abs(error) < 1.96 * found.stack("bend_error")).mean() < 0.99
+@pytest.mark.parametrize(
+    ("take", "log", "given", "offset"),
+    [
+        ("walk.mcap", "walk.mcap", BAG, 0.0),
+        ("leds.csv", "io.csv", NAMED, SHIFT),
+    ],
+)
+def test_the_motion_is_recovered_within_its_errors(lab, take, log, given, offset):
+    reader = RecordingReader(map=read_map(given))
+    found = reader.take(str(lab / take), str(lab / log), SPEC)
+    bends = found.trajectory.stack("bend")
+    error = bends - true_at(found.trajectory, motion()).stack("bend")
+    within = np.abs(error) < 1.96 * found.trajectory.stack("bend_error")
+    assert 0.9 < within.mean() < 0.99
     assert np.sqrt((error**2).mean()) < 0.04
+    about = found.trajectory.metadata["valve_log"]
+    assert about["offset_s"] == pytest.approx(offset, abs=0.01)
 
 
-@pytest.mark.parametrize("name", ["walk", "leds"])
-def test_plants_differ_as_little_as_from_a_motive_export(replayed, name):
-    known, found = (
-        json.loads((replayed / f"runs/{each}/metrics.json").read_text())["plants"]
-        for each in ("take", name)
-    )
-    for plant in ("analytical", "twin"):
-        for metric in ("measured_com_speed_rel", "measured_yaw_rate_abs"):
-            assert found[plant][metric] == pytest.approx(known[plant][metric], abs=0.01)
+@pytest.mark.slow
+def test_a_replay_of_foreign_files_runs_again_from_its_scenario(lab, monkeypatch):
+    def metrics(folder, *words):
+        with pytest.raises(SystemExit) as left:
+            main([*words, "--out", folder, "--quiet"])
+        assert left.value.code == 0
+        return json.loads((lab / folder / "metrics.json").read_text())["plants"]["twin"]
 
-
-def test_a_replay_of_foreign_files_runs_again_from_its_scenario(replayed, monkeypatch):
-    monkeypatch.chdir(replayed)
-    run(["run", "runs/leds/scenario.resolved.yaml", "--out", "again", "--quiet"])
-    one, two = (
-        json.loads((replayed / f"{each}/metrics.json").read_text())
-        for each in ("runs/leds", "again")
-    )
-    assert (
-        one["plants"]["twin"]["com_speed_m_s"] == two["plants"]["twin"]["com_speed_m_s"]
-    )
-
-
-def test_a_bag_can_be_fitted(replayed, monkeypatch, capsys):
-    monkeypatch.chdir(replayed)
-    words = [
-        "--robot",
-        "gen2",
-        "--map",
-        "bag.yaml",
-        "--parameters",
-        "geometry.rigid_gap_m",
-        "--starts",
-        "1",
-        "--json",
-    ]
-    run(["calibrate", "locomotion", "walk.mcap", *words, "--name", "bag"])
-    assert "geometry.rigid_gap_m" in capsys.readouterr().out
+    monkeypatch.chdir(lab)
+    (lab / "leds.yaml").write_text(json.dumps(NAMED))
+    words = ["leds.csv", "--valves", "io.csv", "--map", "leds.yaml", "-r", "gen2"]
+    one = metrics("one", "replay", *words)
+    two = metrics("two", "run", "one/scenario.resolved.yaml")
+    assert one["com_speed_m_s"] == two["com_speed_m_s"]
+    assert one["measured_shape_rms_m"] < 0.01
