@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from recorded import NOISE, RATE, SPEC, motion, plain_csv, recorded, true_at, wrapped
+from scipy.interpolate import CubicSpline
 from snakes import chain
 from subsets import first_by_default
+from synthetic import backwards, moved, sampled, with_columns
 from synthetic_takes import Take, motive_csv, write_motive
 
 from srs_twin import AnalyticalSnake, Gait, InputError, Trajectory, rollout
@@ -41,23 +42,15 @@ def errors(recording, truth):
 )
 def test_motion_without_noise_is_recovered(tmp_path, layout, most):
     """With one marker per connector, the straight start leaves an error of 20 mrad."""
-    found = recorded(tmp_path, Take(layout=layout, noise=0.0))
-    place, bend, heading, measured = errors(found, motion())
-    assert measured.all() and len(found.trajectory) == len(motion())
+    truth = moved(motion(), 1.7, -0.4, 2.5)
+    found = recorded(tmp_path, Take(layout=layout, noise=0.0), truth)
+    place, bend, heading, measured = errors(found, truth)
+    assert measured.all()
+    assert len(found.trajectory) == len(truth)
     assert place.max() < 1e-6
     assert np.abs(bend).max() < most
     assert np.abs(heading).max() < most
-    near(found.trajectory.com, motion().com, 1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_error_of_the_motion_is_that_of_the_noise(tmp_path, layout):
-    """0.2 mm over 20 mm is 14 mrad per heading; over segments of 55 mm it is less, but accumulates."""
-    place, bend, heading, _ = errors(recorded(tmp_path, Take(layout=layout)), motion())
-    assert np.sqrt((place**2).mean()) < 1.5 * NOISE
-    assert np.sqrt((bend**2).mean()) < 0.04
-    assert np.sqrt((heading**2).mean()) < 0.02
+    near(found.trajectory.com, truth.com, 1e-6)
 
 
 @pytest.mark.default_cases(1)
@@ -96,9 +89,8 @@ def test_markers_in_shuffled_columns_are_tracked(tmp_path, layout):
     truth = motion(8.0)
     found = recorded(tmp_path, Take(layout=layout, shuffled=True, lost=0.03), truth)
     place, _, _, measured = errors(found, truth)
-    assert found.summary.markers.moves > 2000 and len(found.trajectory) > 0.9 * len(
-        truth
-    )
+    assert found.summary.markers.moves > 2000
+    assert len(found.trajectory) > 0.9 * len(truth)
     assert place[measured].max() < 8 * NOISE
 
 
@@ -121,34 +113,30 @@ def test_curvature_is_continuous(tmp_path, layout):
 def test_motion_is_recovered_at_any_frame_rate(tmp_path, rate):
     found = recorded(tmp_path, Take(layout="pair", rate_hz=rate, swaps=10, noise=0.0))
     assert found.summary.rate_hz == pytest.approx(rate, rel=1e-6)
-    shared = np.isclose(
-        np.rint(found.trajectory.time * RATE) / RATE, found.trajectory.time, atol=1e-6
-    )
-    there = {name: column[shared] for name, column in found.trajectory.columns.items()}
-    true = true_at(Trajectory(there), motion())
-    assert (
-        np.abs(
-            np.stack([there[f"bend_{j}"] for j in range(1, 5)], -1) - true.stack("bend")
-        ).max()
-        < 0.01
-    )
+    true = CubicSpline(motion().time, motion().stack("bend"))(found.trajectory.time)
+    near(found.trajectory.stack("bend"), true, 0.01)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("up", MAPS)
-@pytest.mark.parametrize("unit", first_by_default(1, ["mm", "cm", "m", "in", "ft"]))
-def test_axes_and_units_do_not_change_the_motion(tmp_path, up, unit):
-    """The axis is determined, not given; every map is a rotation, so no bend changes its sign."""
-    found = recorded(
-        tmp_path, Take(layout="head", noise=0.0, digits=9, up=up, unit=unit)
-    )
+def test_floor_coordinates_are_a_rotation_of_the_axes_of_the_file(up):
+    axes = np.eye(3)[:, None]
+    turned = map_to_floor(axes, up, "z", level=False).points[:, 0]
+    assert np.linalg.det(turned) == pytest.approx(1.0)
+    height = np.zeros(3)
+    height["xyz".index(up[-1])] = -1 if up[0] == "-" else 1
+    assert turned[:, 2].tolist() == height.tolist()
+
+
+@pytest.mark.default_cases(1)
+@pytest.mark.parametrize("up", sorted(MAPS))
+def test_the_vertical_axis_is_determined(tmp_path, up):
+    take = Take(layout="head", noise=0.0, digits=9, up=up, unit="in")
+    found = recorded(tmp_path, take)
     place, bend, _, _ = errors(found, motion())
     assert found.summary.markers.up == up
     assert place.max() < 1e-5
     assert np.abs(bend).max() < 0.002
-    assert any("converted" in each for each in found.summary.corrections) == (
-        unit != "m"
-    )
+    assert "lengths were converted from in to m" in found.summary.corrections
 
 
 def test_reversed_vertical_axis_mirrors_the_motion(tmp_path):
@@ -157,40 +145,6 @@ def test_reversed_vertical_axis_mirrors_the_motion(tmp_path):
     mirrored = recorded(tmp_path, Take(layout="head", noise=0.0), up="-y").trajectory
     near(mirrored.stack("bend"), -right.stack("bend"), 1e-9)
     near(mirrored["y_1"], -right["y_1"], 1e-9)
-
-
-@pytest.mark.slow
-@settings(max_examples=3)
-@given(
-    st.floats(-3, 3),
-    st.floats(-3, 3),
-    st.floats(-np.pi, np.pi),
-    st.sampled_from(LAYOUTS),
-)
-def test_motion_does_not_depend_on_the_world_frame(
-    tmp_path_factory, x, y, turn, layout
-):
-    folder = tmp_path_factory.mktemp("turned")
-    here = recorded(folder, Take(layout=layout, noise=0.0, digits=9)).trajectory
-    truth = motion()
-    c = np.cos(turn)
-    s = np.sin(turn)
-    place = truth.position @ np.array([[c, s], [-s, c]]) + [x, y]
-    moved = {f"x_{i + 1}": place[:, i, 0] for i in range(5)} | {
-        f"y_{i + 1}": place[:, i, 1] for i in range(5)
-    }
-    moved |= {
-        f"connector_heading_{i}": truth[f"connector_heading_{i}"] + turn
-        for i in range(1, 6)
-    }
-    there = recorded(
-        folder,
-        Take(layout=layout, noise=0.0, digits=9),
-        replace(truth, columns={**truth.columns, **moved}),
-    )
-    near(there.trajectory.stack("bend"), here.stack("bend"), 1e-5)
-    near(wrapped(there.trajectory["heading"] - here["heading"] - turn), 0, 1e-5)
-    near(there.trajectory.com, here.com @ np.array([[c, s], [-s, c]]) + [x, y], 1e-6)
 
 
 @pytest.mark.parametrize(("degrees", "levelled"), [(2.9, False), (3.1, True)])
@@ -202,34 +156,9 @@ def test_a_floor_tilted_by_more_than_three_degrees_is_levelled(degrees, levelled
     s = np.sin(np.radians(degrees))
     tilted = flat @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
     found = map_to_floor(tilted, "auto", "z")
-    assert (
-        found.up == "z"
-        and any("levelled" in each for each in found.corrections) == levelled
-    )
+    assert found.up == "z"
+    assert ("the floor was levelled by 3.1°" in found.corrections) == levelled
     assert (np.ptp(found.points[..., 2]) < 0.01) == levelled
-
-
-def test_levelling_is_noted(tmp_path):
-    text = motive_csv(
-        motion(), Take(layout="head", noise=0.0, digits=9, unit="m", up="z")
-    )
-    head, rows = text.split("X,Y,Z\r\n")
-    values = np.array(
-        [row.split(",") for row in rows.split("\r\n") if row], dtype=float
-    )
-    c = np.cos(0.12)
-    s = np.sin(0.12)
-    for k in range(2, values.shape[1], 3):
-        y = values[:, k + 1].copy()
-        z = values[:, k + 2].copy()
-        values[:, k + 1] = c * y - s * z
-        values[:, k + 2] = s * y + c * z
-    path = tmp_path / "tilted.csv"
-    body = "\n".join(",".join(f"{v:.9g}" for v in row) for row in values)
-    path.write_text(f"{head}X,Y,Z\n{body}\n")
-    found = read_motion(path, SPEC)
-    assert "the floor was levelled by 6.9°" in found.summary.corrections
-    near(found.trajectory.stack("bend"), motion().stack("bend"), 0.005)
 
 
 @pytest.mark.parametrize("across", [False, True])
@@ -241,35 +170,25 @@ def test_pairs_along_and_across_the_body_are_read(tmp_path, across):
 def test_the_given_head_is_used(tmp_path):
     """For a snake that crawls tail first, the motion alone would give the wrong end."""
     take = Take(labeled=True, noise=0.0)
-    backwards = replace(
-        motion(),
-        columns={n: c if n == "time" else c[::-1] for n, c in motion().columns.items()},
-    )
+    tail_first = backwards(motion())
     guessed, told = (
-        recorded(tmp_path, take, backwards, head=head) for head in (None, "snake:1")
+        recorded(tmp_path, take, tail_first, head=head) for head in (None, "snake:1")
     )
-    near(told.trajectory["x_1"], backwards["x_1"], 1e-6)
-    near(guessed.trajectory["x_5"], backwards["x_1"], 1e-6)
-    assert (
-        told.summary.markers.head == "marker 'snake:1'"
-        and "crawled" in guessed.summary.markers.head
-    )
+    near(told.trajectory["x_1"], tail_first["x_1"], 1e-6)
+    near(guessed.trajectory["x_5"], tail_first["x_1"], 1e-6)
+    assert told.summary.markers.head == "marker 'snake:1'"
+    assert "crawled" in guessed.summary.markers.head
     with pytest.raises(InputError, match="unknown marker 'snake:9'"):
-        recorded(tmp_path, take, backwards, head="snake:9")
+        recorded(tmp_path, take, tail_first, head="snake:9")
     with pytest.raises(
         InputError, match="marker 'snake:3' is at neither end of the body"
     ):
-        recorded(tmp_path, take, backwards, head="snake:3")
+        recorded(tmp_path, take, tail_first, head="snake:3")
 
 
 def test_a_recording_without_crawling_needs_the_head(tmp_path):
-    still = replace(
-        motion(),
-        columns={
-            n: c if n == "time" else c[:1].repeat(401)
-            for n, c in motion().columns.items()
-        },
-    )
+    still = sampled(motion(), np.zeros(len(motion()), dtype=int))
+    still = with_columns(still, time=motion().time)
     with pytest.raises(InputError, match="the head cannot be determined"):
         recorded(tmp_path, Take(), still)
 
@@ -334,22 +253,17 @@ def test_shuffled_repeated_and_missing_rows_are_corrected(tmp_path):
     path.write_text("\n".join([*header, *(rows[k] for k in order), ""]))
     found = read_motion(path, SPEC)
     said = "; ".join(found.summary.corrections)
-    assert (
-        "sorted" in said
-        and "2 rows were left out, because" in said
-        and "3 frames are missing in the file" in said
-    )
-    assert (
-        found.summary.markers.frames_missing == 3
-        and found.summary.markers.header_frames == len(rows)
-    )
+    for words in ("sorted", "2 rows were left out, because", "3 frames are missing in"):
+        assert words in said
+    assert found.summary.markers.frames_missing == 3
+    assert found.summary.markers.header_frames == len(rows)
     assert "(401 according to the header)" in found.summary.text()
     place, _, _, measured = errors(found, motion())
     assert len(found.trajectory) == len(rows) and place[measured].max() < 1e-6
     assert np.flatnonzero(~measured.all(axis=1)).tolist() == [100, 101, 250]
 
 
-@pytest.mark.parametrize("cut", [1, 7, 40])
+@pytest.mark.parametrize("cut", [1, 40])
 def test_a_truncated_last_line_is_left_out_with_a_note(tmp_path, cut):
     text = motive_csv(motion(), Take(layout="pair", noise=0.0))
     path = tmp_path / "x.csv"
@@ -360,7 +274,7 @@ def test_a_truncated_last_line_is_left_out_with_a_note(tmp_path, cut):
     near(found.trajectory.stack("bend"), motion().stack("bend")[:-1], 1e-4)
 
 
-@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("mm", 1e3), ("cm", 1e2)])
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("cm", 1e2)])
 def test_plain_csv_is_read(tmp_path, unit, scale):
     path = tmp_path / "plain.csv"
     path.write_text(plain_csv(motion(), unit, scale))
@@ -410,7 +324,7 @@ def test_lengths_of_longer_segments_are_measured(tmp_path):
     )
 
 
-@pytest.mark.parametrize("connectors", [2, 3, 9])
+@pytest.mark.parametrize("connectors", [2, 9])
 def test_bodies_with_other_numbers_of_segments_are_read(tmp_path, connectors):
     spec = chain((0.03,) * connectors)
     truth = rollout(

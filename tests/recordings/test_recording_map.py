@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from recorded import RATE, SPEC, csv_text, motion, recorded, true_at
+from recorded import NOISE, RATE, SPEC, csv_text, motion, recorded, true_at
 from snakes import chain
-from subsets import first_by_default
 from synthetic_takes import Take, markers, stretched
 
 from srs_twin import AnalyticalSnake, Gait, InputError, rollout
@@ -27,8 +26,8 @@ def written(path, names, points, *, time=True, scale=1.0):
     return path
 
 
-def noisy(points, seed=0, noise=2e-4):
-    return points + noise * np.random.default_rng(seed).standard_normal(points.shape)
+def noisy(points):
+    return points + NOISE * np.random.default_rng(0).standard_normal(points.shape)
 
 
 def test_functions_accept_the_path_of_a_map(tmp_path):
@@ -64,12 +63,9 @@ def test_markers_are_assigned_by_a_map(tmp_path):
             "markers": {
                 "front": {"connector": 1, "side": "ahead"},
                 "base": {"connector": 1},
-                "m1": {"middle": 1},
-                "m2": {"middle": 2},
+                **{f"m{k}": {"middle": k} for k in range(1, 5)},
                 "k3": {"connector": 3},
-                "m3": {"middle": 3},
                 "k4": {"connector": 4},
-                "m4": {"middle": 4},
                 "tip": {"connector": 5},
                 "lamp": "ignore",
             },
@@ -90,20 +86,16 @@ def test_markers_are_assigned_by_a_map(tmp_path):
     assert "1 markers are ignored according to the map" in found.summary.corrections
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("layout", ["head", "pair", "middles", "head_middles"])
-@pytest.mark.parametrize("fraction", first_by_default(1, [0.25, 0.0]))
-def test_segments_that_stretch_are_measured(tmp_path, layout, fraction):
-    truth = stretched(motion(), fraction)
+@pytest.mark.default_cases(1)
+@pytest.mark.parametrize("layout", ["head_middles", "middles", "pair"])
+def test_layout_of_markers_on_segments_that_stretch_is_detected(tmp_path, layout):
+    truth = stretched(motion(), 0.25)
     found = recorded(tmp_path, Take(layout=layout), truth)
     error = found.trajectory.stack("bend") - truth.stack("bend")
+    within = np.abs(error) < 1.96 * found.trajectory.stack("bend_error")
     assert found.summary.markers.layout == layout
-    assert (
-        0.93
-        < (np.abs(error) < 1.96 * found.trajectory.stack("bend_error")).mean()
-        < 0.975
-    )
-    assert 0.9 < found.summary.markers.noise_m / 2e-4 < 1.1 or layout == "head"
+    assert 0.93 < within.mean() < 0.975
+    assert 0.9 < found.summary.markers.noise_m / NOISE < 1.1
 
 
 def test_one_marker_per_connector_is_refused_for_a_body_that_stretches(tmp_path):
@@ -150,7 +142,6 @@ def test_insufficient_markers_are_refused_and_the_remedy_works(tmp_path):
     read_motion(path, SPEC, map=read_map({"markers": whole}))
 
 
-@pytest.mark.default_cases(at=[0, 4, 6])
 @pytest.mark.parametrize(
     ("data", "said"),
     [
@@ -158,7 +149,6 @@ def test_insufficient_markers_are_refused_and_the_remedy_works(tmp_path):
             {"markers": {"m0": {"connector": 1, "middle": 1}}},
             "markers.m0: give either `connector` or `middle`",
         ),
-        ({"markers": {"m0": {}}}, "give either `connector` or `middle`"),
         ({"markers": {"m0": {"connector": 0}}}, "markers.m0"),
         (
             {"units": "inch"},
@@ -204,10 +194,10 @@ def test_options_have_precedence_over_the_map_file(tmp_path):
             ["base=connector 1 ahead", "lamp=ignore"],
         )
     )
-    assert found.units == "cm" and found.rate_hz is None
-    assert found.markers["base"].station == (0, "ahead") and found.markers[
-        "tip"
-    ].station == (8, "")
+    assert found.units == "cm"
+    assert found.rate_hz is None
+    assert found.markers["base"].station == (0, "ahead")
+    assert found.markers["tip"].station == (8, "")
     assert found.markers["lamp"] == "ignore"
     with pytest.raises(
         InputError, match="--marker 'base:1' is not allowed; use NAME=connector 1"
@@ -216,69 +206,21 @@ def test_options_have_precedence_over_the_map_file(tmp_path):
     assert given_map(None, {"units": None}, []) == {}
 
 
-def log_file(path, columns, rows):
-    path.write_text(csv_text(columns, rows, 6))
-    return path
-
-
 def test_logs_with_other_column_names_are_read(tmp_path):
     names = [f"{kind}{j}" for j in range(4) for kind in ("p", "q")]
-    rows = [[0.1 * k, *(10.0 * k + j for j in range(8))] for k in range(5)]
-    path = log_file(
-        tmp_path / "x.csv", ["t_ms", *names], [[1e3 * r[0], *r[1:]] for r in rows]
-    )
+    rows = [[100 * k, *(10.0 * k + j for j in range(8))] for k in range(5)]
+    path = tmp_path / "x.csv"
+    path.write_text(csv_text(["t_ms", *names], rows))
     log = {
         f"setpoint_kpa_{side}_{j + 1}": f"{kind}{j}"
         for j in range(4)
         for side, kind in (("plus", "p"), ("minus", "q"))
     }
     found = read_valves(path, SPEC, RecordingMap(log=log))
-    assert found.kind == "pressure" and found.time == pytest.approx(
-        [0, 0.1, 0.2, 0.3, 0.4]
-    )
+    assert found.kind == "pressure"
+    assert found.time == pytest.approx([0, 0.1, 0.2, 0.3, 0.4])
     assert found.values[2, 1] == pytest.approx([22e3, 23e3])
     assert "set points are assumed to be the chamber pressures" in found.corrections
-
-
-def test_duties_are_converted_to_valve_states(tmp_path):
-    names = [f"duty_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
-    duty = np.random.default_rng(1).uniform(0, 1, (11, 8)).round(3)
-    path = log_file(
-        tmp_path / "x.csv",
-        ["time", *names],
-        np.column_stack([0.2 * np.arange(11), duty]),
-    )
-    with pytest.raises(
-        InputError, match="the carrier frequency of the duties is missing"
-    ):
-        read_valves(path, SPEC)
-    found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 50.0}))
-    assert found.kind == "valve"
-    fine = np.linspace(0, 0.2, 20001)[:-1] + 0.6
-    fraction = (found.at(fine) == 1).mean(axis=0).ravel()
-    assert fraction == pytest.approx(duty[3], abs=1e-3)
-
-
-def test_a_rigid_body_gives_a_heading(tmp_path):
-    """With a pose at each connector, at any angle, the error of the bends is that of the rotations."""
-    from srs_twin.recordings.formats.base import MarkerTable
-    from srs_twin.recordings.recording import bodies_as_pairs
-
-    truth = motion()
-    angle = truth.stack("connector_heading") + np.array([0.3, -1.0, 2.0, 0.0, 3.0])
-    half = angle / 2
-    turns = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)
-    points = np.concatenate([truth.position, np.full((*half.shape, 1), 0.03)], axis=-1)
-    table = MarkerTable(
-        "x", "", "MCAP", truth.time, points, tuple("abcde"), (), rotations=turns
-    )
-    pairs = bodies_as_pairs(table)
-    assert pairs.labels == tuple("aabbccddee") and pairs.rotations is None
-    lines = pairs.points[:, ::2] - pairs.points[:, 1::2]
-    assert np.linalg.norm(lines, axis=-1) == pytest.approx(0.02)
-    assert np.abs(lines[..., 2]).max() < 1e-12
-    turned = np.angle(np.exp(1j * (np.arctan2(lines[..., 1], lines[..., 0]) - angle)))
-    assert np.abs(turned - turned[0]).max() < 1e-9
 
 
 @pytest.mark.parametrize("apart", [0.0268, 0.0275, 0.029])

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
-from recorded import SPEC, motion, recorded, valve_csv
+from recorded import SPEC, csv_text, motion, recorded, valve_csv
 from synthetic_takes import Take
 
 from srs_twin import InputError
@@ -23,14 +22,6 @@ pytestmark = pytest.mark.fast
 HEAD = ",".join(
     ["time", *(f"valve_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus"))]
 )
-PSI = (
-    HEAD.replace("valve", "pressure")
-    .replace(",", "_psi,")
-    .replace("time_psi", "time_ms")
-    + "_psi"
-)
-
-
 DUTY = np.array([0.0, 0.1, 0.25, 0.3, 0.5, 0.8, 0.95, 1.0])
 
 
@@ -59,13 +50,11 @@ def test_offset_is_estimated_from_the_start_of_a_gait(tmp_path, captured, shift)
 
 def test_pressures_drive_the_bends_without_delay(tmp_path, captured):
     truth = motion()
-    names = [f"pressure_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
+    names = [name.replace("valve", "pressure") for name in HEAD.split(",")[1:]]
     values = np.column_stack(
         [1e3 * (truth.time + 7), *(truth[name] / 6894.757 for name in names)]
     )
-    text = (
-        PSI + "\n" + "".join(",".join(f"{v:.9g}" for v in row) + "\n" for row in values)
-    )
+    text = csv_text(["time_ms", *(f"{name}_psi" for name in names)], values)
     joined = join(captured, log(tmp_path, text), SPEC)
     assert joined.trajectory.metadata["valve_log"]["offset_s"] == pytest.approx(
         -7.0, abs=0.001
@@ -122,26 +111,9 @@ def test_frames_outside_the_log_are_left_out_with_a_note(tmp_path, captured):
         )
 
 
-@settings(max_examples=20)
-@given(st.floats(-5, 5), st.floats(0.2, 3), st.integers(0, 2**31))
-def test_errors_of_the_offset_are_within_its_standard_error(true, gain, seed):
-    """For a step response with white noise, the offset is within five standard errors."""
-    random = np.random.default_rng(seed)
-    time = np.arange(0, 8, 0.01)
-
-    def bend(t):
-        return np.where(t > 3, 1 - np.exp(-np.maximum(t - 3, 0) / 0.3), 0.0)[:, None]
-
-    measured = gain * bend(time) + 0.02 * random.standard_normal((len(time), 1))
-    log_time = np.arange(0, 8, 0.002)
-    found = estimate_offset(time, measured, log_time + true, bend(log_time))
-    assert abs(found.seconds + true) < 5 * found.error + 1e-3
-    assert found.error < 0.02 / gain
-
-
 def test_standard_error_equals_the_scatter_over_noise():
     """Errors of 200 offsets divided by their standard errors; the standard deviation of 200 values is known
-    within 5 %.
+    within 5 %. The bends have any gain.
 
     Resampling at half of a frame's time smooths white noise, which makes the standard
     errors a little large.
@@ -156,7 +128,9 @@ def test_standard_error_equals_the_scatter_over_noise():
     for seed in range(200):
         random = np.random.default_rng(seed)
         true = random.uniform(-1, 1)
-        measured = 0.5 * bend(time) + 0.05 * random.standard_normal((len(time), 1))
+        gain = random.uniform(0.3, 3)
+        noise = 0.02 * random.standard_normal((len(time), 1))
+        measured = gain * bend(time) + noise
         found = estimate_offset(time, measured, log_time + true, bend(log_time))
         off.append((found.seconds + true) / found.error)
     assert abs(np.mean(off)) < 0.3
@@ -199,15 +173,12 @@ def test_valve_states_hold_until_the_next_row(tmp_path):
 
 
 def duties(folder, full):
-    path = folder / "duties.csv"
-    rows = [
-        ",".join(f"{each:g}" for each in (time, *(full * DUTY))) for time in (0.0, 2.0)
-    ]
+    """Write duties that are reversed after one second."""
     unit = "_%" if full == 100 else ""
-    head = (
-        HEAD.replace("valve", "duty").replace(",", f"{unit},").replace("time_%", "time")
-    )
-    path.write_text("\n".join([head + unit, *rows, ""]), "utf-8")
+    names = [f"{name}{unit}".replace("valve", "duty") for name in HEAD.split(",")[1:]]
+    rows = [[0.0, *full * DUTY], [1.0, *full * DUTY[::-1]], [2.0, *full * DUTY]]
+    path = folder / "duties.csv"
+    path.write_text(csv_text(["time", *names], rows), "utf-8")
     return path
 
 
@@ -215,10 +186,20 @@ def duties(folder, full):
 def test_valves_fill_for_the_duty_of_each_carrier_period(tmp_path, full):
     path = duties(tmp_path, full)
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 10.0}))
+    assert found.kind == "valve"
     filling = found.at(np.arange(0.0005, 2.0, 0.001)) == 1
-    for period in filling.reshape(20, 100, 8):
-        assert period.mean(axis=0) == pytest.approx(DUTY, abs=0.011)
+    for k, period in enumerate(filling.reshape(20, 100, 8)):
+        duty = DUTY if k < 10 else DUTY[::-1]
+        assert period.mean(axis=0) == pytest.approx(duty, abs=0.011)
         assert (np.diff(period.astype(int), axis=0) <= 0).all()  # filling comes first
+
+
+def test_duties_need_a_carrier_frequency(tmp_path):
+    path = duties(tmp_path, 1.0)
+    with pytest.raises(
+        InputError, match="the carrier frequency of the duties is missing"
+    ):
+        read_valves(path, SPEC)
 
 
 def test_duties_above_1_need_the_unit_per_cent(tmp_path):
@@ -237,7 +218,6 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
     assert any("0 is read as venting" in each for each in found.corrections)
 
 
-@pytest.mark.default_cases(6)
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
@@ -276,9 +256,7 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
         ),
         ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: the value is missing"),
         ("1.0,", ",", "valves.csv:3:1: the row has no time"),
-        ("1.0,", "\n\n,", "valves.csv:5:1: the row has no time"),
         ("1.0,-1", "\n\n1.0,2", "valves.csv:5:2: valve_plus_1: 2 is not allowed"),
-        ("1.0,", "\n\n1.0,2,", "valves.csv:5: the row has 10 cells"),
         ("time,valve_plus_1", "# a\ntime,x", "valves.csv:2: the column 'valve_plus_1'"),
         (
             "valve_plus_1",
@@ -311,16 +289,9 @@ def test_set_points_hold_until_the_next_row(tmp_path):
     """A regulator holds its set point, while measured pressures are interpolated."""
     path = tmp_path / "air.csv"
     for kind, between in (("setpoint", 10e3), ("pressure", 15e3)):
-        head = (
-            HEAD.replace("valve", kind)
-            .replace(",", "_kpa,")
-            .replace("time_kpa", "time")
-            + "_kpa"
-        )
+        names = [f"{name}_kpa".replace("valve", kind) for name in HEAD.split(",")[1:]]
         rows = [[1.0, *[10.0] * 8], [2.0, *[20.0] * 8], [3.0, *[0.0] * 8]]
-        path.write_text(
-            "\n".join([head, *(",".join(map(str, row)) for row in rows)]) + "\n"
-        )
+        path.write_text(csv_text(["time", *names], rows))
         found = read_valves(path, SPEC)
         assert found.at(np.array([1.0, 1.5, 2.0, 3.0]))[:, 2, 1] == pytest.approx(
             [10e3, between, 20e3, 0.0]
