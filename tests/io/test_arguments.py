@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pickle
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -32,9 +31,8 @@ def run(snake):
     return srs.rollout(snake, srs.Gait(2.0), 0.2)
 
 
-@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize("plant", [srs.AnalyticalSnake, srs.TwinSnake])
-@pytest.mark.parametrize("given", ["gen2", Path("gen2.yaml"), None])
+@pytest.mark.parametrize("given", ["gen2", None])
 def test_plants_need_a_loaded_robot(plant, given):
     with pytest.raises(
         InputError, match=rf"{plant.__name__}: spec .*load_robot\('gen2'\)"
@@ -42,11 +40,10 @@ def test_plants_need_a_loaded_robot(plant, given):
         plant(given)
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("plant", [srs.AnalyticalSnake, srs.TwinSnake])
 @pytest.mark.parametrize(
     ("supply_pa", "unit"),
-    [(48.3, "kPa"), (0.483, "bar"), (7.0, "psi"), (np.float64(48.3), "kPa")],
+    [(np.float64(48.3), "kPa"), (0.483, "bar"), (7.0, "psi")],
 )
 def test_a_supply_pressure_in_another_unit_is_refused(spec, plant, supply_pa, unit):
     with pytest.raises(
@@ -63,7 +60,6 @@ def test_impossible_supply_pressures_are_refused(spec, supply_pa):
         srs.TwinSnake(spec, supply_pa=supply_pa)
 
 
-@pytest.mark.default_cases(at=[0, 1, 6, 9])
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
@@ -90,7 +86,6 @@ def test_rollout_of_a_robot_says_how_to_build_a_plant(spec):
         srs.rollout(spec, srs.Gait(2.0), 0.2)
 
 
-@pytest.mark.default_cases(at=[0, 8, 10, 11])
 @pytest.mark.parametrize(
     ("call", "words"),
     [
@@ -147,16 +142,10 @@ def test_unknown_numbered_columns_suggest_similar_ones(run):
 
 
 def test_numpy_numbers_and_arrays_are_numbers(snake):
-    pose = np.zeros(3)
+    gait = srs.Gait(np.int64(2))
     duration = np.float32(0.5)
-    assert (
-        len(
-            srs.rollout(
-                snake, srs.Gait(np.int64(2)), duration, pose=pose, seed=np.int64(1)
-            )
-        )
-        == 51
-    )
+    run = srs.rollout(snake, gait, duration, pose=np.zeros(3), seed=np.int64(1))
+    assert run.time == pytest.approx(np.arange(51) / 100)
 
 
 def test_missing_and_unknown_arguments_are_reported_by_python():

@@ -114,7 +114,6 @@ def test_folder_is_rejected_with_an_example(tmp_path):
         find_file("scenario", f"{tmp_path}/")
 
 
-@pytest.mark.default_cases(at=[0, 1, 2, 4])
 @pytest.mark.parametrize(
     "name", ["a\0b.yaml", "x" * 5000 + ".yaml", "/dev/null/x.yaml", "a\0b", "x" * 5000]
 )
@@ -157,7 +156,6 @@ def test_file_size_is_limited(tmp_path):
         read_text(path)
 
 
-@pytest.mark.default_cases(at=[0, 1, 3, 4, 8, 10, 12, 15])
 @pytest.mark.parametrize(
     ("text", "value"),
     [
@@ -207,7 +205,6 @@ def test_all_rejected_features_are_reported_at_once():
     )
 
 
-@pytest.mark.default_cases(at=[0, 1, 2, 3, 4, 5, 6, 13, 14, 15, 16])
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -233,19 +230,6 @@ def test_all_rejected_features_are_reported_at_once():
         (
             'a: "x\\e[31m"\n',
             r"f.yaml:1:4: the control character \\x1b is not allowed in text",
-        ),
-        (
-            'a: "\\x9b1m"\n',
-            r"f.yaml:1:4: the control character \\x9b is not allowed in text",
-        ),
-        (
-            'a: "\\x7f"\n',
-            r"f.yaml:1:4: the control character \\x7f is not allowed in text",
-        ),
-        ('a: "\\r"\n', r"f.yaml:1:4: the control character \\r is not allowed in text"),
-        (
-            '"b\\e[0m": 1\n',
-            r"f.yaml:1:1: the control character \\x1b is not allowed in text",
         ),
         (
             '"b\\nc": 1\n',
@@ -336,24 +320,8 @@ def test_dumped_data_is_read_back_unchanged(data):
     assert document.data == {"data": data}
 
 
-@pytest.mark.default_cases(at=[0, 2, 3, 7, 8, 12])
 @pytest.mark.parametrize(
-    "text",
-    [
-        "yes",
-        "012",
-        "0o7",
-        "0x1F",
-        "1e3",
-        ".5",
-        "5.",
-        ".inf",
-        "~",
-        "12:30",
-        "2026-11-27",
-        "=",
-        "<<",
-    ],
+    "text", ["yes", "012", "0x1F", "1e3", "5.", ".inf", "~", "12:30", "=", "<<"]
 )
 def test_text_that_looks_like_another_type_stays_text(text):
     for data in (text, {text: text}, [text]):

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import pickle
-import subprocess
-import sys
 from dataclasses import fields, replace
 from functools import partial
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from subsets import first_by_default
 
 from srs_twin import AnalyticalSnake, Gait, InputError, TwinSnake, load_robot, rollout
@@ -76,9 +73,8 @@ BENCH_CONTROLLERS = {"direct_smc", "iterative_smc"}
 def scenario(plant: str, chambers: str, controller: str, sensor: str) -> Scenario:
     bench = controller in BENCH_CONTROLLERS
     name, own = PLANTS[plant] if not bench else (PLANTS[plant][0], {})
-    low_supply_pressure = (
-        {"timestep_s": 0.00025} if name == "twin" and chambers == "orifice" else {}
-    )
+    if name == "twin" and chambers == "orifice":
+        own = own | {"timestep_s": 0.00025}
     document = {
         "robot": "gen4_module" if bench else "gen4",
         "duration_s": 10.0,
@@ -87,11 +83,11 @@ def scenario(plant: str, chambers: str, controller: str, sensor: str) -> Scenari
         "controller": CONTROLLERS[controller],
         "pneumatics": CHAMBERS[chambers],
         "sensor": SENSORS[sensor],
-        "plants": {name: own | low_supply_pressure},
+        "plants": {name: own},
     }
-    return parse_scenario(
-        document | ({"planner": GIVEN} if controller == "follow" else {})
-    )
+    if controller == "follow":
+        document["planner"] = GIVEN
+    return parse_scenario(document)
 
 
 def started(asked: Scenario, seed: int) -> tuple[Plant, Controller]:
@@ -104,10 +100,7 @@ def started(asked: Scenario, seed: int) -> tuple[Plant, Controller]:
 
 
 def simulate(plant: Plant, controller: Controller, ticks: int) -> list[SnakeState]:
-    seen = []
-    for _ in range(ticks):
-        seen.append(plant.step(controller.step(plant.state)))
-    return seen
+    return [plant.step(controller.step(plant.state)) for _ in range(ticks)]
 
 
 def same(one: SnakeState, other: SnakeState) -> bool:
@@ -119,19 +112,15 @@ def same(one: SnakeState, other: SnakeState) -> bool:
 
 
 def cases() -> list[tuple[str, str, str, str]]:
-    combinations = []
-    for plant in PLANTS:
-        for chambers in CHAMBERS:
-            for controller in CONTROLLERS:
-                if controller in BENCH_CONTROLLERS and plant not in (
-                    "complete",
-                    "loaded",
-                ):
-                    continue
-                combinations.append(
-                    (plant, chambers, controller, list(SENSORS)[len(combinations) % 2])
-                )
-    return combinations
+    combinations = [
+        (plant, chambers, controller)
+        for plant, chambers, controller in product(PLANTS, CHAMBERS, CONTROLLERS)
+        if controller not in BENCH_CONTROLLERS or plant in ("complete", "loaded")
+    ]
+    return [
+        (*case, sensor)
+        for case, sensor in zip(combinations, cycle(SENSORS), strict=False)
+    ]
 
 
 def thirds(values: list[Any]) -> list[Any]:
@@ -155,74 +144,20 @@ def test_restored_run_continues_bit_for_bit(case, tmp_path):
     after = 12
     plant, controller = started(asked, seed=5)
     simulate(plant, controller, int(before))
+    state = plant.state
     kept, steering = (
         written_and_read(original.save(), tmp_path) for original in (plant, controller)
     )
+    here = simulate(plant, controller, after)
     there, wheel = started(asked, seed=99)
     simulate(there, wheel, 5)  # its earlier run must not matter
-    assert same(there.restore(kept), plant.state)
-    wheel.restore(steering)
-    one = simulate(plant, controller, after)
-    other = simulate(there, wheel, after)
-    assert all(same(a, b) for a, b in zip(one, other, strict=True))
+    for _ in range(2):  # a run does not change the state that it was restored from
+        assert same(there.restore(kept), state)
+        wheel.restore(steering)
+        moved = simulate(there, wheel, after)
+        assert all(same(one, other) for one, other in zip(here, moved, strict=True))
     assert repr(controller.signals()) == repr(wheel.signals())
     assert controller.events() == wheel.events()
-
-
-@pytest.mark.slow
-@settings(max_examples=12)
-@given(before=st.integers(0, 300), data=st.data())
-def test_state_can_be_restored_twice_at_any_time(before, data):
-    asked = scenario(*data.draw(st.sampled_from(cases())))
-    plant, controller = started(asked, seed=1)
-    simulate(plant, controller, before % 60)
-    first = pickle.loads(pickle.dumps(plant.save())), controller.save()
-    seen = simulate(plant, controller, 5)
-    for _ in range(2):
-        plant.restore(first[0])
-        controller.restore(first[1])
-        assert all(
-            same(a, b)
-            for a, b in zip(seen, simulate(plant, controller, 5), strict=True)
-        )
-
-
-ELSEWHERE = """
-import sys
-from pathlib import Path
-sys.path[:0] = {folders!r}
-from test_saved_state import simulate, scenario, started
-from srs_twin.io.saved_state import SavedState
-plant, controller = started(scenario(*{case!r}), seed=7)
-plant.restore(SavedState.read(Path("plant.npz")))
-controller.restore(SavedState.read(Path("controller.npz")))
-print(simulate(plant, controller, 10)[-1].position.tobytes().hex())
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "case",
-    [("loaded", "lag", "follow", "hall"), ("compliant", "orifice", "ilc", "hall")],
-    ids="-".join,
-)
-def test_state_restores_in_another_process(case, tmp_path):
-    plant, controller = started(scenario(*case), seed=5)
-    simulate(plant, controller, 25)
-    plant.save().write(tmp_path / "plant.npz")
-    controller.save().write(tmp_path / "controller.npz")
-    here = simulate(plant, controller, 10)[-1].position.tobytes().hex()
-    tests = Path(__file__).parents[1]
-    folders = [str(Path(__file__).parent), str(tests), str(tests / "helpers")]
-    script = ELSEWHERE.format(folders=folders, case=case)
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert done.stdout.strip() == here
 
 
 def test_three_differences_are_named_and_the_rest_counted():
@@ -287,18 +222,6 @@ def test_stuck_valve_is_restored():
     assert whole.pneumatics.stuck == stuck.pneumatics.stuck
 
 
-@pytest.mark.slow
-def test_state_that_unpacks_to_a_large_size_is_rejected(tmp_path):
-    np.savez_compressed(tmp_path / "state.npz", state="{}", zeros=np.zeros(1 << 26))
-    assert (tmp_path / "state.npz").stat().st_size < 1 << 20
-    with pytest.raises(
-        InputError,
-        match=r"not a saved state \(the unpacked content has 536871\d+ bytes, but at"
-        r" most",
-    ):
-        SavedState.read(tmp_path / "state.npz")
-
-
 def test_file_of_another_version_is_rejected(tmp_path):
     """Files of version 1 contain module names that no longer exist."""
     tree = (
@@ -311,31 +234,6 @@ def test_file_of_another_version_is_rejected(tmp_path):
         match=r"state.npz: the saved state has version 1, but this program reads only version \d",
     ):
         SavedState.read(tmp_path / "state.npz")
-
-
-@pytest.mark.default_cases(at=[0, 3, 4, 5])
-@pytest.mark.parametrize(
-    "damage", ["empty", "text", "half", "no state", "code", "object"]
-)
-def test_damaged_file_is_rejected(damage, tmp_path):
-    path = tmp_path / "state.npz"
-    AnalyticalSnake(load_robot("gen2")).save().write(path)
-    raw = path.read_bytes()
-    if damage == "no state":
-        np.savez(path, a=np.zeros(3))
-    elif damage == "code":
-        tree = (
-            '{"version": 2, "of": {}, "content": {"@": "os:system", "items": ["true"]}}'
-        )
-        np.savez(path, state=np.array(tree))
-    elif damage == "object":
-        np.savez(path, state=np.array([{}], dtype=object), allow_pickle=True)
-    else:
-        path.write_bytes(
-            {"empty": b"", "text": b"state", "half": raw[: len(raw) // 2]}[damage]
-        )
-    with pytest.raises(InputError, match="state.npz"):
-        SavedState.read(path)
 
 
 def physical(segments: int, seed: int) -> tuple[SnakeState, float]:
@@ -441,33 +339,6 @@ def test_impossible_initial_state_is_rejected():
         AnalyticalSnake(load_robot("gen4_module"), base="clamped").set_state(
             physical(1, 0)[0]
         )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("task", ["GoTo", "Obstacles", "Module", "Crawl3D"])
-def test_episode_continues_bit_for_bit_from_a_saved_state(task):
-    gymnasium = pytest.importorskip("gymnasium")
-    env, other = (
-        gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0").unwrapped for _ in range(2)
-    )
-    env.reset(seed=4)
-    actions = [env.action_space.sample() for _ in range(20)]
-    for action in actions[:10]:
-        env.step(action)
-    kept = env.episode.save()
-    here = [env.step(action) for action in actions[10:]]
-    seen, _ = other.reset(seed=4, options={"state": kept})
-    assert (seen == kept.content["_last_observation"]).all()
-    there = [other.step(action) for action in actions[10:]]
-    for one, two in zip(here, there, strict=True):
-        assert (one[0] == two[0]).all() and one[1:4] == two[1:4]
-    with pytest.raises(InputError, match="the saved state has other settings"):
-        other.reset(
-            seed=5,
-            options={"state": replace(kept, owner={**kept.owner, "task": "other"})},
-        )
-    with pytest.raises(InputError, match="option of reset"):
-        other.reset(seed=4, options={"stat": kept})
 
 
 def test_episode_starts_in_a_physical_state():
