@@ -192,7 +192,6 @@ STATE_MALFORMED = damaged(STATE, "array_0") + (
         content={"@": "dict", "items": [["a", {"@": "array", "name": "b"}]]},
     ),
     _state("a class of another package", content={"@": "os:system", "items": ["true"]}),
-    _state("another version", "the saved state has version 1", version=1),
     Malformed(
         "a number as document",
         archive(STATE | {"state": np.array(3.0)}),

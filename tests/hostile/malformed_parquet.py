@@ -117,48 +117,27 @@ def inflating() -> bytes:
     return file.getvalue()
 
 
-def numerous_groups() -> bytes:
-    """Return a file with one row per row group."""
-    names = ["time", *(f"x_{k}" for k in range(99))]
-    content = pa.Table.from_arrays([pa.array(np.arange(1100.0))] * 100, names=names)
-    return table(content, row_group_size=1)
-
-
 def on_disk(make: Callable[[], bytes]) -> MakeFile:
     """Return a function that writes a large file when a test needs it."""
     return lambda path: path.write_bytes(make())
 
 
 OURS = ": not a trajectory written by srs-twin ("
-DATA = 4  # after the first magic number
 CUTS = {
-    "the first magic number": 3,
     "the first page": 40,
     "half of it": len(GOOD) // 2,
-    "before the footer": len(GOOD) - FOOTER - 8,
     "in the footer": len(GOOD) - FOOTER // 2,
-    "without the footer's length": len(GOOD) - 8,
-    "without the last magic number": len(GOOD) - 4,
     "one byte": len(GOOD) - 1,
 }
 
 MALFORMED: tuple[Malformed, ...] = (
     *(Malformed(f"cut: {name}", GOOD[:length], OURS) for name, length in CUTS.items()),
-    Malformed("trailing byte", GOOD + b"x", OURS),
-    Malformed("two files in one", GOOD + GOOD[:-4], OURS),
-    Malformed(
-        "a footer longer than the file", GOOD[:-8] + b"\xff\xff\xff\x7fPAR1", OURS
-    ),
-    Malformed("empty footer", GOOD[:-8] + b"\0\0\0\0PAR1", OURS),
     Malformed("a footer of 4 GB", GOOD[:-8] + b"\xff\xff\xff\xffPAR1", OURS),
     Malformed("magic number of encrypted files", GOOD[:-4] + b"PARE", OURS),
-    Malformed("only magic numbers", b"PAR1PAR1", OURS),
-    Malformed("zeros between magic numbers", b"PAR1" + bytes(1000) + b"PAR1", OURS),
     *(
         Malformed(f"inverted page byte {offset}", flipped(offset), f"{OURS}column ")
-        for offset in (60, 120, 250, 400, 700)
+        for offset in (60, 700)
     ),
-    Malformed("inverted first footer byte", flipped(len(GOOD) - FOOTER - 8), OURS),
     Malformed(
         "footer of noise", GOOD[: -FOOTER - 8] + b"\xa5" * FOOTER + GOOD[-8:], OURS
     ),
@@ -177,26 +156,15 @@ MALFORMED: tuple[Malformed, ...] = (
         table({"time": [0.0], **{f"x{k}": [0.0] for k in range(5000)}}),
         f"{OURS}the file has 5001 columns, but at most ",
     ),
-    Malformed("110,000 column chunks", on_disk(numerous_groups), f"{OURS}"),
     Malformed(
         "metadata of 100 MB",
         on_disk(lambda: metadata('"' + "x" * 10**8 + '"')),
         f"{OURS}",
     ),
     Malformed(
-        "metadata of 40 MB",
-        on_disk(lambda: metadata("[" + "1," * (20 << 20) + "1]")),
-        f"{OURS}",
-    ),
-    Malformed(
         "no metadata",
         table({"time": [1.0]}, {}),
         f"{OURS}the Parquet file has no metadata of srs-twin)",
-    ),
-    Malformed(
-        "no events",
-        table({"time": [1.0]}, {"srs_twin.metadata": "{}"}),
-        f"{OURS}the Parquet file has no metadata",
     ),
     Malformed("metadata that are not JSON", metadata("{"), OURS),
     Malformed("metadata that are not text", metadata(b"\xff\xfe"), OURS),
@@ -211,15 +179,10 @@ MALFORMED: tuple[Malformed, ...] = (
         metadata('{"a": ' + "9" * 5000 + "}"),
         OURS,
     ),
-    Malformed("number as event", events([3]), OURS),
-    Malformed("empty event", events([{}]), f"{OURS}"),
     Malformed(
         "event with an unknown key",
         events([{"time": 0, "kind": "a", "text": "b", "x": 1}]),
         OURS,
-    ),
-    Malformed(
-        "event without a time", events([{"time": None, "kind": "a", "text": "b"}]), OURS
     ),
     Malformed(
         "event at NaN",
@@ -234,22 +197,13 @@ MALFORMED: tuple[Malformed, ...] = (
         events([{"time": 0, "kind": ["a"], "text": "b"}]),
         f"{OURS}the kind and the text of an event",
     ),
-    Malformed("number as events", events(3), OURS),
     Malformed("mapping as events", events({"time": 1}), OURS),
     Malformed("no time", table({"x": [1.0]}), ": a trajectory needs a column 'time'"),
-    Malformed(
-        "no column at all", table(pa.table({})), ": a trajectory needs a column 'time'"
-    ),
     Malformed(
         "text as time",
         table({"time": ["now"]}),
         f"{OURS}column 'time' contains values of type string, but must contain"
         " float64)",
-    ),
-    Malformed(
-        "integers as time",
-        table({"time": [0, 1]}),
-        f"{OURS}column 'time' contains values of type int64, but must contain float64)",
     ),
     Malformed(
         "half precision",
@@ -260,16 +214,6 @@ MALFORMED: tuple[Malformed, ...] = (
         "a list in a column",
         table({"time": [0.0], "x": [[1.0]]}),
         f"{OURS}column 'x' contains values of type list<",
-    ),
-    Malformed(
-        "a record in a column",
-        table({"time": [0.0], "x": [{"a": 1.0}]}),
-        f"{OURS}column 'x' contains values of type struct<",
-    ),
-    Malformed(
-        "lists of lists",
-        table({"time": pa.nulls(1, nested(30))}),
-        f"{OURS}column 'time' contains values of type list<",
     ),
     Malformed("very deep lists", table({"time": pa.nulls(1, nested(300))}), OURS),
     Malformed(
@@ -285,16 +229,6 @@ MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "NaN in time",
         table({"time": [0.0, float("nan"), 1.0]}),
-        ": the values in column 'time' must be finite and increase",
-    ),
-    Malformed(
-        "infinity in time",
-        table({"time": [0.0, float("inf")]}),
-        ": the values in column 'time' must be finite and increase",
-    ),
-    Malformed(
-        "time backwards",
-        table({"time": [0.0, 2.0, 1.0]}),
         ": the values in column 'time' must be finite and increase",
     ),
     Malformed(

@@ -35,7 +35,6 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed("comment only", b"# nothing\n", ": must be a block of keys ("),
     Malformed("plain text", b"just text\n", ":1:1: must be a block of keys ("),
     Malformed("a list", b"- 1\n- 2\n", ":1:1: must be a block of keys ("),
-    Malformed("a number", b"1e999\n", ":1:1: must be a block of keys ("),
     Malformed("no keys", b"{}", ": missing; it must be"),
     Malformed(
         "UTF-16 with its mark",
@@ -43,19 +42,9 @@ STRUCTURE: tuple[Malformed, ...] = (
         ": the file is not UTF-8 text (byte 1 is 0xff)",
     ),
     Malformed(
-        "UTF-16, big end first",
-        b"\xfe\xff" + "title: x\n".encode("utf-16-be"),
-        ": the file is not UTF-8 text (byte 1",
-    ),
-    Malformed(
         "UTF-16 without its mark",
         "title: x\n".encode("utf-16-le"),
         ":1:2: not YAML: the character U+0000",
-    ),
-    Malformed(
-        "UTF-32 with its mark",
-        "title: x\n".encode("utf-32"),
-        ": the file is not UTF-8 text (byte 1 is 0xff)",
     ),
     Malformed(
         "UTF-32, big end first",
@@ -69,31 +58,14 @@ STRUCTURE: tuple[Malformed, ...] = (
         ": the file is not UTF-8 text (byte 10 is 0xf6); save it as UTF-8",
     ),
     Malformed(
-        "overlong UTF-8",
-        b"title: \xc0\xaf\n",
-        ": the file is not UTF-8 text (byte 8 is 0xc0)",
-    ),
-    Malformed(
         "surrogate in UTF-8",
         b"title: \xed\xa0\x80\n",
         ": the file is not UTF-8 text (byte 8 is 0xed)",
-    ),
-    Malformed(
-        "half a surrogate pair",
-        b'title: "\\uD800"\n',
-        ":1:8: half a surrogate pair is not allowed",
-    ),
-    Malformed(
-        "escape that is no character", b'title: "\\UFFFFFFFF"\n', ":1:1: not YAML:"
     ),
     Malformed("unknown escape", b'title: "\\q"\n', ":1:10: not YAML:"),
     Malformed(
         "a byte order mark inside", "title: x\n\ufefftitle: y\n".encode(), ":2:1: "
     ),
-    Malformed("two byte order marks", "\ufeff\ufefftitle: x\n".encode(), ":1:"),
-    Malformed("NUL", b"title: a\0b\n", ":1:9: not YAML: the character U+0000"),
-    Malformed("bell", b"\x07title: x", ":1:1: not YAML: the character U+0007"),
-    Malformed("delete", b"title: \x7f\n", ":1:8: not YAML: the character U+007F"),
     Malformed(
         "escape sequence of a terminal",
         b"title: \x1b[2J\n",
@@ -107,9 +79,7 @@ STRUCTURE: tuple[Malformed, ...] = (
     Malformed(
         "more than 64 kB", b"a: " + b"x" * 70_000, ": the file is larger than 64 kB"
     ),
-    Malformed("64 kB of comments", b"#\n" * 40_000, ": the file is larger than 64 kB"),
     Malformed("64 kB of spaces", b" " * 65_000, ": must be a block of keys ("),
-    Malformed("64 kB of line ends", b"\r\n" * 32_000, ": must be a block of keys ("),
     Malformed("64 kB of quotes", b"title: " + b'"' * 65_000, ":1:"),
     Malformed("64 kB of escapes", b'title: "' + b"\\n" * 32_000, ":1:64009: not YAML:"),
     Malformed("60 kB key", b"x" * 60_000 + b": 1\n", ":1:60001: not YAML"),
@@ -118,11 +88,6 @@ STRUCTURE: tuple[Malformed, ...] = (
         "unclosed brackets",
         b"a: " + b"[" * 60_000,
         ":1:19: the file is nested more than 16 levels deep",
-    ),
-    Malformed(
-        "unclosed braces",
-        b"a: " + b"{a: " * 10_000,
-        ":1:64: the file is nested more than 16 levels deep",
     ),
     Malformed(
         "nested dashes",
@@ -140,21 +105,11 @@ STRUCTURE: tuple[Malformed, ...] = (
         b"".join(b"k%d:\n" % i for i in range(5_500)),
         ":5000:7: the file has more than 10000 keys",
     ),
-    Malformed(
-        "10,000 entries",
-        b"a: [" + b"1," * 20_000 + b"]",
-        ":1:19999: the file has more than 10000 keys",
-    ),
     Malformed("a billion laughs", laughs(), ":1:5: anchors (&a0) are not allowed"),
     Malformed(
         "a list that contains itself",
         b"a: &a [*a]\n",
         ":1:4: anchors (&a) are not allowed",
-    ),
-    Malformed(
-        "an undefined alias",
-        b"title: *nowhere\n",
-        ":1:8: aliases (*nowhere) are not allowed",
     ),
     Malformed(
         "anchor on a key", b"&k title: x\n", ":1:1: anchors (&k) are not allowed"
@@ -164,22 +119,7 @@ STRUCTURE: tuple[Malformed, ...] = (
         b"title: !!python/object/apply:os.system [id]\n",
         ":1:8: tags (tag:yaml.org,2002:python/object/",
     ),
-    Malformed(
-        "binary tag",
-        b"title: !!binary aGk=\n",
-        ":1:8: tags (tag:yaml.org,2002:binary) are not allowed",
-    ),
-    Malformed(
-        "tag of a float",
-        b"title: !!float 1\n",
-        ":1:8: tags (tag:yaml.org,2002:float) are not allowed",
-    ),
     Malformed("verbatim tag", b"title: !<x> 1\n", ":1:8: tags (x) are not allowed"),
-    Malformed(
-        "directive",
-        b"%YAML 1.1\n---\ntitle: x\n",
-        ":1:1: YAML directives are not allowed",
-    ),
     Malformed(
         "tag directive",
         b"%TAG ! tag:x,2000:\n---\ntitle: !a x\n",
@@ -187,44 +127,22 @@ STRUCTURE: tuple[Malformed, ...] = (
     ),
     Malformed("YAML 9.9", b"%YAML 9.9\n---\ntitle: x\n", ":1:1: not YAML"),
     Malformed(
-        "second YAML document",
-        b"title: x\n---\ntitle: y\n",
-        ":2:1: a second YAML document begins here",
-    ),
-    Malformed(
-        "merge key", b"<<: {title: x}\n", ":1:1: merge keys (<<) are not allowed"
-    ),
-    Malformed(
         "merge of aliases",
         b"a: &a {title: x}\n<<: [*a, *a]\n",
         ":2:1: merge keys (<<) are not allowed",
-    ),
-    Malformed(
-        "key given twice",
-        b"title: x\ntitle: y\n",
-        ":2:1: title: the key is given twice; the first one is on line 1",
     ),
     Malformed(
         "key given twice in braces",
         b"{title: x, 'title': y}",
         ":1:12: title: the key is given twice",
     ),
-    Malformed("a list as key", b"? [a, b]\n: 1\n", ":1:3: a key must be plain text"),
     Malformed("a block as key", b"{? {a: b} : 1}", ":1:4: a key must be plain text"),
-    Malformed("tab as indentation", b"a:\n\tb: 1\n", ":2:1: not YAML:"),
     Malformed("brace too many", b"title: x\nworld: {}}\n", ":2:10: not YAML:"),
     Malformed("bracket of the wrong kind", b"a: [1, 2}\n", ":1:9: not YAML:"),
-    Malformed("unclosed quote", b"title: 'x\n", ":2:1: not YAML:"),
-    Malformed("two colons", b"a: b: c\n", ":1:5: not YAML:"),
     Malformed(
         "carriage returns as line ends",
         b"title: x\rtitle: y\r",
         ":2:1: title: the key is given twice",
-    ),
-    Malformed(
-        "mixed line ends",
-        b"title: x\r\n\r\n\rtitle: y\n\r",
-        ":4:1: title: the key is given twice",
     ),
     Malformed("on as key", b"on: x\n", ":1:1: on: unknown key"),
     Malformed("a number as key", b"1: x\n", ":1:1: 1: unknown key"),
@@ -251,14 +169,14 @@ NOT_NUMBERS: dict[str, str] = {
     "0b1": "text '0b1'",
     "1_000": "text '1_000'",
     "1,5": "",
-    "'2.0'": "text '2.0'",
+    "'2.0'": "text '2.0'; write the number without quotes",
     "true": "true",
     "yes": "text 'yes'",
     "~": "nothing",
     "": "nothing",
     "[2]": "a list of 1",
     "{a: 1}": "a block of keys",
-    "2Hz": "text '2Hz'",
+    "2Hz": "text '2Hz'; write the number without its unit, which the key states",
     "1:30": "text '1:30'",
     "\u0662": "text '\u0662'",
     "\uff12": "text '\uff12'",
@@ -313,33 +231,6 @@ def plain_data(text: bytes) -> dict[str, Any]:
     """Return the data of a valid YAML file."""
     data: dict[str, Any] = parse_yaml(text.decode(), "good").data
     return data
-
-
-def varied(good: bytes, values: dict[str, Any]) -> st.SearchStrategy[dict[str, Any]]:
-    """Return a strategy for the data of a valid file with other values.
-
-    Args:
-        good: a valid file.
-        values: dotted path → strategy or constant; a value of None removes the key.
-    """
-    strategies = {
-        k: v if isinstance(v, st.SearchStrategy) else st.just(v)
-        for k, v in values.items()
-    }
-
-    def build(drawn: dict[str, Any]) -> dict[str, Any]:
-        data = plain_data(good)
-        for path, value in drawn.items():
-            *sections, key = path.split(".")
-            target = data
-            for section in sections:
-                target = target[section]
-            target[key] = value
-            if value is None:
-                del target[key]
-        return data
-
-    return st.fixed_dictionaries(strategies).map(build)
 
 
 any_data = st.recursive(

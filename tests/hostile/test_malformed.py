@@ -49,31 +49,11 @@ each_parser = pytest.mark.parametrize("parser", PARSERS, ids=lambda parser: pars
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Change to an empty folder, and return its relative path."""
+    """Change to an empty folder and return its relative path."""
     monkeypatch.chdir(tmp_path)
     return Path()
 
 
-def test_malformed_files_are_distinct():
-    assert len(
-        {
-            (parser.name, malformed.name)
-            for parser, malformed in (p.values for p in CASES)
-        }
-    ) == len(CASES)
-    assert (
-        len(
-            {
-                malformed.content
-                for parser in PARSERS
-                for malformed in parser.all_malformed
-            }
-        )
-        >= 150
-    )
-
-
-@pytest.mark.default_cases(at=[0, 1, 3, 5, 9, 11, 12, 13, 14])
 @each_parser
 def test_valid_file_is_read(parser: Parser, folder: Path):
     path = parser.path_in(folder)
@@ -81,81 +61,24 @@ def test_valid_file_is_read(parser: Parser, folder: Path):
     assert parser.same(parser.parse(path), (parser.quick or parser.parse)(path))
 
 
-@pytest.mark.default_cases(
-    at=[
-        0,
-        6,
-        125,
-        134,
-        135,
-        138,
-        140,
-        144,
-        156,
-        159,
-        166,
-        179,
-        184,
-        189,
-        190,
-        194,
-        196,
-        228,
-        269,
-        307,
-        308,
-        310,
-        313,
-        315,
-        316,
-        319,
-        322,
-        323,
-        325,
-        326,
-        333,
-        348,
-        355,
-        356,
-        360,
-        367,
-        369,
-        372,
-        374,
-        381,
-        383,
-        387,
-        389,
-        392,
-        394,
-        396,
-        397,
-        406,
-        414,
-        416,
-        427,
-        431,
-        436,
-        440,
-        442,
-        449,
-        451,
-        458,
-        459,
-        461,
-        462,
-        464,
-        465,
-        471,
-        476,
-        478,
-        479,
-        480,
-        481,
-    ]
-)
 @pytest.mark.parametrize(("parser", "malformed"), CASES)
 def test_malformed_file_is_rejected_with_its_position(
+    parser: Parser, malformed: Malformed, folder: Path
+):
+    path = parser.path_in(folder)
+    malformed.write(path)
+    before = sorted(os.listdir())
+    message = rejection(parser, path)
+    assert malformed.message in message
+    assert "Traceback" not in message and "pydantic" not in message
+    assert sorted(os.listdir()) == before, "a file was written"
+
+
+@pytest.mark.default_cases(8)
+@pytest.mark.parametrize(
+    ("parser", "malformed"), [case for case in CASES if case.values[0].command]
+)
+def test_command_rejects_a_malformed_file(
     parser: Parser,
     malformed: Malformed,
     folder: Path,
@@ -164,16 +87,12 @@ def test_malformed_file_is_rejected_with_its_position(
     path = parser.path_in(folder)
     malformed.write(path)
     before = sorted(os.listdir())
-    if not parser.command:
-        message = rejection(parser, path)
-    else:
-        with pytest.raises(SystemExit) as exit_:
-            main(parser.arguments(path))
-        output, message = capsys.readouterr()
-        assert (exit_.value.code, output) == (2, ""), message
-        check_lines(message, str(path))
+    with pytest.raises(SystemExit) as exit_:
+        main(parser.arguments(path))
+    output, message = capsys.readouterr()
+    assert (exit_.value.code, output) == (2, ""), message
+    check_lines(message, str(path))
     assert malformed.message in message
-    assert "Traceback" not in message and "pydantic" not in message
     assert sorted(os.listdir()) == before, "a file was written"
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import pytest
 from malformed_scenarios import SCENARIO
+from malformed_yaml import NOT_NUMBERS
 from pydantic import Field
 
 from srs_twin.errors import InputError
@@ -26,24 +27,13 @@ plants: {analytical: {}, twin: {}}
 
 # Command line, and part of the message.
 COMMANDS = [
-    (
-        "run gen2straight",
-        "unknown scenario 'gen2straight'; did you mean gen2_straight?",
-    ),
-    ("run scenario/gen2_straight.yaml", "no such file; did you mean gen2_straight?"),
     ("run mine.yml", "mine.yml: no such file"),
-    ("comapre gen2_straight", "Did you mean 'compare'?"),
     ("compare gen2_straight --explian", "--explain"),
-    (
-        "compare gen2_straight --set stiffness=0.2",
-        "did you mean robot.bending.stiffness_nm_per_rad?",
-    ),
     ("compare gen2_straight --set robot.mu_t=0.2", "did you mean robot.friction.mu_t?"),
     (
         "compare gen2_straight --set friction.mu_t=0.2",
         "did you mean robot.friction.mu_t?",
     ),
-    ("compare gen2_straight --set supply.pressure_kpa", "must be FIELD=VALUE"),
     (
         "compare gen2_straight --duration=-1",
         "--duration -1: duration_s: must be a number from 0.001",
@@ -57,26 +47,11 @@ COMMANDS = [
         "run gen2_straight --plants both",
         "--plants: 'both' is unknown; allowed: analytical, twin",
     ),
-    ("show gen5", "unknown scenario or robot 'gen5'; did you mean gen"),
     ("list robot", "unknown kind 'robot'; did you mean robots?"),
-    (
-        "sweep gen2_straight",
-        (
-            "unknown sweep 'gen2_straight' (available: 17 names; `srs-twin list sweeps`"
-            " lists them)"
-        ),
-    ),
-    (
-        "plan gen2_straight",
-        "the scenario has no planner; add the section `planner`",
-    ),
-    ("view gen2_straight", "no recording was found"),
-    ("render gen2_straight", "exactly one of the options --video FILE.mp4"),
     ("diff a b", "a: no such file"),
     ("models export gen7", "unknown robot 'gen7'; did you mean gen"),
     ("models export gen2 --contact loaded", "an exported snake would slide freely"),
     ("models check model.xml", "was retired"),
-    ("play gen22", "unknown scenario or robot 'gen22'; did you mean gen2,"),
     (
         "play gen2 --set controller.offset=0.1",
         "only fields of the robot can be set",
@@ -104,11 +79,6 @@ SCENARIO_EDITS = [
     ),
     (
         "frequency_hz: 2.0",
-        "frequency: 2.0",
-        "controller.frequency: unknown key; did you mean frequency_hz?",
-    ),
-    (
-        "frequency_hz: 2.0",
         "frequency_hz: 2,0",
         "unknown key; a decimal number is written with a point, not with a comma",
     ),
@@ -121,24 +91,6 @@ SCENARIO_EDITS = [
         "pressure_kpa: 48.3",
         "pressure_psi: 7",
         "supply.pressure_psi: unknown key; did you mean pressure_kpa?",
-    ),
-    (
-        "pressure_kpa: 48.3",
-        "pressure_kpa: 483",
-        "lower the pressure, or set `allow_overpressure: true`",
-    ),
-    ("pressure_kpa: 48.3", "pressure_kpa: 48300", "not 48300; did you mean 48.3?"),
-    ("kind: gait", "kind: sine", "controller.kind: must be one of gait, ilc,"),
-    ("kind: gait, ", "", "controller.kind: missing"),
-    (
-        "duration_s: 2",
-        "duration_s: 2.005",
-        "not a multiple of the analytical plant's tick 0.02 s; use 2 s",
-    ),
-    (
-        "duration_s: 2",
-        "duration: 2",
-        "3:1: duration: unknown key; did you mean duration_s?",
     ),
     (
         "duration_s: 2",
@@ -170,11 +122,6 @@ SCENARIO_EDITS = [
         "title: Mine",
         "title: Mine\nworld: {obstacles: [{x: 1}]}",
         "allowed: x_m, y_m, radius_m",
-    ),
-    (
-        "title: Mine",
-        "title: Mine\nexpect: [{metric: speed, plant: twin, below: 1}]",
-        "did you mean com_speed_m_s",
     ),
     (
         "title: Mine",
@@ -250,11 +197,6 @@ POSITIONS = [
         "5:26: controller.frequency_hz: must be a number from 0.01 to 50, not nothing",
     ),
     (
-        "frequency_hz",
-        "frequency",
-        "5:26: controller.frequency: unknown key; did you mean frequency_hz?",
-    ),
-    (
         "offset: 0.0",
         "offset: 1",
         "5:53: controller.offset: must be a number from -0.95 to 0.95, not 1",
@@ -302,19 +244,6 @@ POSITIONS = [
         "8:3: plants: the section `twin` is empty; write `twin: {}` to",
     ),
     (
-        "kind: gait",
-        "kind: smc",
-        "5:20: controller.kind: must be one of gait, ilc, direct_smc, ",
-    ),
-    (
-        "48.3",
-        "96.5",
-        (
-            "4:24: supply.pressure_kpa: 96.5 kPa is above the limit of gen2 in pulses"
-            " of a gait, which is 68.9476 kPa"
-        ),
-    ),
-    (
         "48.3",
         "48kPa",
         (
@@ -326,11 +255,6 @@ POSITIONS = [
         "48.3}",
         "96, allow_overpressure: yes}",
         "4:48: supply.allow_overpressure: must be true or false, not t",
-    ),
-    (
-        "friction: axis",
-        "tick_s: 0.02005",
-        "3:13: duration_s: duration 1 s is not a multiple of the analytical plant",
     ),
     (
         "wheels: rolling",
@@ -350,12 +274,6 @@ POSITIONS = [
         "gen2\nrobot: gen3\n",
         "3:1: robot: the key is given twice; the first one is on line 2",
     ),
-    ("gen2\n", "&r gen2\n", "2:8: anchors (&r) are not allowed"),
-    (
-        "gen2\n",
-        "!!python/name:os.system\n",
-        "2:8: tags (tag:yaml.org,2002:python/name:os.system) are not",
-    ),
     (
         "gen2\n",
         "../../../etc/passwd\n",
@@ -371,14 +289,6 @@ POSITIONS = [
         "\tworld: {}",
         "6:1: not YAML: while scanning for the next token: found character '\\t'",
     ),
-    ("world: {}", "world: {}}", "6:10: not YAML: "),
-    (
-        "title: G",
-        "---\ntitle: x\n---\ntitle: G",
-        "3:1: a second YAML document begins here",
-    ),
-    ("title: G", "\x07title: G", "1:1: not YAML: the character U+0007"),
-    ("title: G", "on: G", "1:1: on: unknown key; allowed: "),
     (
         "world: {}",
         "world: {bounds: {x_m: [1], y_m: [0, 1]}}",
@@ -392,26 +302,8 @@ POSITIONS = [
     ),
 ]
 
-# Text in place of a number, and its description in the message.
-NUMBERS = [
-    ("0", "0"),
-    ("-2", "-2"),
-    ("1e3", "1000"),
-    (".nan", "NaN"),
-    (".inf", "infinity"),
-    ("1e999", "infinity"),
-    ("9" * 5000, "infinity"),
-    ("NaN", "text 'NaN'"),
-    ("2Hz", "text '2Hz'; write the number without its unit, which the key states"),
-    ("'2.0'", "text '2.0'; write the number without quotes"),
-    ("true", "true"),
-    ("[2]", "a list of 1"),
-    ("{a: 1}", "a block of keys"),
-    ("~", "nothing"),
-]
 
-
-@pytest.mark.default_cases(at=[0, 5, 9, 14, 16, 17, 21, 22, 23, 24, 25, 27])
+@pytest.mark.default_cases(10)
 @pytest.mark.parametrize(("command", "message"), COMMANDS)
 def test_mistyped_command_is_rejected_with_a_remedy(
     srs_twin, tmp_path, command, message
@@ -422,7 +314,7 @@ def test_mistyped_command_is_rejected_with_a_remedy(
     assert not done.stdout and not list(tmp_path.iterdir())
 
 
-@pytest.mark.default_cases(at=[0, 7, 8, 10, 15, 20, 21, 24, 26, 29])
+@pytest.mark.default_cases(10)
 @pytest.mark.parametrize(("old", "new", "message"), SCENARIO_EDITS)
 def test_mistake_in_a_scenario_is_rejected_with_a_remedy(
     srs_twin, tmp_path, old, new, message
@@ -461,21 +353,24 @@ def test_byte_order_mark_and_windows_line_ends_are_accepted(tmp_path):
     assert load_scenario(tmp_path / "x.yaml").warnings == ()
 
 
-@pytest.mark.default_cases(at=[0, 1, 3, 4, 7, 8, 10, 13])
 @pytest.mark.fast
-@pytest.mark.parametrize(("written", "description"), NUMBERS)
+@pytest.mark.parametrize(
+    ("written", "description"),
+    [
+        ("0", "0"),
+        ("-2", "-2"),
+        ("1e3", "1000"),
+        *(each for each in NOT_NUMBERS.items() if all(each)),
+    ],
+)
 def test_invalid_frequency_is_described(rejected, written, description):
-    expected = (
+    said = rejected(GOOD.replace("frequency_hz: 2.0", f"frequency_hz: {written}"))
+    assert said.startswith(
         "x.yaml:5:40: controller.frequency_hz: must be a number from 0.01 to 50, not"
         f" {description}"
     )
-    assert (
-        rejected(GOOD.replace("frequency_hz: 2.0", f"frequency_hz: {written}"))
-        == expected
-    )
 
 
-@pytest.mark.default_cases(at=[0, 8, 9, 10, 11, 14, 15, 17, 21, 24, 27, 28, 29])
 @pytest.mark.fast
 @pytest.mark.parametrize(("old", "new", "message"), POSITIONS)
 def test_mistake_is_reported_with_line_and_column(rejected, old, new, message):
@@ -502,19 +397,6 @@ def test_all_mistakes_are_reported_in_the_order_of_the_file(rejected):
         ["x.yaml:9:18", "anchors (&a) are not allowed; write each value out"],
         ["x.yaml:11:5", "expect[0]"],
     ]
-
-
-@pytest.mark.fast
-def test_missing_file_folder_and_unknown_name_are_rejected(tmp_path):
-    with pytest.raises(InputError, match=r"nope\.yaml: no such file"):
-        load_scenario(tmp_path / "nope.yaml")
-    with pytest.raises(InputError, match="a folder; give one file"):
-        load_scenario(tmp_path)
-    with pytest.raises(
-        InputError,
-        match=r"unknown scenario 'gen2_strait'; did you mean gen2_straight\?",
-    ):
-        load_scenario("gen2_strait")
 
 
 @pytest.mark.fast

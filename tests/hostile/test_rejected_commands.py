@@ -178,17 +178,13 @@ FILE_COMMANDS = (
     "calibrate friction {} --robot gen2 --name f",
     "shadow gen2 --mcap {}",
 )
-LONG_NAMES = ("x" * 300, "./" + "x" * 300 + ".yaml", "y" * 5000, "a/" * 2000 + "x.yaml")
+LONG_NAMES = ("x" * 300, "a/" * 2000 + "x.yaml")
 ANY_COMMANDS = (
     "list",
     "--version",
     "run gen2_straight --out /tmp/new",
-    "plan gen2_straight",
-    "sweep fig41",
     "diff / /",
-    "emulate gen2",
     "doctor",
-    "models export",
 )
 
 
@@ -229,27 +225,15 @@ def rejection(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return message
 
 
-def run_or_skip(*command: str) -> None:
-    if subprocess.run(command, capture_output=True, check=False).returncode:
-        pytest.skip(f"{command[0]} is not possible on this machine")
-
-
 @pytest.fixture
 def read_only(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """Mount a read-only file system."""
     mount = tmp_path_factory.mktemp("read_only")
-    run_or_skip("mount", "-t", "tmpfs", "-o", "ro,size=1m", "none", str(mount))
+    command = ["mount", "-t", "tmpfs", "-o", "ro,size=1m", "none", str(mount)]
+    if subprocess.run(command, capture_output=True, check=False).returncode:
+        pytest.skip("mount is not possible on this machine")
     yield mount
     subprocess.run(["umount", str(mount)], check=True)
-
-
-@pytest.fixture
-def immutable(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Create a folder to which not even root can add files."""
-    folder = tmp_path_factory.mktemp("immutable")
-    run_or_skip("chattr", "+i", str(folder))
-    yield folder
-    subprocess.run(["chattr", "-i", str(folder)], check=True)
 
 
 @pytest.mark.default_cases(at=[0, 1, 3, 5, 6, 14, 17, 18, 19, 22, 34])
@@ -278,13 +262,6 @@ def test_read_only_file_system_is_rejected(folder, capsys, read_only, command):
         assert "Read-only file system" in message
 
 
-@pytest.mark.default_cases(at=[0, 2, 5, 6, 7, 8, 14])
-@each_command
-def test_immutable_folder_is_rejected(folder, capsys, immutable, command):
-    message = rejection(capsys, *command.replace("{}", str(immutable / "new")).split())
-    assert "Operation not permitted" in message
-
-
 def test_a_hundred_levels_of_new_folders_are_created(folder, capsys):
     deep = Path("/".join("a" * 100))
     with pytest.raises(SystemExit) as exit_:
@@ -293,14 +270,13 @@ def test_a_hundred_levels_of_new_folders_are_created(folder, capsys):
     assert (deep / "plan.json").is_file()
 
 
-@pytest.mark.default_cases(at=[0, 8, 16, 20, 25, 31, 40, 47, 48])
+@pytest.mark.default_cases(9)
 @pytest.mark.parametrize("name", LONG_NAMES, ids=lambda name: f"{name[:4]} {len(name)}")
 @pytest.mark.parametrize("command", FILE_COMMANDS)
 def test_too_long_file_name_is_rejected(folder, capsys, command, name):
     assert "internal" not in rejection(capsys, *command.replace("{}", name).split())
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", LONG_NAMES, ids=lambda name: f"{name[:4]} {len(name)}")
 def test_too_long_name_of_a_start_is_rejected(folder, capsys, name):
     start = f"start={{from: {name}, time_s: 0.1}}"

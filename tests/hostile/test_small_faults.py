@@ -75,7 +75,7 @@ def test_a_number_in_place_of_an_inner_block_is_refused_with_set(tmp_path, capfd
 
 
 @pytest.mark.default_cases(2)
-@pytest.mark.parametrize("fraction", ["1e400%", "nan", "-5%", "0%", "inf", "much"])
+@pytest.mark.parametrize("fraction", ["1e400%", "nan", "-5%", "0%", "much"])
 def test_impossible_accuracy_is_refused(capfd, fraction):
     error = refused(
         capfd,
@@ -175,7 +175,7 @@ def test_kernels_of_a_folder_that_a_group_can_write_are_not_trusted(
     assert _why_unsafe(folder) is None
 
 
-def test_a_group_that_others_may_fraction_is_not_the_users_own(monkeypatch):
+def test_a_group_that_others_share_is_not_the_users_own(monkeypatch):
     own = SimpleNamespace(pw_name="ann", pw_gid=100)
     monkeypatch.setattr("pwd.getpwuid", lambda number: own)
     groups = {100: ("users", []), 1000: ("ann", []), 1001: ("ann", ["ann", "bob"])}
