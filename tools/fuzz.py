@@ -24,12 +24,13 @@ from pathlib import Path
 
 from hypothesis import HealthCheck, Phase, given, settings
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "hostile"))
-sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "tests" / "hostile"))
+sys.path += [str(ROOT / "tests" / "helpers"), str(ROOT / "benchmarks")]
 
 from common.grid import table  # noqa: E402
 from harness import Malformed, Parser  # noqa: E402
-from parsers import PARSERS, path_of  # noqa: E402
+from parsers import PARSERS  # noqa: E402
 
 FRACTIONS = {"damaged": 0.4, "values": 0.4, "bytes": 0.2}
 LIMIT_S = 2.0
@@ -99,7 +100,7 @@ def generate(parser: Parser, examples: int) -> Generated:
     """Read generated files with a parser."""
     result = Generated()
     with tempfile.TemporaryDirectory() as room:
-        path = path_of(parser, Path(room))
+        path = parser.path_in(Path(room))
         for generator, fraction in FRACTIONS.items():
 
             @settings(
@@ -113,7 +114,7 @@ def generate(parser: Parser, examples: int) -> Generated:
             def look(content: bytes) -> None:
                 begun = time.perf_counter()
                 try:
-                    result.read += parser.survives(content, path) is None
+                    result.read += parser.read_or_reject(content, path) is None
                 except (
                     Exception
                 ) as error:  # unforeseen exceptions are what the test looks for
@@ -145,7 +146,7 @@ def commands(chosen: list[Parser]) -> int:
     for parser in chosen:
         times: list[tuple[float, str]] = []
         bad = 0
-        for malformed in parser.refused:
+        for malformed in parser.all_malformed:
             taken, wrong = start(parser, malformed)
             times.append((taken, malformed.name))
             if wrong:
@@ -167,13 +168,13 @@ def commands(chosen: list[Parser]) -> int:
 def start(parser: Parser, malformed: Malformed) -> tuple[float, str]:
     """Return the time to refuse a file (s) and the errors in the refusal."""
     with tempfile.TemporaryDirectory() as room:
-        path = path_of(parser, Path(room))
+        path = parser.path_in(Path(room))
         malformed.write(path)
         words = [
             str(Path(sys.executable).with_name("srs-twin")),
-            *parser.words(Path(path.name)),
+            *parser.arguments(Path(path.name)),
         ]
-        if parser.command is None:
+        if not parser.command:
             words = [sys.executable, "-c", IN_PYTHON, parser.function, path.name]
         before = {item.name for item in Path(room).iterdir()}
         begun = time.perf_counter()
