@@ -124,4 +124,7 @@ def test_markers_in_a_map_belong_to_the_robot(tmp_path):
     path = written(tmp_path / "x.csv", points)
     places = RecordingMap(markers={f"c{k}": {"connector": k} for k in range(1, 6)})
     found = read_motion(path, SPEC, map=places)
-    assert found.summary.markers.moves == 2 and bend_error(found) < 0.04
+    assert found.summary.markers.moves == 2
+    assert bend_error(found) < 0.04
+    facts, _ = inspect_file(path, NO_MAP, None)
+    assert facts.in_other_columns == pytest.approx(2 * 151 / (5 * 401))

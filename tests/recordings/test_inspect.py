@@ -16,7 +16,7 @@ from test_formats import FILES
 from srs_twin.cli import main
 from srs_twin.cli.options import print_json
 from srs_twin.io.validation import load_model
-from srs_twin.recordings.facts import RecordingFacts, proposed_map
+from srs_twin.recordings.facts import RecordingFacts, in_words, proposed_map
 from srs_twin.recordings.inspection import inspect, inspect_file, markers_view
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import NO_MAP, RecordingMap
@@ -41,14 +41,36 @@ def test_facts_of_a_marker_recording(tmp_path):
     assert facts.order == ["snake:ahead", *(f"snake:{k}" for k in range(1, 6))]
     assert facts.rigid_pairs == [["snake:ahead", "snake:1"]]
     assert {each.marker for each in facts.head} == {"snake:ahead"}
+    crawled = float(facts.head[1].why.split()[3])  # m
+    assert crawled == pytest.approx(
+        np.hypot(*(motion().com[-1] - motion().com[0])), rel=0.1
+    )
+    assert facts.duration_s == pytest.approx(4.0)
+    assert facts.announced_frames == len(motion())
+    assert (facts.frames_missing, facts.tracks, facts.positions_of_nothing) == (0, 6, 0)
+    assert facts.in_other_columns == 0.0
     assert facts.layouts["head"] == 5
     assert facts.layouts["single"] == 6
     assert "lengths were converted from cm to m" in facts.notes
     near = {frozenset(each.markers): each for each in facts.distances}
     pair = near[frozenset(["snake:ahead", "snake:1"])]
-    assert pair.median_mm == pytest.approx(20, abs=0.2) and pair.spread_mm < 0.5
+    assert pair.median_mm == pytest.approx(20, abs=0.2)
+    assert pair.spread_mm < 0.5
     assert near[frozenset(["snake:1", "snake:2"])].spread_mm > 0.5
-    assert scene.places.shape == (len(motion()), 6, 2) and scene.rigid == ((0, 1),)
+    assert scene.places.shape == (len(motion()), 6, 2)
+    assert scene.rigid == ((0, 1),)
+    for line in (
+        "401 frames, 100 Hz, 4 s",
+        "snake:1: seen in 100.0 % of the frames, 0 gaps up to 0 s, noise 0.",
+        " mm, 30 mm high",
+        f"snake:ahead to snake:1: {pair.median_mm:.1f} mm, varies by 0.",
+        "layouts with this number of markers: single (6 connectors), head (5 connectors)",
+    ):
+        assert line in in_words(facts)
+    places = proposed_map([facts])
+    assert '"snake:ahead": {connector: 1, side: ahead}' in places
+    assert '"snake:1": {connector: 1}' in places
+    assert '"snake:5": {connector: 5}' in places
 
 
 def test_gaps_and_coverage_are_counted(tmp_path):
@@ -61,6 +83,9 @@ def test_gaps_and_coverage_are_counted(tmp_path):
     assert third.gaps == 2 and third.longest_gap_s == pytest.approx(0.15)
     assert third.coverage == pytest.approx(1 - 20 / 401) and last.gaps == 0
     assert last.coverage == pytest.approx(350 / 401)
+    assert "snake:3: seen in 95.0 % of the frames, 2 gaps up to 0.15 s" in in_words(
+        facts
+    )
 
 
 @pytest.mark.parametrize("layout", ["single", "head", "pair"])
@@ -87,15 +112,12 @@ def test_a_wrong_unit_of_length_is_noted(tmp_path):
     )
     facts, _ = inspect_file(path, RecordingMap(units="mm"), SPEC)
     assert not any("give --units mm" in each for each in facts.notes)
-    assert facts.robot.reads and facts.robot.layout == "single"
+    assert facts.robot.reads
+    assert facts.robot.layout == "single"
+    assert facts.robot.stretch == pytest.approx([0.0] * 4, abs=0.02)
     assert facts.robot.length_mm == pytest.approx(
         [1e3 * SPEC.geometry.segment_length] * 4, rel=0.02
     )
-
-
-def test_changes_of_columns_are_noted(tmp_path):
-    facts, _ = inspected(tmp_path, Take(swaps=20, seed=2))
-    assert any("markers switch columns" in each for each in facts.notes)
 
 
 def test_the_map_names_no_markers_that_change_their_columns(tmp_path):
@@ -104,7 +126,12 @@ def test_the_map_names_no_markers_that_change_their_columns(tmp_path):
     path.write_text(text := proposed_map([facts]))
     proposed = load_model(RecordingMap, path)
     assert proposed.up == facts.up and not proposed.markers
-    assert "markers switch columns" in text and "states no places" in text
+    assert "states no places" in text
+    share = (
+        f"{100 * facts.in_other_columns:.2g} % of the positions are not in the columns"
+    )
+    assert share in text
+    assert any(note.startswith(share) for note in facts.notes)
     read_motion(tmp_path / "take.csv", SPEC, map=proposed)
 
 
@@ -116,6 +143,9 @@ def test_facts_of_a_log(tmp_path):
     first = facts.signals[0]
     assert first.understood and first.looks_like == "valve states"
     assert first.openings_per_s == pytest.approx(2.0, rel=0.02)
+    assert facts.duration_s == pytest.approx(4.0)
+    line = '  valve_plus_1: "valve_plus_1"  # valve states, -1 to 1\n'
+    assert line in proposed_map([facts])
 
 
 def test_quantities_are_known_by_names_and_units(tmp_path):
@@ -176,6 +206,9 @@ def test_the_picture_has_a_legend_of_the_frames(tmp_path):
     (axes,) = markers_view(scene).axes
     texts = [text.get_text() for text in axes.get_legend().get_texts()]
     assert texts == ["first frame", "middle frame", "last frame"]
+    drawn = {line.get_label(): line.get_xydata() for line in axes.lines}
+    for label, row in zip(texts, (0, len(scene.places) // 2, -1), strict=True):
+        assert (drawn[label] == scene.places[row, list(scene.order)]).all()
 
 
 def test_inspect_command(tmp_path, monkeypatch, capsys):
@@ -249,6 +282,7 @@ def test_repeated_rows_are_judged_without_unknown_columns(tmp_path):
     path.write_text(f"time,valve_plus_1,valve_minus_1,received\n{rows}")
     found = inspect(path, robot="gen4_module")
     assert found.robot.reads
+    assert (found.steps_back, found.repeated_times, found.rows) == (1, 0, 103)
     assert "3 rows were left out" in found.robot.says
     assert any("3 rows were left out" in note for note in found.notes)
     assert not any("refuse this file" in note for note in found.notes)

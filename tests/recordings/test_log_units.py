@@ -26,6 +26,7 @@ from srs_twin.recordings.signals.units import (
     TIMES,
     is_absolute,
     is_clock,
+    looks_absolute,
     stated_unit,
 )
 from srs_twin.recordings.takes import RecordingReader
@@ -38,6 +39,7 @@ RAW = np.array([0.0, 0.25, 1.0, 0.5])  # in the unit of a column
 
 def log(folder, header, values=RAW, time=None):
     """Write a log of time, P1 and P2."""
+    values = np.asarray(values)
     time = 0.1 * np.arange(len(values)) if time is None else time
     path = folder / "log.csv"
     rows = np.column_stack([time, values, 0 * values])
@@ -437,6 +439,24 @@ def test_absolute_pressures_are_noted_and_converted(tmp_path):
     )
 
 
+def test_pressures_near_those_of_the_air_look_absolute():
+    found = [looks_absolute(np.array([low, 2e5])) for low in (69e3, 7e4, 1.1e5, 111e3)]
+    assert found == [False, True, True, False]
+
+
+@pytest.mark.parametrize("kpa", [-110.0, 2000.0])
+def test_impossible_gauge_pressures_are_refused(tmp_path, kpa):
+    header = "time,pressure_plus_1_kpa,pressure_minus_1_kpa"
+    path = log(tmp_path, header, [0.0, kpa])
+    assert read_valves(path, MODULE).values[1, 0, 0] == 1e3 * kpa
+    path = log(tmp_path, header, [0.0, 1.01 * kpa])
+    said = (
+        rf"log.csv:3:2: .* {1.01e3 * kpa:g} Pa is not allowed; .* -110000 and 2e\+06 Pa"
+    )
+    with pytest.raises(InputError, match=said.replace("e+", r"e\+")):
+        read_valves(path, MODULE)
+
+
 def test_absolute_pressures_by_name_are_refused_with_the_remedy(tmp_path):
     path = log(tmp_path, "time,Pabs_kPa,P2 (kPa)", 101.3 + 30 * RAW)
     given = mapped(pressure_kpa_plus_1="Pabs_kPa", pressure_minus_1="P2 (kPa)")
@@ -459,7 +479,12 @@ def test_log_of_a_microcontroller(tmp_path):
     assert facts.duration_s == pytest.approx(3.99) and facts.rate_hz == pytest.approx(
         100
     )
-    assert "note: a log of 3 signals, time in ms" in in_words(facts)
+    for line in (
+        "400 rows, 100 rows per second, 3.99 s",
+        "P1: unknown, 0 to 30, 1 openings per second (needs a map)",
+        "note: a log of 3 signals, time in ms",
+    ):
+        assert line in in_words(facts)
     given = mapped(time="millis", pressure_kpa_plus_1="P1", pressure_kpa_minus_1="P2")
     assert read_valves(path, MODULE, given).time[-1] == pytest.approx(3.99)
 

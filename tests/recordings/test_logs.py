@@ -355,6 +355,11 @@ def test_metadata_and_units(tmp_path):
         "gen2",
     )
     assert about["source"]["corrections"] == list(found.summary.corrections)
+    assert about["record_hz"] == pytest.approx(RATE)
+    assert about["duration_s"] == pytest.approx(4.0)
+    assert about["gait_frequency_hz"] == 2.0
+    assert about["body_length_m"] == pytest.approx(motion().metadata["body_length_m"])
+    assert about["mass_kg"] == pytest.approx(motion().metadata["mass_kg"])
     units = {
         re.sub(r"_\d+$", "", name): found.trajectory.unit(name)
         for name in found.trajectory.columns
@@ -417,13 +422,27 @@ def test_velocities_of_a_recording_are_slopes_of_its_positions(tmp_path):
 
 def test_summary_counts_every_sample(tmp_path):
     """Every visible sample is kept, rejected, of another marker, or outside the kept frames."""
-    found = recorded(
+    recording = recorded(
         tmp_path, Take(layout="single", lost=0.05, spikes=6, swaps=5, seed=5)
-    ).summary
-    kept = found.frames_kept * 5 - found.samples_filled
-    gone = found.markers.samples_rejected + found.markers.samples_other
-    assert (
-        0
-        <= found.markers.samples_seen - kept - gone
-        <= 5 * (found.frames_read - found.frames_kept)
     )
+    found = recording.summary
+    counts = found.markers
+    kept = found.frames_kept * 5 - found.samples_filled
+    gone = counts.samples_rejected + counts.samples_other
+    outside = counts.samples_seen - kept - gone
+    assert 0 <= outside <= 5 * (found.frames_read - found.frames_kept)
+    # Five markers have three coordinates per frame.
+    cells = np.genfromtxt(tmp_path / "take.csv", delimiter=",", skip_header=7)[:, 2:]
+    assert cells.shape == (401, 15)
+    assert counts.samples_seen == np.isfinite(cells).sum() / 3
+    for line in (
+        f"read: 401 frames, 5 columns of positions, 100 Hz, {counts.samples_seen} positions",
+        f"column changes: {counts.moves}",
+        f"rejected: {counts.samples_rejected} outliers, {counts.samples_other} positions",
+        f"kept: {found.frames_kept} frames, {found.start:g} s to {found.end:g} s",
+    ):
+        assert line in found.text()
+    bend_error = recording.trajectory.stack("bend_error")
+    assert counts.bend_error_rad == pytest.approx(np.sqrt((bend_error**2).mean()))
+    steps = np.linalg.norm(np.diff(recording.trajectory.position, axis=1), axis=-1)
+    assert counts.spacing_m == pytest.approx(np.quantile(steps, 0.98, axis=0))
