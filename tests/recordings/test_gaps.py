@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from srs_twin import InputError
-from srs_twin.recordings.signals.gaps import longest_complete, outliers, time_order
+from srs_twin.recordings.signals.gaps import (
+    at_frames,
+    fill_gaps,
+    frame_grid,
+    longest_complete,
+    outliers,
+    time_order,
+)
 
 pytestmark = pytest.mark.fast
 
@@ -151,3 +158,43 @@ def test_a_clock_that_is_set_back_may_repeat_some_rows(end):
     values = np.r_[VALVE[:106], np.full(end - 100, VALVE[100])]
     with pytest.raises(InputError, match="the clock was probably set back"):
         time_order(FRAMES_S[rows], values)
+
+
+def test_missing_frames_are_inserted_at_their_times():
+    rows = np.delete(np.arange(60), [20, 21, 40])
+    grid = frame_grid(5.0 + 0.01 * rows, rows)
+    assert grid.time == pytest.approx(5.0 + 0.01 * np.arange(60))
+    assert grid.period == pytest.approx(0.01)
+    assert np.flatnonzero(grid.rows < 0).tolist() == [20, 21, 40]
+    values = at_frames(rows.astype(float), grid)
+    assert values[19:23] == pytest.approx([19, np.nan, np.nan, 22], nan_ok=True)
+    assert grid.corrections == (
+        "3 frames are missing in the file and were inserted without markers",
+    )
+
+
+def test_times_of_uneven_frames_are_kept():
+    time = np.cumsum(np.random.default_rng(0).uniform(0.005, 0.015, 60))
+    grid = frame_grid(time, NOISE[:60])
+    assert (grid.time == time).all()
+    assert grid.corrections == (
+        "the frames are not evenly spaced in time, and their times are kept",
+    )
+
+
+def test_a_recording_with_few_of_its_frames_is_refused():
+    time = np.append(0.01 * np.arange(20), 1000 + 0.01 * np.arange(20))
+    said = "40 of 100020 frames, and none between 0.19 s and 1000 s; cut the recording"
+    with pytest.raises(InputError, match=said):
+        frame_grid(time, NOISE[:40])
+
+
+def test_gaps_of_cubic_tracks_are_filled_exactly():
+    """A track with three visible samples is interpolated linearly."""
+    time = np.cumsum(np.random.default_rng(0).uniform(0.01, 0.03, 40))
+    cubic = np.column_stack([time**3 - time, 2 * time**3])
+    points = np.stack([cubic, np.column_stack([time, -time])], axis=1)
+    hidden = points.copy()
+    hidden[[5, 6, 20], 0] = np.nan
+    hidden[:, 1][~np.isin(np.arange(40), [0, 9, 39])] = np.nan
+    assert fill_gaps(time, hidden, 3) == pytest.approx(points)

@@ -101,14 +101,60 @@ def test_frames_outside_the_log_are_left_out_with_a_note(tmp_path, captured):
         captured, log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)), SPEC, offset=0.0
     )
     assert (joined.trajectory.time[0], joined.trajectory.time[-1]) == (1.0, 2.0)
-    assert any("frames outside the log" in each for each in joined.summary.corrections)
-    with pytest.raises(InputError, match="0 frames in common"):
+    summary = joined.summary
+    assert (summary.frames_kept, summary.start, summary.end) == (101, 1.0, 2.0)
+    assert joined.trajectory.metadata["duration_s"] == 1.0
+    assert f"{len(captured.trajectory) - 101} frames outside the log were left out" in (
+        summary.corrections
+    )
+    said = (
+        "with an offset of 100 s, the log covers 101 to 102 s and the motion 0.1 to 4 s,"
+        " so they have only 0 frames in common"
+    )
+    with pytest.raises(InputError, match=said):
         join(
             captured,
             log(tmp_path, valve_csv(motion(), 1.0, 2.0, 0.0)),
             SPEC,
             offset=100.0,
         )
+
+
+@pytest.mark.parametrize(
+    ("seconds", "amplitude", "said"),
+    [(4.0, 1e-7, "because nothing moves"), (0.07, 1.0, "is too short to estimate")],
+)
+def test_an_offset_needs_a_long_motion(seconds, amplitude, said):
+    time = np.arange(0, seconds, 0.01)
+    bends = amplitude * np.sin(9 * time)[:, None]
+    with pytest.raises(InputError, match=said):
+        estimate_offset(time, bends, time, bends)
+
+
+def opened(times, until=10.0):
+    """Return a log of a module whose valves open at given times for 10 ms."""
+    clock = np.sort(np.concatenate([[0.0], times, np.add(times, 0.01), [until]]))
+    states = np.where(np.isin(clock, times), 1.0, -1.0)
+    values = np.repeat(states[:, None, None], 2, axis=2)
+    return ValveLog("valve", clock, values, "a log", "", ())
+
+
+@pytest.mark.parametrize(
+    ("times", "frequency"),
+    [
+        (0.3 + 0.5 * np.arange(6), 2.0),
+        # The first period is shorter, because the gait starts within it.
+        (np.append(0.1, 0.3 + 0.5 * np.arange(5)), 2.0),
+        # Pulses at 20 Hz are one opening.
+        ((0.3 + 0.5 * np.arange(6)[:, None] + [0.0, 0.05, 0.1]).ravel(), 2.0),
+        (0.3 + 0.5 * np.arange(4), None),
+        (np.cumsum([0.3, 0.5, 0.5, 0.6, 0.5, 0.5]), None),
+    ],
+)
+def test_frequency_of_a_gait_is_the_rate_of_its_openings(times, frequency):
+    found = opened(times).gait_frequency()
+    assert found == (frequency and pytest.approx(frequency))
+    assert replace(opened(times), kind="pressure").gait_frequency() is None
 
 
 def test_standard_error_equals_the_scatter_over_noise():
