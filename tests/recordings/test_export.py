@@ -14,7 +14,7 @@ from srs_twin import Gait, TwinSnake, load_robot, rollout
 from srs_twin.control.gait import PitchWave
 from srs_twin.experiment import load_run, run_scenario
 from srs_twin.pneumatics.chambers import AMBIENT_PA
-from srs_twin.recordings.export import recording_map, write_mcap
+from srs_twin.recordings.export import foxglove_layout, recording_map, write_mcap
 from srs_twin.recordings.facts import in_words
 from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording_map import read_map
@@ -144,6 +144,26 @@ def test_markers_show_the_body_where_it_is(run, topics):
         assert points[[0, -1], :2] == pytest.approx(twin.position[row][[0, -1]])
         length = np.linalg.norm(np.diff(points, axis=0), axis=1).sum()
         assert length == pytest.approx(geometry.body_length, rel=5e-3)
+
+
+def test_the_layout_shows_topics_of_the_file(run, topics):
+    layout = foxglove_layout(run.trajectories)["configById"]
+    assert layout["3D!snakes"]["followTf"] == "world"
+    assert layout["3D!snakes"]["topics"].keys() <= topics.keys()
+    bends, pressures = (
+        {each["value"] for each in layout[name]["paths"]}
+        for name in ("Plot!bends", "Plot!pressures")
+    )
+    segments = topics["/twin/bends"][0][1].name
+    plants = ("analytical", "twin")
+    assert bends == {
+        f'/{plant}/bends.position[:]{{name=="{segment}"}}'
+        for plant in plants
+        for segment in segments
+    }
+    assert pressures == {
+        f"{topic}.fluid_pressure" for topic in topics if "/pressure_plus_" in topic
+    }
 
 
 def test_the_file_reads_back_as_a_recording_of_the_robot(run, file):

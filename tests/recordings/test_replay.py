@@ -77,6 +77,11 @@ def test_recorded_pressures_give_the_bends_of_their_valves():
             < 1e-3 * np.abs(slope).max()
         )
     assert (first.pneumatic_energy == 0).all()
+    assert chambers.max_pressure_ratio == 1.0
+    assert chambers.describe()["samples"] == 1001
+    pressure = np.full((2, SPEC.segments, 2), 2.5 * SUPPLY)
+    higher = RecordedPressures(SPEC, np.arange(2.0), pressure, supply_pa=SUPPLY)
+    assert higher.max_pressure_ratio == 2.5
 
 
 def test_invalid_recorded_pressures_are_refused():
@@ -201,7 +206,9 @@ def test_replay_of_a_simulated_run_has_no_residual(perfect, log):
     assert told["rms"]["path_m"] == pytest.approx(found.metrics["measured_path_rms_m"])
     parts = np.array(told["over_time"]["path_m"])
     assert np.sqrt((parts**2).mean()) == pytest.approx(told["rms"]["path_m"], rel=0.02)
-    assert len(parts) == len(told["over_time"]["time_s"]) == 50
+    assert len(parts) == 50
+    middles = np.arange(0.5, 50) * 2.9 / 50
+    assert told["over_time"]["time_s"] == pytest.approx(middles, abs=0.02)
 
 
 @pytest.mark.parametrize(

@@ -241,13 +241,16 @@ def test_a_moving_head_is_refused_on_a_bench(bench):
         )
     take = read_motion(bench / "markers.csv", MODULE, head=HEAD)
     columns = dict(take.trajectory.columns)
-    columns["connector_heading_1"] = columns["connector_heading_1"] + 0.2 * np.sin(
-        3 * columns["time"]
-    )
-    with pytest.raises(InputError, match="moves by 0 mm and turns by 1[12]°"):
-        on_bench(
-            replace(take, trajectory=replace(take.trajectory, columns=columns)), MODULE
-        )
+    sway = np.radians(np.sin(3 * columns["time"]))
+
+    def swayed(degrees):
+        heading = columns["connector_heading_1"] + degrees * sway
+        moved = columns | {"connector_heading_1": heading}
+        return replace(take, trajectory=replace(take.trajectory, columns=moved))
+
+    on_bench(swayed(4.0), MODULE)
+    with pytest.raises(InputError, match="moves by 0 mm and turns by [56]"):
+        on_bench(swayed(6.0), MODULE)
 
 
 def test_bench_velocities_are_the_slopes_of_the_positions(bench):
