@@ -29,16 +29,25 @@ def test_duration_of_a_gap_is_measured_between_its_neighbours(missing):
     assert longest_complete(time, tracks, lasts - 1e-6) == slice(20 + missing, 60)
 
 
+def test_the_longest_interval_begins_and_ends_with_visible_markers():
+    tracks = np.zeros((100, 2, 2))
+    tracks[[*range(20, 30), *range(70, 80)], 1] = np.nan
+    tracks[[30, 31, 69], 0] = np.nan  # short gaps beside the long ones
+    found = longest_complete(0.01 * np.arange(100), tracks, 0.05)
+    assert found == slice(32, 69)
+
+
 @pytest.mark.parametrize("place", [0.0, 10.0])
 def test_outliers_are_detected_at_any_position(place):
-    """A cubic track has none; a jump of 5 mm in any direction is one, also with few visible neighbours."""
+    """A cubic track has none; a jump of more than 1 mm is one, also with few visible neighbours."""
     s = np.linspace(-1, 1, 200)
     track = place + np.column_stack([s**3 - 0.2 * s, 0.3 * s**2 + s])
     points = np.stack([track, track[::-1]], axis=1)
     points[[57, 61, 119, 123]] = np.nan
     assert not outliers(points, 1e-3).any()
-    points[59, 0] += [0.003, -0.004]
-    points[121, 1] -= [0.0, 0.005]
+    points[59, 0] += [0.6e-3, -0.9e-3]
+    points[121, 1] -= [0.0, 1.1e-3]
+    points[20, 0] += [0.6e-3, -0.7e-3]
     assert np.argwhere(outliers(points, 1e-3)).tolist() == [[59, 0], [121, 1]]
 
 
@@ -136,6 +145,12 @@ def test_up_to_5_per_cent_of_rows_may_be_sent_again(seed):
     for values in (np.arange(len(rows)), np.zeros(len(rows))):
         with pytest.raises(InputError, match="the clock was probably set back"):
             time_order(FRAMES_S[rows], values)
+
+
+def test_more_than_5_per_cent_of_repeated_rows_are_refused():
+    rows = np.r_[0:60, 48:201]
+    with pytest.raises(InputError, match="the clock was probably set back"):
+        time_order(FRAMES_S[rows], NOISE[rows])
 
 
 VALVE = np.arange(201) // 4 % 2.0
