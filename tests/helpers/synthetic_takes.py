@@ -42,7 +42,6 @@ class Take:
         noise: standard deviation of each coordinate, m.
         rate_hz: frames per second; None: the samples of the trajectory.
         swaps: number of permanent swaps of two columns.
-        shuffled: whether the columns have another order in every frame.
         lost: fraction of positions that are lost in short gaps.
         gap_frames: mean length of these gaps, frames.
         occluded: (marker from 0, start in s, end in s) of a hidden marker.
@@ -63,7 +62,6 @@ class Take:
     noise: float = 2e-4
     rate_hz: float | None = None
     swaps: int = 0
-    shuffled: bool = False
     lost: float = 0.0
     gap_frames: float = 4.0
     occluded: Sequence[tuple[int, float, float]] = ()
@@ -241,8 +239,6 @@ def _columns(
     for swap in swaps:
         a, b = random.choice(count, 2, replace=False)
         place[swap:, [a, b]] = place[swap:, [b, a]]
-    if take.shuffled:
-        place = random.permuted(place, axis=1)
     return np.take_along_axis(points, place[..., None], axis=1), [
         f"Unlabeled {1000 + k}" for k in range(count)
     ]

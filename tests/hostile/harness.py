@@ -1,9 +1,9 @@
 """Parsers of untrusted files: types for their malformed and valid files, and checks that apply to all.
 
 A new parser needs one `Parser` in `parsers.PARSERS`; the tests and
-``tools/fuzz.py`` then use it. They check three properties: every malformed file is
-rejected with an `InputError` that names file and position, generated files raise no
-other exception, and files written by this package are read back unchanged.
+``tools/fuzz.py`` then use it. They check two properties: every malformed file is
+rejected with an `InputError` that names file and position, and generated files raise no
+other exception.
 """
 
 from __future__ import annotations
@@ -50,19 +50,6 @@ class Malformed:
 
 
 @dataclass(frozen=True)
-class RoundTrip:
-    """Objects that a parser must read back unchanged.
-
-    Attributes:
-        objects: strategy for the objects.
-        write: function from an object to the bytes of a file.
-    """
-
-    objects: st.SearchStrategy[Any]
-    write: Callable[[Any], bytes]
-
-
-@dataclass(frozen=True)
 class Parser:
     """Parser of one kind of file.
 
@@ -77,8 +64,6 @@ class Parser:
             is none.
         function: "module:name" of the reading function if there is no command.
         quick: faster version of `parse` for generated files.
-        round_trip: objects to write and read back, for kinds of files that this package
-            writes.
         same: comparison of two results of `parse`.
     """
 
@@ -91,7 +76,6 @@ class Parser:
     command: str = ""
     function: str = ""
     quick: Callable[[Path], Any] | None = None
-    round_trip: RoundTrip | None = None
     same: Callable[[Any, Any], bool] = field(default=eq)
 
     @property

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import io
 import json
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -14,7 +13,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from harness import MakeFile, Malformed
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as npst
 
 from srs_twin.trajectory import Event, Trajectory
 
@@ -309,33 +307,6 @@ VALUES = st.builds(
     ),
     st.sampled_from(["none", "zstd", "snappy", "gzip"]),
 )
-
-names = st.text(
-    st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=9
-)
-
-
-@st.composite
-def trajectories(draw: st.DrawFn) -> Trajectory:
-    """Return a trajectory with any columns, units, events and metadata."""
-    steps = draw(st.lists(st.floats(1e-6, 1e3), max_size=6))
-    columns = {"time": np.cumsum(steps) if steps else np.empty(0)}
-    for name in draw(st.lists(names, max_size=4, unique=True)):
-        columns.setdefault(name, draw(npst.arrays(float, len(steps))))
-    unit = st.text(st.characters(codec="utf-8"), max_size=4)
-    text = st.text(max_size=9)
-    units = draw(st.dictionaries(st.sampled_from(list(columns)), unit, max_size=2))
-    events = draw(st.lists(st.builds(Event, st.floats(0, 1e6), text, text), max_size=3))
-    metadata = draw(
-        st.dictionaries(
-            text,
-            json_values.filter(
-                lambda value: not (isinstance(value, float) and math.isnan(value))
-            ),
-            max_size=3,
-        )
-    )
-    return Trajectory(columns, units, tuple(events), metadata)
 
 
 def same(one: Trajectory, other: Trajectory) -> bool:

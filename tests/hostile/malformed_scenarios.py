@@ -3,7 +3,6 @@
 # ruff: noqa: E501 - one malformed file per line, as a table
 from __future__ import annotations
 
-from hypothesis import strategies as st
 from malformed_yaml import edited
 
 SCENARIO = b"""\
@@ -149,11 +148,6 @@ BENCH_MALFORMED = edited(
         ),
         ("d_per_s: 20", "carrier_hz: 60", ":8:32: controller.carrier_hz: unknown key"),
         (
-            "d_per_s: 20",
-            "d_per_s: 0",
-            ":8:41: controller.d_per_s: must be a number from 0.001 to 1000, not 0",
-        ),
-        (
             "reference: {kind: sine, amplitude_rad: 0.6, frequency_hz: 2}",
             "cutoff_hz: 20",
             ":8:13: controller.reference: missing",
@@ -189,11 +183,6 @@ BENCH_MALFORMED = edited(
             ":7:9: sensor: `bits` is allowed only with `kind: hall`; set",
         ),
         (
-            "bits: 10",
-            "bits: 0",
-            ":7:43: sensor.bits: must be a whole number from 1 to 32, not 0",
-        ),
-        (
             "0.00025}",
             "0.0003}",
             "plants.twin.tick_s: tick 0.001 s is not a multiple of time step 0.0003 s",
@@ -226,23 +215,8 @@ LEARNING_MALFORMED = edited(
         ),
         (
             "target_rad: 0.7",
-            "target_rad: 0",
-            "controller.target_rad: must be a number from 0.01 to 1.5708",
-        ),
-        (
-            "target_rad: 0.7",
             "target: 0.7",
             "controller.target: must be smallest, not 0.7",
-        ),
-        (
-            "k_per_rad: 0.3",
-            "k_per_rad: -0.3",
-            "controller.k_per_rad: must be a number from 0.0001 to 100",
-        ),
-        (
-            "k_per_rad: 0.3",
-            "free_periods: 0",
-            "controller.free_periods: must be a whole number from 1",
         ),
         (
             "k_per_rad: 0.3",
@@ -313,32 +287,11 @@ FOLLOWING_MALFORMED = edited(
             "kind: given, turns_rad: [0], step_m: 1",
             "planner.nodes: unknown key; allowed: footprint, turn_fraction",
         ),
-        ("nodes: 5000", "nodes: 0", "planner.nodes: must be a whole number from 1"),
         ("nodes: 5000", "seconds: .inf", "planner.seconds: "),
         (
             "margin_m: 0.02",
             "margin_m: 0.5",
             "planner: footprint gen2_section52: left: 0.517 m reaches the centre",
-        ),
-        (
-            "turn_fraction: 0.8",
-            "turn_fraction: 1.1",
-            "planner.turn_fraction: must be a number from 0.05",
-        ),
-        (
-            "rate_hz: 60",
-            "rate_hz: 0",
-            "controller.camera.rate_hz: must be a number from 5",
-        ),
-        (
-            "position_noise_m: 0.001",
-            "position_noise_m: -1",
-            "controller.camera.position_noise_m: must be a number",
-        ),
-        (
-            "delay_s: 0.1",
-            "delay_s: -0.1",
-            "controller.delay_s: must be a number from 0",
         ),
         (
             "frequency_hz: 2.0",
@@ -395,8 +348,3 @@ FOLLOWING_MALFORMED = edited(
         ),
     ],
 )
-
-TEXT = st.text(
-    st.characters(codec="utf-8", exclude_categories=["Cc"]), min_size=1, max_size=30
-)
-"""Text that YAML may contain; control characters are rejected."""

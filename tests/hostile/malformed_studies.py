@@ -1,16 +1,9 @@
-"""Sweep files and fit files, malformed versions of each, and a generator of valid fits."""
+"""Sweep files and fit files, and malformed versions of each."""
 
 # ruff: noqa: E501 - one malformed file per line, as a table
 from __future__ import annotations
 
-import numpy as np
-from hypothesis import strategies as st
-from malformed_scenarios import TEXT
 from malformed_yaml import edited
-
-from srs_twin.identification.estimate import FitEstimate, Parameter
-from srs_twin.identification.fit_file import DataSet, FitFile, fit_file
-from srs_twin.io.files import is_path
 
 SWEEP = b"""\
 title: Speed over frequency
@@ -124,7 +117,6 @@ FIT_MALFORMED = edited(
         ),
         ("role: fit", "role: validation", "data: no data set has the role `fit`"),
         ("a" * 64, "a" * 63, "data[0].sha256: "),
-        ("a" * 64, "A" * 64, "data[0].sha256: "),
         (", to_s: 5.0", "", "data[1]: `from_s` and `to_s` belong together"),
         (
             "to_s: 5.0",
@@ -153,11 +145,6 @@ FIT_MALFORMED = edited(
             "parameters[1].standard_error: must be a number from 0",
         ),
         (
-            "standard_error: 0.1",
-            "standard_error: .inf",
-            "parameters[1].standard_error: must be a number from 0",
-        ),
-        (
             "converged: true",
             "converged: yes",
             "quality.converged: must be true or false, not text 'yes'",
@@ -169,42 +156,3 @@ FIT_MALFORMED = edited(
         ),
     ],
 )
-
-
-@st.composite
-def fits(draw: st.DrawFn) -> FitFile:
-    """Return a fit with any number of parameters and data sets."""
-    known = ["friction.mu_t", "friction.mu_n", "modules.gain_plus_3"]
-    names = draw(st.lists(st.sampled_from(known), min_size=1, unique=True))
-    parameters = []
-    for name in names:
-        low, value, high = sorted(draw(st.tuples(*[st.floats(1e-9, 1e9)] * 3)))
-        verdict = draw(
-            st.sampled_from(["identified", "weakly identified", "not identifiable"])
-        )
-        numbers = (
-            (value, draw(st.floats(0, 1e9)), low, high)
-            if verdict != "not identifiable"
-            else ()
-        )
-        parameters.append(Parameter(name, "1", verdict, *numbers, why=draw(TEXT)))
-    correlation = np.full((len(names), len(names)), draw(st.floats(-1, 1)))
-    np.fill_diagonal(correlation, 1.0)
-    roles = ["fit", *draw(st.lists(st.sampled_from(["fit", "validation"]), max_size=3))]
-    count = st.integers(0, 10**9)
-    data = [
-        DataSet(draw(TEXT), f"{k:064x}", role, draw(count))
-        for k, role in enumerate(roles)
-    ]
-    held = {"mass_kg": draw(st.floats(-1e9, 1e9))}
-    return fit_file(
-        FitEstimate(tuple(parameters), correlation, samples=draw(count), held=held),
-        name="any",
-        title=draw(TEXT),
-        # The path of a robot file would be resolved.
-        robot=draw(TEXT.filter(lambda name: not is_path(name))),
-        method="pulls",
-        command=draw(TEXT),
-        versions={"srs_twin": draw(TEXT)},
-        data=data,
-    )

@@ -158,14 +158,11 @@ STRUCTURE: tuple[Malformed, ...] = (
 NOT_NUMBERS: dict[str, str] = {
     ".nan": "NaN",
     ".inf": "infinity",
-    "-.inf": "infinity",
     "1e999": "infinity",
-    "-1e999": "infinity",
     "9" * 5000: "infinity",
     "0x" + "f" * 300: "infinity",
     "1." + "0" * 3000 + "e400": "infinity",
     "NaN": "text 'NaN'",
-    "inf": "text 'inf'",
     "0b1": "text '0b1'",
     "1_000": "text '1_000'",
     "1,5": "",
@@ -179,13 +176,11 @@ NOT_NUMBERS: dict[str, str] = {
     "2Hz": "text '2Hz'; write the number without its unit, which the key states",
     "1:30": "text '1:30'",
     "\u0662": "text '\u0662'",
-    "\uff12": "text '\uff12'",
     "2000-01-01": "text '2000-01-01'",
     "+-1": "text '+-1'",
     "1e": "text '1e'",
     "0o9": "text '0o9'",
     "-0x1": "text '-0x1'",
-    "--1": "text '--1'",
     "1e308": "infinity",
 }
 

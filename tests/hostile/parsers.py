@@ -4,7 +4,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,15 +14,13 @@ import malformed_parquet
 import malformed_scenarios as scenarios
 import malformed_studies as studies
 import malformed_tables as tables
-from harness import Malformed, Parser, RoundTrip
-from hypothesis import strategies as st
+from harness import Malformed, Parser
 from malformed_yaml import STRUCTURE, arbitrary_values, edited, not_numbers
 from pydantic import BaseModel
 
 from srs_twin.envs.policy import load_policy
 from srs_twin.identification.fit_file import FitFile, load_fit
-from srs_twin.io.documents import dump_yaml
-from srs_twin.io.files import shipped_folder, shipped_names
+from srs_twin.io.files import shipped_folder
 from srs_twin.io.saved_state import SavedState
 from srs_twin.io.untrusted import read_json
 from srs_twin.robot.file import RobotFile, load_robot_file
@@ -66,11 +63,6 @@ def references(key: str, name: str, good: bytes) -> tuple[Malformed, ...]:
     )
 
 
-def yaml_bytes(data: Any) -> bytes:
-    """Return data as a YAML file."""
-    return dump_yaml(data).encode("utf-8", "surrogatepass")
-
-
 def yaml_parser(
     name: str,
     good: bytes,
@@ -96,17 +88,10 @@ def scenario_parser(
     good: bytes,
     malformed: tuple[Malformed, ...],
     command: str = "run {}",
-    **fields: Any,
 ) -> Parser:
     """Return a parser of scenario files with one kind of controller."""
     return yaml_parser(
-        name,
-        good,
-        load_scenario,
-        with_extensions(),
-        malformed,
-        command=command,
-        **fields,
+        name, good, load_scenario, with_extensions(), malformed, command=command
     )
 
 
@@ -122,10 +107,6 @@ PARSERS: tuple[Parser, ...] = (
         STRUCTURE
         + not_numbers(S.SCENARIO, "frequency_hz", "controller.frequency_hz")
         + references("robot", "gen2", S.SCENARIO),
-        round_trip=RoundTrip(
-            st.sampled_from(shipped_names("scenario")).map(load_scenario),
-            lambda scenario: yaml_bytes(scenario.document),
-        ),
     ),
     scenario_parser("bench", S.BENCH, S.BENCH_MALFORMED),
     scenario_parser("learning", S.LEARNING, S.LEARNING_MALFORMED),
@@ -161,10 +142,6 @@ PARSERS: tuple[Parser, ...] = (
         + not_numbers(T.FIT, "independent_samples", "quality.independent_samples")
         + T.FIT_MALFORMED,
         function="srs_twin.identification.fit_file:load_fit",
-        round_trip=RoundTrip(
-            T.fits(),
-            lambda fit: yaml_bytes(fit.model_dump(mode="json", exclude_none=True)),
-        ),
     ),
     Parser(
         "trajectory",
@@ -174,7 +151,6 @@ PARSERS: tuple[Parser, ...] = (
         P.MALFORMED,
         P.VALUES,
         function="srs_twin.trajectory:Trajectory.from_parquet",
-        round_trip=RoundTrip(P.trajectories(), P.content),
         same=P.same,
     ),
     Parser(
@@ -185,7 +161,6 @@ PARSERS: tuple[Parser, ...] = (
         J.MALFORMED,
         J.VALUES,
         function="srs_twin.io.untrusted:read_json",
-        round_trip=RoundTrip(J.DATA, lambda data: json.dumps(data).encode()),
     ),
     Parser(
         "policy",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import errno
 import os
-import resource
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -102,30 +101,6 @@ def test_exhausted_memory_is_no_bug_of_the_program(error):
     text = str(TaskFailedError(error))
     assert "the memory is exhausted" in text and str(error) in text
     assert "bug" not in text
-
-
-@pytest.mark.slow
-def test_command_with_too_little_memory_says_so(tmp_path):
-    def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_AS, (6 << 30, 6 << 30))
-
-    code = (
-        "import numpy as np\nfrom srs_twin.cli import main\nimport srs_twin.cli.app as"
-        " app\n"
-    )
-    code += "app.command = lambda _: lambda **_: np.zeros(1 << 32)\nmain([])\n"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        preexec_fn=limit,
-        check=False,
-    )
-    assert done.returncode == 4
-    assert (
-        "the memory is exhausted (" in done.stderr
-        and "Unable to allocate 32.0 GiB" in done.stderr
-    )
 
 
 KILLED = """

@@ -339,14 +339,3 @@ def test_impossible_initial_state_is_rejected():
         AnalyticalSnake(load_robot("gen4_module"), base="clamped").set_state(
             physical(1, 0)[0]
         )
-
-
-def test_episode_starts_in_a_physical_state():
-    gymnasium = pytest.importorskip("gymnasium")
-    env = gymnasium.make("srs_twin.envs:SRSTwin/GoTo-v0").unwrapped
-    snake, yaw = physical(env.task.robot.segments, 1)
-    _, info = env.reset(seed=1, options={"snake": snake, "yaw_rate": yaw})
-    assert (info["com_x_m"], info["com_y_m"]) == pytest.approx(tuple(snake.com))
-    assert env.episode.state.bend == pytest.approx(snake.bend)
-    seen, *_ = env.step(env.action_space.sample())
-    assert np.isfinite(seen).all()

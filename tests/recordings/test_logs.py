@@ -82,18 +82,6 @@ def test_markers_that_come_back_in_other_columns_are_tracked(tmp_path, layout, s
     assert place[measured].max() < 8 * NOISE
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("layout", LAYOUTS)
-def test_markers_in_shuffled_columns_are_tracked(tmp_path, layout):
-    """The markers are in another order on every frame, and some are hidden."""
-    truth = motion(8.0)
-    found = recorded(tmp_path, Take(layout=layout, shuffled=True, lost=0.03), truth)
-    place, _, _, measured = errors(found, truth)
-    assert found.summary.markers.moves > 2000
-    assert len(found.trajectory) > 0.9 * len(truth)
-    assert place[measured].max() < 8 * NOISE
-
-
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize("layout", ["head", "pair"])
 def test_curvature_is_continuous(tmp_path, layout):
