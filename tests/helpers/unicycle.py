@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -12,7 +12,6 @@ from srs_twin.plants.base import Plant, SnakeState
 from srs_twin.robot.file import load_robot
 
 VENT = np.full((4, 2), -1, dtype=np.int8)
-NOT_MODELLED = np.full((4,), np.nan)
 
 
 class Wheel(Controller):
@@ -80,26 +79,9 @@ class Unicycle(Plant):
         return self._state()
 
     def _state(self):
-        nan = np.full((5, 2), np.nan)
-        pairs = np.full((4, 2), np.nan)
         swing = self.wag * math.sin(2 * math.pi * Wheel.frequency * self.time)
-        return SnakeState(
-            time=self.time,
-            com=np.array([self.x, self.y]),
-            com_velocity=np.full(2, np.nan),
-            heading=self.heading + swing,
-            position=nan,
-            connector_heading=np.full(5, np.nan),
-            bend=NOT_MODELLED,
-            bend_rate=NOT_MODELLED,
-            pressure=pairs,
-            valves=pairs,
-            measured_bend=np.zeros(4),
-            contact_force=nan,
-            obstacle_force=nan,
-            torque=NOT_MODELLED,
-            work=math.nan,
-            internal_loss=math.nan,
-            pneumatic_energy=math.nan,
-            qpos=np.empty(0),
-        )
+        values = dict.fromkeys((each.name for each in fields(SnakeState)), math.nan)
+        values["time"] = self.time
+        values["com"] = np.array([self.x, self.y])
+        values["heading"] = self.heading + swing
+        return SnakeState(**values)

@@ -85,24 +85,10 @@ def test_arc_end_agrees_with_integration(pose, k, length):
 
 
 @given(st.builds(Pose, PLACE, PLACE, ANGLE), st.floats(0.1, 3), st.floats(0.05, 1))
-def test_children_obey_the_corrected_eq_33(pose, turn, length):
-    arcs = Primitives(5, turn, length)
-    for i, child in enumerate(arcs.children(pose)):
-        alpha = turn * (i - 2) / 2
-        if alpha == 0:
-            expected = (
-                pose.x + length * math.cos(pose.heading),
-                pose.y + length * math.sin(pose.heading),
-            )
-        else:
-            r = length / alpha
-            after = pose.heading + alpha
-            expected = (
-                pose.x + r * (math.sin(after) - math.sin(pose.heading)),
-                pose.y - r * (math.cos(after) - math.cos(pose.heading)),
-            )
-        assert (child.x, child.y) == pytest.approx(expected, abs=1e-9)
-        assert child.heading == pytest.approx(pose.heading + alpha)
+def test_children_are_the_ends_of_arcs_with_equally_spaced_turns(pose, turn, length):
+    for i, child in enumerate(Primitives(5, turn, length).children(pose)):
+        end = arc_end(*pose, turn * (i - 2) / 2 / length, length)
+        assert (*child,) == pytest.approx(end, abs=1e-9)
 
 
 @given(ARC, PLACE, PLACE, st.floats(0.01, 0.5))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
@@ -59,9 +58,10 @@ def test_shipped_boxes_are_those_of_the_dissertation():
 @pytest.mark.default_cases(2)
 @pytest.mark.parametrize("name", shipped_names("footprint"))
 def test_shipped_footprints_are_valid_and_round_trip(name, tmp_path):
-    validate_footprint(load_footprint(name))
-    save_footprint(load_footprint_file(name), tmp_path / "again.yaml")
-    assert load_footprint(tmp_path / "again.yaml") == load_footprint(name)
+    file = load_footprint_file(name)
+    validate_footprint(file.footprint())
+    save_footprint(file, tmp_path / "again.yaml")
+    assert load_footprint_file(tmp_path / "again.yaml") == file
 
 
 @given(st.floats(0, 1))
@@ -103,6 +103,24 @@ def test_transients_grow_with_the_change_and_depend_on_its_direction():
     assert body.transient(0.1, 0.1) == (0, 0, 0)
 
 
+def test_response_and_lag_follow_from_the_measured_changes():
+    """The turn lags by Δκ ℓ, and the path is displaced by Δκ m/2 with T = m/δ."""
+    body = replace(
+        Footprint.box(0.05, 0.0, speed=0.2, curvature=3.0),
+        transients=(
+            Transient(0.0, 0.3, 0.0, 0.0, 0.1, dy=3 * 0.009 / 2, dheading=-3 * 0.06),
+            Transient(-0.3, 0.3, 0.0, 0.0, 0.1, dy=0.0, dheading=-6 * 0.08),
+        ),
+    )
+    least_squares = (3 * 3 * 0.06 + 6 * 6 * 0.08) / (3**2 + 6**2)
+    assert body.response_length == pytest.approx(least_squares)
+    assert body.lag(0.0, 0.3) == pytest.approx((0.06, 0.009 / 0.06))
+    assert body.lag(-0.3, 0.3) == pytest.approx((0.08, 0.08))
+    assert body.lag(-0.15, 0.3) == pytest.approx((0.07, (0.15 + 0.08) / 2))
+    assert body.lag(0.3, 0.0) == (0.0, 0.0)
+    assert BOX.response_length is None and BOX.lag(0.0, 0.3) == (0.0, 0.0)
+
+
 def test_widest_of_equally_large_changes_counts():
     body = replace(
         BOX,
@@ -139,7 +157,6 @@ def test_edges_may_reach_the_centre_of_their_turn():
         validate_footprint(replace(body, transients=(replace(out, left=0.06),)))
 
 
-@pytest.mark.default_cases(at=[0, 1, 2, 3, 4, 5, 7, 8])
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
@@ -165,13 +182,6 @@ def test_edges_may_reach_the_centre_of_their_turn():
             "[-1.309, .nan, 1.309]",
             "curvature_per_m.value[1]: must be",
         ),
-        ("unit: m/s", "unit: km/h", "speed_m_s.unit: must be m/s, not text 'km/h'"),
-        ("ahead_m", "ahed_m", "unknown key; did you mean ahead_m?"),
-        (
-            "status: estimated",
-            "status: guessed",
-            "ahead_m.status: must be one of measured, calibrated, estimated",
-        ),
     ],
 )
 def test_invalid_footprint_files_are_rejected_with_their_place(
@@ -192,7 +202,6 @@ def test_unknown_footprint_error_lists_the_names():
         load_footprint("gen4_table7")
 
 
-@pytest.mark.default_cases(at=[0, 2, 3, 4])
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -217,20 +226,13 @@ def test_footprints_from_code_are_checked_as_well(changes, words):
         validate_footprint(replace(BOX, **changes))
 
 
-def test_offsets_and_curvatures_rise_together_in_all_shipped_ones():
-    for name in shipped_names("footprint"):
-        body = load_footprint(name)
-        assert np.all(np.diff(body.curvatures) > 0) and np.all(
-            np.diff(body.offsets) > 0
-        )
-
-
 def test_reversing_a_footprint_twice_restores_it():
-    body = load_footprint("gen4_table8")
+    body = replace(load_footprint("gen4_table8"), ahead=0.2, behind=0.1)
     back = body.backward
     assert back.backward == body
+    assert (back.ahead, back.behind) == (0.1, 0.2)
     for k in body.curvatures:
-        assert (back.at(-k).left, back.at(-k).right) == (
-            body.at(k).right,
-            body.at(k).left,
-        )
+        there = body.at(k)
+        here = back.at(-k)
+        assert (here.left, here.right) == (there.right, there.left)
+        assert (here.offset, here.speed) == (-there.offset, there.speed)

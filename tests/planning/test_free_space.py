@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 from plan_worlds import drawn_problem
+from rectangles import rectangle
 from subsets import first_by_default
 from witnessed_worlds import KINDS, bodies, drawn
 
@@ -15,7 +16,7 @@ from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.free_space import is_disconnected, min_path_length
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.planner import plan
-from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
 
 START = Pose(-2.0, 0.0, 0.0)
 GOAL = Goal(2.0, 0.0, None, 0.0)
@@ -24,9 +25,8 @@ BODY = Footprint.box(0.1, 0.0, speed=0.1, curvature=2.0)
 
 def test_min_path_length_without_obstacles_is_the_distance():
     assert min_path_length(START, GOAL, World(), 0.05) == pytest.approx(4.0, abs=1e-9)
-    assert min_path_length(
-        START, replace(GOAL, radius=0.5), World(), 0.05
-    ) == pytest.approx(3.5, abs=1e-9)
+    wide = replace(GOAL, radius=0.5)
+    assert min_path_length(START, wide, World(), 0.05) == pytest.approx(3.5, abs=1e-9)
 
 
 @pytest.mark.parametrize("clearance", [0.05, 0.2])
@@ -38,22 +38,10 @@ def test_min_path_length_round_a_circle_is_two_tangents_and_an_arc(clearance):
     assert exact * 0.995 < found <= exact + 1e-9
 
 
-def test_min_path_length_round_a_wall_agrees_with_pythagoras():
-    wall = Polygon(((-0.01, -1.0), (0.01, -1.0), (0.01, 5.0), (-0.01, 5.0)))
-    found = min_path_length(
-        START, GOAL, World((), Bounds((-9, 9), (-9, 5.0)), None, (wall,)), 0.05
-    )
-    assert 2 * math.hypot(1.99, 1.0) + 0.02 < found < 2 * math.hypot(2.0, 1.06) + 0.02
-
-
 def test_min_path_length_is_infinite_without_a_path():
-    wall = Polygon(((-0.1, -5.0), (0.1, -5.0), (0.1, 5.0), (-0.1, 5.0)))
-    assert (
-        min_path_length(
-            START, GOAL, World((), Bounds((-9, 9), (-5, 5)), None, (wall,)), 0.05
-        )
-        == math.inf
-    )
+    wall = rectangle(-0.1, 0.1, -5.0, 5.0)
+    closed = World((), Bounds((-9, 9), (-5, 5)), None, (wall,))
+    assert min_path_length(START, GOAL, closed, 0.05) == math.inf
 
 
 @pytest.mark.default_cases(3)

@@ -37,9 +37,13 @@ def conditions(**other: object) -> ConditionsFile:
     return ConditionsFile.model_validate(CONDITIONS | other)
 
 
-def tried(path: list[float], **other: object) -> ExcursionsFile:
+def tried(excursion: float, **other: object) -> ExcursionsFile:
+    """Return twenty runs that left the path by the excursion, and the lead-in by a tenth of it."""
     return ExcursionsFile(
-        conditions=conditions(**other), source="drawn", path_m=path, lead_in_m=path
+        conditions=conditions(**other),
+        source="drawn",
+        path_m=[excursion] * 20,
+        lead_in_m=[excursion / 10] * 20,
     )
 
 
@@ -72,19 +76,20 @@ def test_too_few_or_lost_runs_give_no_margin():
 
 def test_margins_apply_to_conditions_no_more_difficult_than_measured():
     blocks = [
-        tried([0.03] * 20),
-        tried([0.06] * 20, gain_spread=0.2),
-        tried([0.02] * 20, plant="analytical"),
+        tried(0.03),
+        tried(0.06, gain_spread=0.2),
+        tried(0.02, plant="analytical"),
     ]
     wanted = [
         conditions(gain_spread=0.05),
         conditions(plant="analytical", delay_s=0.05),
     ]
-    assert margin_for(blocks, 0.9, wanted).path == 0.03
+    margin = margin_for(blocks, 0.9, wanted)
+    assert (margin.path, margin.lead_in) == pytest.approx((0.03, 0.003))
     assert margin_for(blocks, 0.9, [conditions(gain_spread=0.15)]).path == 0.06
     # The nearest of several conditions counts, even if more difficult ones have smaller
     # excursions by chance.
-    luckier = [*blocks, tried([0.01] * 20, gain_spread=0.3)]
+    luckier = [*blocks, tried(0.01, gain_spread=0.3)]
     assert margin_for(luckier, 0.9, wanted[:1]).path == 0.03
     others = (
         {"gain_spread": 0.3},
@@ -103,18 +108,13 @@ def test_margins_apply_to_conditions_no_more_difficult_than_measured():
 
 def test_excursions_without_a_contact_are_those_of_a_preloaded_twin():
     assert conditions() == conditions(contact="preloaded")
-    loaded = tried([0.04] * 20, contact="loaded")
-    assert (
-        margin_for(
-            [tried([0.03] * 20), loaded], 0.9, [conditions(contact="loaded")]
-        ).path
-        == 0.04
-    )
+    blocks = [tried(0.03), tried(0.04, contact="loaded")]
+    assert margin_for(blocks, 0.9, [conditions(contact="loaded")]).path == 0.04
     with pytest.raises(
         InputError,
         match="plant twin, contact loaded, .*; measure them with `srs-twin calibrate margin`",
     ):
-        margin_for([tried([0.03] * 20)], 0.9, [conditions(contact="loaded")])
+        margin_for(blocks[:1], 0.9, [conditions(contact="loaded")])
     assert conditions(plant="analytical").contact is None
     with pytest.raises(
         ValueError, match="contact loaded is allowed only for `plant: twin`"
@@ -131,51 +131,33 @@ def test_scenario_with_another_contact_gets_no_margin():
 
 
 def test_footprint_of_another_contact_causes_a_warning():
-    def warned(**more: object) -> list[str]:
-        changes = {"planner.margin_probability": None, **more}
-        return [
-            each
-            for each in load_scenario("follow_fig57", set=changes).warnings
-            if "planner.footprint" in each
-        ]
+    def warned(contact: str, footprint: str) -> list[str]:
+        changes = {
+            "planner.margin_probability": None,
+            "planner.footprint": footprint,
+            "plants.twin.contact": contact,
+        }
+        warnings = load_scenario("follow_fig57", set=changes).warnings
+        return [each for each in warnings if "planner.footprint" in each]
 
-    assert warned() == []
-    (text,) = warned(**{"plants.twin.contact": "preloaded"})
-    assert (
-        text == "planner.footprint: gen2_gait was measured on a twin with contact"
-        " loaded, but this twin has contact preloaded; `srs-twin calibrate"
-        " footprint gen2 --contact preloaded` measures a suitable footprint"
-    )
-    assert (
-        warned(
-            **{"plants.twin.contact": "preloaded", "planner.footprint": "gen4_table8"}
-        )
-        == []
-    )
+    assert warned("loaded", "gen2_gait") == []
+    assert warned("preloaded", "gen2_gait") == [
+        "planner.footprint: gen2_gait was measured on a twin with contact loaded,"
+        " but this twin has contact preloaded; `srs-twin calibrate footprint gen2"
+        " --contact preloaded` measures a suitable footprint"
+    ]
+    assert warned("preloaded", "gen4_table8") == []
 
 
-@pytest.mark.parametrize("name", ["gen2_gait", "gen2_orifice", "gen4_ilc"])
-def test_a_footprint_file_without_a_contact_is_of_a_preloaded_twin(name, tmp_path):
-    file = load_footprint_file(name)
+def test_a_footprint_file_without_a_contact_is_of_a_preloaded_twin(tmp_path):
+    file = load_footprint_file("gen2_gait")
     assert file.contact == file.twin_contact == "loaded"
     before = file.model_copy(update={"contact": None})
     save_footprint(before, tmp_path / "before.yaml")
     again = load_footprint_file(tmp_path / "before.yaml")
     assert again.contact is None and again.twin_contact == "preloaded"
-    assert (
-        "loaded" in (again.mismatch("loaded") or "")
-        and again.mismatch("preloaded") is None
-    )
-
-
-def test_excursions_survive_their_file(tmp_path):
-    file = load_footprint_file("gen4_ilc").model_copy(
-        update={"excursions": [tried([0.01, 0.02])]}
-    )
-    save_footprint(file, tmp_path / "kept.yaml")
-    again = load_footprint_file(tmp_path / "kept.yaml")
-    assert again.excursions == file.excursions
-    assert again.footprint() == file.footprint()
+    assert "contact preloaded, but this twin has" in again.mismatch("loaded")
+    assert again.mismatch("preloaded") is None
 
 
 @pytest.mark.parametrize("name", ["gen2_gait", "gen2_orifice", "gen4_ilc"])

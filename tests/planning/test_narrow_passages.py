@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from plan_sampling import TOUCH, deepest, misses
+from rectangles import rectangle, turned
 from subsets import first_by_default
 from witnessed_worlds import bodies, walls
 
@@ -22,40 +23,43 @@ from srs_twin.planning.primitives import (
     initial_state,
     make_motion_primitives,
 )
-from srs_twin.robot.world import Bounds, Circle, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Pose, World
 
 BODY = load_footprint("gen4_table8")
 
 
-def square(x: float, y: float, side: float) -> Polygon:
-    return Polygon(((x, y), (x + side, y), (x + side, y + side), (x, y + side)))
+ABOVE = rectangle(-0.1, 0.1, 0.15, 0.35)
+BELOW = rectangle(-0.1, 0.1, -0.35, -0.15)
 
 
-@pytest.mark.default_cases(3)
+AT_A_BOUND = World((Circle(0.0, -0.5, 0.35),), Bounds((-9, 9), (-9, 0.15)))
+
+
 @pytest.mark.parametrize(
-    "world",
+    ("world", "quarters"),
     [
-        World((Circle(0.0, 0.5, 0.35), Circle(0.0, -0.5, 0.35))),
-        World(polygons=(square(-0.1, 0.15, 0.2), square(-0.1, -0.35, 0.2))),
-        World((Circle(0.0, -0.5, 0.35),), polygons=(square(-0.1, 0.15, 0.2),)),
-        World((Circle(0.0, -0.5, 0.35),), Bounds((-9, 9), (-9, 0.15))),
+        (World((Circle(0.0, 0.5, 0.35), Circle(0.0, -0.5, 0.35))), 0),
+        (World(polygons=(ABOVE, BELOW)), 0),
+        (World((Circle(0.0, -0.5, 0.35),), polygons=(ABOVE,)), 0),
+        *((AT_A_BOUND, quarters) for quarters in range(4)),
     ],
-    ids=["circles", "polygons", "both", "bounds"],
 )
-def test_passages_lead_straight_through_the_middle_of_a_gap(world):
+def test_passages_lead_straight_through_the_middle_of_a_gap(world, quarters):
+    world = turned(world, quarters)
     passages = find_passages(world, BODY)
     assert len(passages)
     straight = BODY.at(0.0)
     for x, y, heading, through in passages:
-        assert math.remainder(heading, math.pi) == pytest.approx(0.0, abs=1e-6)
-        along = math.cos(heading)
-        assert y + along * (straight.left - straight.right) / 2 == pytest.approx(
-            0.0, abs=1e-6
-        )
-        assert x * along < 0 < x * along + through
-        assert Checker(world, BODY).is_path_free(
-            path_from_arcs(Pose(x, y, heading), [(0.0, through)], BODY)
-        )
+        path = path_from_arcs(Pose(x, y, heading), [(0.0, through)], BODY)
+        assert Checker(world, BODY).is_path_free(path)
+        # In the world that is not turned, the gap is along x.
+        place = complex(x, y) / 1j**quarters
+        direction = heading - quarters * math.pi / 2
+        assert math.remainder(direction, math.pi) == pytest.approx(0.0, abs=1e-6)
+        along = math.cos(direction)
+        middle = place.imag + along * (straight.left - straight.right) / 2
+        assert middle == pytest.approx(0.0, abs=1e-6)
+        assert place.real * along < 0 < place.real * along + through
 
 
 def test_entry_poses_allow_for_transients_and_round_obstacles():

@@ -6,19 +6,19 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from plan_sampling import TOUCH, deepest, joints, misses
 from plan_worlds import drawn_problem
+from rectangles import rectangle
 
 from srs_twin.errors import InputError
 from srs_twin.planning.arcs import Primitives, arc_end
-from srs_twin.planning.best_first import _Search
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.footprint_file import load_footprint
-from srs_twin.planning.free_space import is_disconnected
 from srs_twin.planning.planner import plan
 from srs_twin.planning.primitives import make_motion_primitives
 from srs_twin.planning.problem import PlanOutcome, Problem, Settings
@@ -67,12 +67,9 @@ def test_plans_are_free_continuous_and_reach_the_goal(seed):
     assert deepest(answer, problem, 0.006) < TOUCH
     assert joints(answer, problem) < 1e-9 and answer.max_heading_jump == 0
     assert not misses(answer, problem)
-    assert all(
-        -s.curvature <= problem.footprint.tightest[0] + 1e-9 for s in answer.segments
-    )
-    assert all(
-        s.curvature <= problem.footprint.tightest[1] + 1e-9 for s in answer.segments
-    )
+    right, left = problem.footprint.tightest
+    for segment in answer.segments:
+        assert -right - 1e-9 <= segment.curvature <= left + 1e-9
 
 
 def test_most_random_worlds_have_a_plan():
@@ -94,10 +91,7 @@ def test_sampling_checker_detects_obstacles():
 def test_numbers_of_the_plan_table_are_right_aligned():
     answer = plan(fig54(0, 0))
     page = answer._repr_html_()
-    for unit, number in (
-        ("m", f"{answer.length:.4g}"),
-        ("1", str(len(answer.segments))),
-    ):
+    for unit, number in (("m", f"{answer.length:.4g}"), ("1", len(answer.segments))):
         assert f'<td>{unit}</td><td class="number">{number}</td>' in page
 
 
@@ -176,10 +170,10 @@ def test_plans_are_deterministic_and_mirror_images_are_as_long():
     answer = plan(problem)
     assert answer == plan(problem)
     flipped = Problem(
-        Pose(0.0, 0.0, -math.pi / 4),
-        replace(FIG54_GOAL, y=-1.0, heading=-math.pi / 4),
+        replace(FIG54_START, heading=-FIG54_START.heading),
+        replace(FIG54_GOAL, y=-FIG54_GOAL.y, heading=-FIG54_GOAL.heading),
         World(
-            tuple(Circle(c.x, -c.y, c.radius) for c in problem.world.obstacles),
+            tuple(replace(c, y=-c.y) for c in problem.world.obstacles),
             Bounds((-0.3, 2.3), (-1.3, 0.3)),
         ),
         TEXT,
@@ -203,15 +197,33 @@ def test_weight_bounds_the_extra_length():
     assert hasty.expanded <= shortest.expanded
 
 
+def test_cost_of_clearance_leads_a_path_farther_from_an_obstacle():
+    """The cost of one metre is 1 + w exp(−clearance/width) metres."""
+    post = Circle(0.75, 0.06, 0.05)
+    problem = walled(world=World((post,)))
+    straight = TEXT.at(0.0)
+    width = straight.left + straight.right
+    weight = 2.0
+
+    def cost(answer):
+        x, y, _ = answer.samples(0.001).T
+        clearance = np.hypot(x - post.x, y - post.y) - post.radius - width / 2
+        near = np.exp(-np.maximum(clearance, 0.0) / width)
+        return answer.length * (1 + weight * near.mean()), clearance.min()
+
+    shortest = plan(problem)
+    clear = plan(problem, Settings(clearance_weight=weight))
+    assert clear.found and deepest(clear, problem) < TOUCH
+    assert cost(clear)[0] < cost(shortest)[0]
+    assert cost(clear)[1] > cost(shortest)[1] + 0.01
+    assert shortest.length < clear.length < shortest.length * (1 + weight)
+
+
 def test_plan_from_the_goal_is_empty():
     problem = replace(fig54(3, 0), start=Pose(2.0, 1.0, math.pi / 4 + 0.01))
     answer = plan(problem)
-    assert (
-        answer.found
-        and answer.segments == ()
-        and answer.length == 0
-        and answer.end is None
-    )
+    assert answer.found and answer.segments == ()
+    assert answer.length == 0 and answer.end is None
     assert answer.samples().shape == (0, 3)
 
 
@@ -219,15 +231,6 @@ def test_a_time_budget_ends_the_search():
     wall = ring(1.5, 0, 0.4, 13, 0.08)
     answer = plan(walled(world=World(wall)), Settings(nodes=10**8, seconds=0.001))
     assert answer.outcome is PlanOutcome.NOT_FOUND and answer.expanded < 10**7
-
-
-def test_coarsest_cells_separate_the_children_of_a_node():
-    """A cell is half of the smallest change of heading wide and a third of an arc long, within a tenth."""
-    spec = _Search(fig54(0, 0), Settings()).start_trees(0)[0].spec
-    moves = spec.primitives
-    turn = np.diff(moves.curvatures[moves.children]).min() * moves.length
-    assert turn / spec.sector == pytest.approx(2, rel=0.1)
-    assert moves.length / spec.cell == pytest.approx(3, rel=0.1)
 
 
 def test_any_arrival_heading():
@@ -238,29 +241,23 @@ def test_any_arrival_heading():
     assert answer.length <= plan(fig54(10, 2)).length + 1e-3
 
 
+ROOM = Bounds((-1, 3), (-1, 1))
+
+
 def walled(**changes) -> Problem:
-    return replace(
-        Problem(
-            Pose(0, 0, 0),
-            Goal(1.5, 0, 0.0, 0.02),
-            World(bounds=Bounds((-1, 3), (-1, 1))),
-            TEXT,
-        ),
-        **changes,
-    )
+    goal = Goal(1.5, 0, 0.0, 0.02)
+    return replace(Problem(Pose(0, 0, 0), goal, World(bounds=ROOM), TEXT), **changes)
 
 
 @pytest.mark.slow
 def test_walled_in_goal_is_proven_unreachable():
     wall = ring(1.5, 0, 0.4, 14, 0.08)
-    problem = walled(world=World(wall, Bounds((-1, 3), (-1, 1))))
+    problem = walled(world=World(wall, ROOM))
     answer = plan(problem)
     assert answer.outcome is PlanOutcome.PROVEN_IMPOSSIBLE and answer.segments == ()
     assert "no path of any shape" in answer.reason and "0.03 m" in answer.reason
     # Without the circle towards the start there is a path.
-    assert plan(
-        replace(problem, world=World(wall[:7] + wall[8:], Bounds((-1, 3), (-1, 1))))
-    ).found
+    assert plan(replace(problem, world=World(wall[:7] + wall[8:], ROOM))).found
 
 
 def test_walled_in_start_without_bounds_is_proven_unreachable():
@@ -270,23 +267,19 @@ def test_walled_in_start_without_bounds_is_proven_unreachable():
 
 @pytest.mark.slow
 def test_polygon_wall_between_bounds_is_proven_impassable():
-    wall = Polygon(((0.7, -2), (0.8, -2), (0.8, 2), (0.7, 2)))
-    problem = walled(world=World((), Bounds((-1, 3), (-1, 1)), None, (wall,)))
-    assert plan(problem).outcome is PlanOutcome.PROVEN_IMPOSSIBLE
-    assert plan(
-        replace(problem, world=World((), Bounds((-1, 3), (-3, 3)), None, (wall,)))
-    ).found
+    world = World((), ROOM, None, (rectangle(0.7, 0.8, -2, 2),))
+    assert plan(walled(world=world)).outcome is PlanOutcome.PROVEN_IMPOSSIBLE
+    wider = replace(world, bounds=Bounds((-1, 3), (-3, 3)))
+    assert plan(walled(world=wider)).found
 
 
 @pytest.mark.slow
 def test_goal_in_a_niche_too_small_to_turn_in_is_not_found():
     """The goal is at a wall that must be approached at right angles, with its heading along the wall."""
-    left, right = (
-        Polygon(((x, -0.3), (x + 0.1, -0.3), (x + 0.1, 0.3), (x, 0.3)))
-        for x in (1.3, 1.6)
-    )
-    lid = Polygon(((1.3, 0.3), (1.7, 0.3), (1.7, 0.4), (1.3, 0.4)))
-    niche = World((), Bounds((-1, 3), (-1, 1)), None, (left, right, lid))
+    left = rectangle(1.3, 1.4, -0.3, 0.3)
+    right = rectangle(1.6, 1.7, -0.3, 0.3)
+    lid = rectangle(1.3, 1.7, 0.3, 0.4)
+    niche = World((), ROOM, None, (left, right, lid))
     problem = walled(world=niche, goal=Goal(1.5, 0.2, 0.0, 0.01))
     answer = plan(problem)
     assert answer.outcome is PlanOutcome.NOT_FOUND
@@ -301,36 +294,6 @@ def test_spent_budget_asks_for_more_nodes():
     assert "increase `nodes`" in answer.reason
 
 
-@settings(max_examples=40)
-@given(st.integers(0, 10**6))
-def test_worlds_with_a_plan_are_never_disconnected(seed):
-    rng = np.random.default_rng(seed)
-    bounds = Bounds((-0.3, 1.6), (-0.4, 0.8))
-    try:
-        circles = random_circles(
-            int(rng.integers(5, 25)),
-            bounds,
-            seed,
-            radius=(0.05, 0.12),
-            gap=0.02,
-            clear=((0, 0, 0.06),),
-        )
-    except InputError:
-        return
-    problem = Problem(
-        Pose(0, 0, 0.3), Goal(1.3, 0.4, None, 0.05), World(circles, bounds), TEXT
-    )
-    try:
-        answer = plan(problem, Settings(nodes=5000))
-    except InputError:
-        return
-    if answer.found:
-        assert not is_disconnected(
-            problem.start, problem.goal, problem.world, TEXT.narrowest
-        )
-
-
-@pytest.mark.default_cases(at=[0, 4, 5, 6, 7, 8, 9, 10, 11, 12])
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -338,14 +301,9 @@ def test_worlds_with_a_plan_are_never_disconnected(seed):
             {"start": Pose(5, 0, 0)},
             r"start \(5, 0\) is outside the bounds \(x -1 to 3 m",
         ),
-        ({"goal": Goal(0, 4, 0.0, 0.1)}, r"goal \(0, 4\) is outside the bounds"),
         (
             {"world": World((Circle(9, 9, 1), Circle(0, 0.1, 0.2)))},
             r"start \(0, 0\) is inside obstacle 2 \(radius 0.2",
-        ),
-        (
-            {"world": World((Circle(1.5, 0, 0.2),))},
-            r"goal \(1.5, 0\) is inside obstacle 1",
         ),
         (
             {"world": World(polygons=(Polygon(((1, -1), (2, -1), (1.5, 1))),))},
@@ -385,37 +343,31 @@ def test_invalid_problems_are_rejected_by_name(changes, words):
 
 
 def test_invalid_settings_are_rejected():
-    with pytest.raises(
-        InputError,
-        match="nodes 0, levels 4, weight 1 are not allowed; each of them must be at"
-        " least 1",
+    assert Settings(nodes=1, levels=5, weight=1.0, seconds=1e-9).clearance_weight == 0
+    at_least = "are not allowed; each of them must be at least 1"
+    for changes, words in (
+        ({"nodes": 0}, f"nodes 0, levels 4, weight 1 {at_least}"),
+        ({"levels": 0}, f"nodes 200000, levels 0, weight 1 {at_least}"),
+        ({"weight": 0.9}, f"nodes 200000, levels 4, weight 0.9 {at_least}"),
+        ({"levels": 6}, "`levels` 6 is not allowed; it must be at most 5"),
+        ({"seconds": 0}, "`seconds` 0 is not allowed; it must be above 0"),
+        ({"clearance_weight": -1}, "`clearance_weight` -1 is not allowed"),
     ):
-        Settings(nodes=0)
-    with pytest.raises(
-        InputError, match="`levels` 9 is not allowed; it must be at most 5"
-    ):
-        Settings(levels=9)
-    with pytest.raises(
-        InputError, match="`seconds` -1 is not allowed; it must be above 0"
-    ):
-        Settings(seconds=-1)
+        with pytest.raises(InputError, match=words):
+            Settings(**changes)
 
 
 def test_random_worlds_repeat_for_a_seed_and_keep_their_gaps():
     assert fig54_world(7, 3) == fig54_world(7, 3) != fig54_world(7, 4)
     assert len(fig54_world(18, 0).obstacles) == 18
-    circles = random_circles(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
-    assert circles == random_circles(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
-    gaps = [
-        math.hypot(a.x - b.x, a.y - b.y) - a.radius - b.radius
-        for a in circles
-        for b in circles
-        if a is not b
-    ]
-    assert (
-        min(gaps) >= 0.1
-        and min(math.hypot(c.x, c.y) - c.radius for c in circles) >= 0.2
+    circles, again = (
+        random_circles(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
+        for _ in range(2)
     )
+    assert circles == again
+    for a, b in combinations(circles, 2):
+        assert math.hypot(a.x - b.x, a.y - b.y) >= a.radius + b.radius + 0.1
+    assert min(math.hypot(c.x, c.y) - c.radius for c in circles) >= 0.2
     with pytest.raises(InputError, match="fit with gaps of 0.5 m"):
         random_circles(30, FIG54_BOUNDS, 0, gap=0.5)
     with pytest.raises(

@@ -78,13 +78,3 @@ def test_window_distinguishes_crossings_of_a_path():
     way = route([(5.0, 2 * math.pi / 5), (0.0, 1.0)])
     assert way.nearest(0.0, 0.0, -0.1, 0.3).s == pytest.approx(0.0, abs=1e-9)
     assert way.nearest(0.0, 0.0, 1.0, 1.5).s == pytest.approx(2 * math.pi / 5, abs=1e-9)
-
-
-def test_coordinates_of_many_points_equal_those_of_each():
-    way = route([(1.0, 0.7), (-2.0, 0.9)])
-    rng = np.random.default_rng(0)
-    points = rng.uniform(-1, 2, (50, 2))
-    s, n = way.coordinates(points)
-    assert [(a, b) for a, b in zip(s, n, strict=True)] == [
-        way.nearest(*p)[:2] for p in points
-    ]

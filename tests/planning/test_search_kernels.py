@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
+from rectangles import rectangle
 
 from srs_twin.planning.guidance import NO_HEURISTIC, grid_distance, grid_heuristic
 from srs_twin.planning.search_kernels import (
@@ -18,7 +19,7 @@ from srs_twin.planning.search_kernels import (
     pop,
     push,
 )
-from srs_twin.robot.world import Bounds, Circle, Goal, Polygon, Pose, World
+from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
 
 pytestmark = pytest.mark.fast
 
@@ -47,16 +48,15 @@ def test_heap_pops_nodes_in_key_order(keys, early):
         max_size=60,
     )
 )
-def test_poses_fraction_a_slot_exactly_if_they_fraction_a_cell(poses):
+def test_poses_share_a_slot_exactly_if_they_share_a_cell(poses):
     cell = 0.5
     sector = math.pi / 6
     frontier = empty_frontier(64)
     slots = {}
+    # Headings on the border of two sectors may fall into either.
+    poses = [p for p in poses if abs(math.remainder(p[2] / sector, 1)) >= 1e-9]
     for k, (x, y, heading) in enumerate(poses):
-        # Headings on the border of two sectors may fall into either.
         turned = (heading / sector) % 12
-        if abs(turned - round(turned)) < 1e-9:
-            continue
         name = (math.floor(x / cell), math.floor(y / cell), math.floor(turned))
         slot = cell_slot(frontier, x, y, heading, cell, sector)
         assert slots.setdefault(name, slot) == slot
@@ -65,13 +65,9 @@ def test_poses_fraction_a_slot_exactly_if_they_fraction_a_cell(poses):
             frontier.counts[NODES] += 1
     assert len(set(slots.values())) == len(slots)
     larger = enlarged(frontier)
-    for x, y, heading in poses:
-        turned = (heading / sector) % 12
-        if abs(turned - round(turned)) >= 1e-9:
-            before, after = (
-                cell_slot(f, x, y, heading, cell, sector) for f in (frontier, larger)
-            )
-            assert frontier.owners[before] == larger.owners[after] > 0
+    for pose in poses:
+        before, after = (cell_slot(f, *pose, cell, sector) for f in (frontier, larger))
+        assert frontier.owners[before] == larger.owners[after] > 0
 
 
 def test_grid_distance_is_the_straight_distance_without_obstacles():
@@ -86,7 +82,7 @@ def test_grid_distance_is_the_straight_distance_without_obstacles():
 
 
 def test_grid_distance_goes_round_walls_and_is_zero_in_closed_rooms():
-    wall = Polygon(((0.95, -0.1), (1.05, -0.1), (1.05, 0.8), (0.95, 0.8)))
+    wall = rectangle(0.95, 1.05, -0.1, 0.8)
     guide = grid_heuristic(GOAL, START, World((), FLOOR, None, (wall,)), 0.05, 1.0)
     over = math.hypot(0.7, 0.35) + 0.2 + math.hypot(0.7, 0.35)
     assert over - 0.05 <= grid_distance(guide, START.x, START.y) <= 1.09 * over + 0.05
@@ -95,16 +91,12 @@ def test_grid_distance_goes_round_walls_and_is_zero_in_closed_rooms():
         Circle(1.8 + 0.15 * math.cos(a), 0.5 + 0.15 * math.sin(a), 0.05)
         for a in np.arange(12) * math.pi / 6
     )
-    assert (
-        grid_distance(
-            grid_heuristic(GOAL, START, World(ring, FLOOR), 0.02, 1.0), START.x, START.y
-        )
-        == 0
-    )
+    closed = grid_heuristic(GOAL, START, World(ring, FLOOR), 0.02, 1.0)
+    assert grid_distance(closed, START.x, START.y) == 0
 
 
 def test_grid_distance_without_bounds_goes_round_all_obstacles():
-    wall = Polygon(((0.95, -2.0), (1.05, -2.0), (1.05, 2.0), (0.95, 2.0)))
+    wall = rectangle(0.95, 1.05, -2.0, 2.0)
     guide = grid_heuristic(GOAL, START, World((), None, None, (wall,)), 0.05, 0.5)
     assert grid_distance(guide, START.x, START.y) == pytest.approx(
         2 * math.hypot(0.7, 1.55) + 0.2, rel=0.1

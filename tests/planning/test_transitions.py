@@ -157,16 +157,6 @@ def test_reason_reports_a_plan_without_transitions():
     assert answer.found and "without transition arcs" in answer.reason
 
 
-def test_no_transitions_without_transients():
-    problem = Problem(START, GOAL, FIELD, load_footprint("gen4_table9"))
-    answer = plan_with_transitions(problem, Settings())
-    assert answer.found and {abs(round(s.curvature, 6)) for s in answer.segments} <= {
-        0,
-        0.6545,
-        1.309,
-    }
-
-
 def test_shape_changes_of_a_scenario_plans_transitions():
     document = dict(load_scenario("follow_gen4_b").document)
     plans = [
