@@ -11,12 +11,10 @@ import struct
 import zlib
 from fractions import Fraction
 
-import cv2
 import numpy as np
 import pytest
 from PIL import Image
 
-from srs_twin.cli import main
 from srs_twin.errors import InputError
 from srs_twin.scenario.map_file import read_map
 
@@ -112,17 +110,6 @@ def by_pillow(mode, suffix):
     return write
 
 
-def by_opencv(channels, suffix):
-    def write(path, rng):
-        values = draw(rng, channels, 255)
-        array = values.astype(np.uint8)
-        cv2.imwrite(str(path), array[..., {1: [0], 3: [2, 1, 0]}[channels]])
-        return pixels(values, 255)
-
-    write.suffix = suffix
-    return write
-
-
 def pgm(white, *, text=False, comment=""):
     def write(path, rng):
         values = draw(rng, 1, white)
@@ -158,21 +145,19 @@ WRITERS = {
         [by_pillow(m, ".png") for m in ("1", "L", "P", "RGB")]
         + [by_pillow("L", ".pgm")]
     ),
-    "opencv": [by_opencv(1, ".png"), by_opencv(3, ".png"), by_opencv(1, ".pgm")],
     # Each level is a whole number of 255ths.
     "P5": [pgm(white) for white in (1, 5, 51, 255)] + [pgm(255, comment=COMMENT)],
     "P2": (
         [pgm(white, text=True) for white in (1, 15, 255)]
         + [pgm(white, text=True, comment=COMMENT) for white in (85, 255)]
     ),
-    "png": [raw_png(depth) for depth in (1, 2, 4, 8)],
+    "png": [raw_png(depth) for depth in (2, 4)],
 }
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize("library", WRITERS)
 def test_cells_agree_with_ros(tmp_path, library):
-    """Formats × bit depths × modes × negate: 88 maps."""
+    """Formats × bit depths × modes × negate."""
     rng = np.random.default_rng(42)
     for k, write in enumerate(WRITERS[library]):
         for mode in ("trinary", "scale"):
@@ -208,70 +193,34 @@ WALL = np.full((20, 40), 254, dtype=np.uint8)
 WALL[5:, 18:20] = 0
 
 
-@pytest.mark.default_cases(at=[0, 4, 9, 17, 18, 20])
-@pytest.mark.parametrize(
-    ("levels", "more", "cells"),
-    [
-        ((50, 250), "", 30),
-        ((50, 250), "mode: scale\n", 30),
-        ((0, 254), "mode: Trinary\n", 30),
-        *(
-            ((0, 254), f"negate: {no}\n", 30)
-            for no in ("0", '"0"', "no", "No", "off", "OFF", "false", "n")
-        ),
-        *(
-            ((0, 254), f"negate: {yes}\n", 770)
-            for yes in ("1", '"1"', "yes", "Yes", "on", "ON", "true", "y")
-        ),
-    ],
-)
-@pytest.mark.parametrize("suffix", [".png", ".pgm"])
-def test_a_wall_is_thirty_cells(tmp_path, levels, more, cells, suffix):
-    picture = tmp_path / f"wall{suffix}"
-    array = np.where(WALL > 0, levels[1], levels[0]).astype(np.uint8)
-    Image.fromarray(array).save(picture)
-    count = covered(write_map(picture, more=more), WALL.shape)
-    assert (
-        count.sum() == cells
-        and ((count > 0) == ((WALL == 0) if cells == 30 else (WALL > 0))).all()
-    )
+def test_words_for_negate_and_mode(tmp_path):
+    picture = tmp_path / "wall.png"
+    Image.fromarray(WALL).save(picture)
+    for more in ("", "mode: Trinary\n", "negate: '0'\n", "negate: No\n"):
+        assert (covered(write_map(picture, more=more), WALL.shape) == (WALL == 0)).all()
+    for yes in ("1", '"1"', "Yes", "on", "y"):
+        path = write_map(picture, more=f"negate: {yes}\n")
+        assert (covered(path, WALL.shape) == (WALL > 0)).all()
 
 
 ALLOWED = "at most 8 bits per channel and without transparency"
-RETIRED = {
-    "grey of 16 bits.png": Image.fromarray(WALL.astype(np.uint16)),
-    "grey of 16 bits.pgm": Image.fromarray(WALL.astype(np.uint16)),
-    "grey with alpha.png": Image.fromarray(WALL).convert("LA"),
-    "colours with alpha.png": Image.fromarray(WALL).convert("RGBA"),
-}
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize("name", RETIRED)
-def test_refused_pictures_are_told_what_is_allowed(tmp_path, name):
-    RETIRED[name].save(tmp_path / name)
-    with pytest.raises(InputError, match=ALLOWED):
-        read_map(write_map(tmp_path / name))
-
-
-def test_colours_of_16_bits_and_a_transparent_level_are_refused(tmp_path):
-    deep = np.full((4, 5, 3), 65278, np.uint16)
-    cv2.imwrite(str(tmp_path / "a.png"), deep)
-    Image.fromarray(WALL).save(tmp_path / "b.png", transparency=254)
-    for name in ("a.png", "b.png"):
+def test_deep_and_transparent_pictures_are_told_what_is_allowed(tmp_path):
+    deep = Image.fromarray(WALL.astype(np.uint16))
+    deep.save(tmp_path / "grey of 16 bits.png")
+    deep.save(tmp_path / "grey of 16 bits.pgm")
+    colours = png(5, 4, 16, 2, [bytes(30)] * 4)
+    (tmp_path / "colours of 16 bits.png").write_bytes(colours)
+    wall = Image.fromarray(WALL)
+    wall.save(tmp_path / "transparent level.png", transparency=254)
+    wall.convert("LA").save(tmp_path / "grey with alpha.png")
+    wall.convert("RGBA").save(tmp_path / "colours with alpha.png")
+    pictures = list(tmp_path.iterdir())
+    assert len(pictures) == 6
+    for picture in pictures:
         with pytest.raises(InputError, match=ALLOWED):
-            read_map(write_map(tmp_path / name))
-
-
-SCENARIO = """
-title: t
-robot: gen2
-duration_s: 5
-world: {map: wall.yaml, goal: {x_m: 4.5, y_m: 0.0, radius_m: 0.1}}
-planner: {kind: best_first, footprint: gen2_section52}
-controller: {kind: follow, follower: path, gait: {kind: gait, frequency_hz: 2.0}}
-plants: {twin: {wheels: rolling}}
-"""
+            read_map(write_map(picture))
 
 
 def sparse(path, width, height):
@@ -287,23 +236,13 @@ def two_headers(path):
 HOSTILE = {
     "fifo": (os.mkfifo, "not a regular file"),
     "folder": (os.mkdir, "a folder"),
-    "device": (lambda path: path.symlink_to("/dev/zero"), "not a regular file"),
-    "megapixels": (
-        lambda path: sparse(path, 13_400, 13_400),
-        "must have between 1 and 25,000,000 pixels",
-    ),
     "gigapixels": (
         lambda path: sparse(path, 2**31 - 1, 2**31 - 1),
         "must have between 1 and 25,000,000 pixels",
     ),
     "none": (lambda path: sparse(path, 0, 5), ALLOWED),
-    "large pgm": (
-        lambda path: path.write_bytes(b"P5 100000 100000 255\n"),
-        "must have between 1 and 25,000,000 pixels",
-    ),
     "two headers": (two_headers, "must have between 1 and 25,000,000 pixels"),
     "empty": (lambda path: path.write_bytes(b""), ALLOWED),
-    "signature": (lambda path: path.write_bytes(b"\x89PNG\r\n\x1a\n"), ALLOWED),
     "cut": (
         lambda path: path.write_bytes(
             png(40, 20, 8, 0, [bytes(range(41, 1, -1))] * 20)[:-24]
@@ -314,39 +253,15 @@ HOSTILE = {
         lambda path: path.write_bytes(b"P5 40 20 255\n" + bytes(700)),
         "damaged (",
     ),
-    "cut text": (lambda path: path.write_bytes(b"P2 2 2 255\n0 0 0"), "damaged ("),
-    "words": (
-        lambda path: path.write_bytes(b"P2 2 2 255\n0 0 x 0"),
-        "damaged (",
-    ),
     "maxval": (
         lambda path: path.write_bytes(b"P5 1 1 65536\n\0\0"),
         "damaged (maxval must be greater than 0",
     ),
-    "no maxval": (
-        lambda path: path.write_bytes(b"P5 1 1 0\n\0"),
-        "damaged (maxval must be greater than 0",
-    ),
-    "too bright": (
-        lambda path: path.write_bytes(b"P2 1 1 9\n10"),
-        "damaged (Channel value too large",
-    ),
-    "eps": (
-        lambda path: path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n"),
-        ALLOWED,
-    ),
     "pdf": (lambda path: path.write_bytes(b"%PDF-1.7\n"), ALLOWED),
-    **{
-        kind.lower(): (
-            lambda path, kind=kind: Image.new("L", (4, 4)).save(path, kind),
-            ALLOWED,
-        )
-        for kind in ("JPEG", "BMP", "GIF", "TIFF", "WebP")
-    },
+    "jpeg": (lambda path: Image.new("L", (4, 4)).save(path, "JPEG"), ALLOWED),
 }
 
 
-@pytest.mark.default_cases(at=[0, 1, 3, 10, 22, 23])
 @pytest.mark.parametrize("name", HOSTILE)
 def test_invalid_pictures_are_rejected(tmp_path, name):
     """By content, before Pillow reads it, with one message that names the place in the map."""
@@ -364,21 +279,21 @@ def test_format_is_read_from_the_content_not_the_suffix(tmp_path):
     assert covered(write_map(tmp_path / "a.pgm"), WALL.shape).sum() == 30
 
 
-def test_checkerboard_is_rejected(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    board = np.indices((1000, 1000)).sum(axis=0) % 2 == 0
-    Image.fromarray(board).save("wall.png")
-    write_map(tmp_path / "wall.png")
-    (tmp_path / "run.yaml").write_text(SCENARIO)
-    with pytest.raises(SystemExit) as end:
-        main(["plan", "run.yaml", "--quiet"])
-    assert end.value.code == 2
-    said = capsys.readouterr().err
-    assert (
-        "wall.yaml:1:8: image: the occupied cells of the map need 500,000 rectangles"
-        in said
-        and "20,000 are allowed; remove specks" in said
-    )
+def test_speckled_map_is_refused_above_twenty_thousand_rectangles(tmp_path):
+    """On a checkerboard every second cell is a rectangle."""
+
+    def speckled(rows):
+        board = np.indices((rows, 200)).sum(axis=0) % 2 == 0
+        Image.fromarray(board).save(tmp_path / "wall.png")
+        return write_map(tmp_path / "wall.png")
+
+    assert len(read_map(speckled(200))) == 20_000
+    with pytest.raises(
+        InputError,
+        match="wall.yaml:1:8: image: .* need 20,100 rectangles, but only 20,000 are"
+        " allowed; remove specks",
+    ):
+        read_map(speckled(201))
 
 
 def test_stripes_of_twenty_thousand_rows_are_few_rectangles(tmp_path):
@@ -389,7 +304,7 @@ def test_stripes_of_twenty_thousand_rows_are_few_rectangles(tmp_path):
 
 
 def test_other_spellings_of_a_map(tmp_path):
-    """Missing thresholds, a number with an exponent, a rotated map; a path of Windows is refused."""
+    """Missing thresholds and a number with an exponent; a path of Windows is refused."""
     Image.fromarray(WALL).save(tmp_path / "a.png")
     path = write_map(tmp_path / "a.png")
     text = path.read_text()
@@ -401,11 +316,6 @@ def test_other_spellings_of_a_map(tmp_path):
     ):
         path.write_text(new)
         assert read_map(path) == plain
-    path.write_text(text.replace("0.0]", "1.5707963267948966]"))
-    corners = np.array(read_map(path)[0].corners)
-    assert np.allclose(
-        [corners.min(axis=0), corners.max(axis=0)], [[-1.25, 0.4], [-0.5, 0.5]]
-    )
     path.write_text(text.replace("a.png", "sub\\a.png"))
     with pytest.raises(InputError, match=r"a\.yaml:1:8: image: .*no such file"):
         read_map(path)

@@ -113,36 +113,20 @@ def refusal(load, path: Path) -> str:
     return str(error.value)
 
 
-@pytest.mark.default_cases(at=[0, 4, 5, 7, 10, 25, 32])
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    ("places", "expected"),
-    [(["lab"], "lab/"), ([""], ""), (["lab", ""], "lab/")],
-    ids=["beside", "current", "both"],
-)
-def test_path_is_relative_to_its_file_then_to_the_current_folder(
-    lab, kind, places, expected
-):
+def test_path_is_relative_to_its_file_then_to_the_current_folder(lab, kind):
     load, data, name = KINDS[kind]
-    for place in places:
-        put(Path(place) / "deep" / name)
-    message = refusal(load, write(lab / "x.yaml", data, f"deep/{name}"))
-    # The name of a file in a message begins after a blank or at the start of a line.
-    assert f" {expected}deep/{name}" in f" {message}".replace("\n", " "), message
-    assert f"{name}: no such file" not in message
-
-
-@pytest.mark.default_cases(at=[0, 2, 3, 5, 6, 8, 12])
-@pytest.mark.parametrize("kind", KINDS)
-def test_message_about_a_missing_file_names_both_places(lab, kind):
-    load, data, name = KINDS[kind]
-    message = refusal(load, write(lab / "x.yaml", data, f"deep/{name}"))
-    (line,) = (line for line in message.splitlines() if name in line)
-    assert line.startswith("lab/x.yaml:"), line
-    assert (
-        f"deep/{name}: no such file (looked for lab/deep/{name} and deep/{name})"
-        in line
-    )
+    path = write(lab / "x.yaml", data, f"deep/{name}")
+    (line,) = (line for line in refusal(load, path).splitlines() if name in line)
+    assert line.startswith("lab/x.yaml:")
+    both_places = f"(looked for lab/deep/{name} and deep/{name})"
+    assert f"deep/{name}: no such file {both_places}" in line
+    for place in ("", "lab/"):
+        put(Path(f"{place}deep/{name}"))
+        # The name of a file in a message begins after a blank or at the start of a
+        # line.
+        words = refusal(load, path).split()
+        assert any(word.startswith(f"{place}deep/{name}") for word in words)
 
 
 def test_a_name_is_not_a_path_beside_the_file(lab):

@@ -3,25 +3,19 @@
 from __future__ import annotations
 
 import copy
-import inspect
 import json
 import math
 import re
-from pathlib import Path
-from typing import get_args
 
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from srs_twin import LoadedContact
 from srs_twin.errors import InputFileError, UnknownNameError
-from srs_twin.io.documents import dump_yaml, load_yaml, parse_yaml
+from srs_twin.io.documents import dump_yaml, load_yaml
 from srs_twin.io.files import data_root, shipped_names
 from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
 from srs_twin.robot.file import load_robot
 from srs_twin.scenario.expectation import Expectation, known_metrics, verdict
-from srs_twin.scenario.fields import Section
-from srs_twin.scenario.file import with_extensions
 from srs_twin.scenario.loading import (
     load_scenario,
     parse_scenario,
@@ -144,13 +138,6 @@ def test_skids_and_their_law_reach_the_plants():
     assert s.build_plant("twin").contact == LoadedContact("ellipse")
 
 
-def test_gait_section_builds_a_gait():
-    gait = scenario(
-        controller={"kind": "gait", "frequency_hz": 1.5, "offset": 0.3}
-    ).build_controller()
-    assert (gait.kind, gait.frequency, gait.offset) == ("gait", 1.5, 0.3)
-
-
 # Robots in scenarios
 
 
@@ -198,18 +185,14 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
     assert scenario(robot={"base": "./mine.yaml", "name": "ours"}).robot.name == "ours"
 
 
-@pytest.mark.default_cases(at=[0, 2, 5, 6, 7, 8, 10, 12, 13])
 @pytest.mark.parametrize(
     ("robot", "words"),
     [
         ("gen5", "robot: unknown robot 'gen5'; did you mean gen"),
-        ({"base": "gen5"}, "robot.base: unknown robot 'gen5'"),
         (
             {"base": 5},
             "robot.base: must be a robot name, a path, or a block of keys with `base`",
         ),
-        (5, "robot: must be a robot name, a path, or a block of keys with `base`"),
-        (None, "robot: must be a robot name, a path"),
         ("no/such.yaml", "robot: no/such.yaml: no such file"),
         (
             {"base": "gen2", "bending": {"stifness_nm_per_rad": 1}},
@@ -224,16 +207,8 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
             "stiffness_nm_per_rad.unit: missing",
         ),
         (
-            {"base": "gen2", "bending": 3},
-            "robot.bending: must be a block of keys (lead, stiffness_nm_per_rad, ",
-        ),
-        (
             {"base": "gen2", "mass": {"connectors_kg": -1}},
             "robot.mass.connectors_kg: must be a number from 1e-10",
-        ),
-        (
-            {"base": "gen2", "mass": {"connectors_kg": [1, 2]}},
-            "robot.mass.connectors_kg: 2 masses are given for 5 connectors",
         ),
         (
             {"base": "gen3", "geometry": {"connectors": 6}},
@@ -244,7 +219,7 @@ def test_a_robot_by_path(tmp_path, monkeypatch):
     ],
 )
 def test_invalid_robots_are_rejected(robot, words):
-    assert any(words in line for line in refusal(robot=robot)), refusal(robot=robot)
+    assert words in "\n".join(refusal(robot=robot))
 
 
 def test_problems_of_a_robot_file_name_that_file(tmp_path):
@@ -267,20 +242,11 @@ def test_problems_of_a_robot_file_name_that_file(tmp_path):
 
 def test_the_default_pneumatics_are_written_out():
     s = scenario()
-    assert s.document["pneumatics"] == {
-        "kind": "lag",
-        "leak_per_s": 0.0,
-        "valve_delay_s": 0.0,
-    }
-    chambers = s.build_plant("analytical").pneumatics
-    assert chambers.describe() == {
-        "kind": "lag",
-        "leak_per_s": 0.0,
-        "valve_delay_s": 0.0,
-    }
+    lag = {"kind": "lag", "leak_per_s": 0.0, "valve_delay_s": 0.0}
+    assert s.document["pneumatics"] == lag
+    assert s.build_plant("analytical").pneumatics.describe() == lag
 
 
-@pytest.mark.default_cases(at=[0, 2, 3, 4])
 @pytest.mark.parametrize("plant", ["analytical", "twin"])
 @pytest.mark.parametrize(
     ("given", "described"),
@@ -300,15 +266,6 @@ def test_the_default_pneumatics_are_written_out():
                 "valve_delay_s": 0.01,
             },
         ),
-        (
-            {"kind": "orifice", "critical_ratio": 0.5, "leak_per_s": 0.1},
-            {
-                "kind": "orifice",
-                "critical_ratio": 0.5,
-                "leak_per_s": 0.1,
-                "valve_delay_s": 0.0,
-            },
-        ),
     ],
 )
 def test_pneumatics_reach_both_plants(plant, given, described):
@@ -321,25 +278,6 @@ def test_pneumatics_reach_both_plants(plant, given, described):
     assert {key: told[key] for key in described} == pytest.approx(described)
     assert parse_scenario(s.document) == s
     assert s.document["pneumatics"] == described
-
-
-def test_defaults_of_pneumatics_are_those_of_the_chambers():
-    from srs_twin.pneumatics import KINDS
-    from srs_twin.pneumatics.orifice import OrificeOptions
-
-    parameters = {
-        **inspect.signature(KINDS["orifice"]).parameters,
-        **inspect.signature(OrificeOptions).parameters,
-    }
-    for chambers in ({"kind": "lag"}, {"kind": "orifice", "flow_limit_l_per_min": 600}):
-        settings = scenario(
-            pneumatics=chambers, plants=plants()
-        ).file.pneumatics.arguments()
-        assert (settings.pop("kind"), settings.pop("flow_limit", 0.01)) == (
-            chambers["kind"],
-            0.01,
-        )
-        assert settings == {name: parameters[name].default for name in settings}
 
 
 @pytest.mark.parametrize(
@@ -357,10 +295,6 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
             "pneumatics.leek_per_s: unknown key; did you mean leak_per_s?",
         ),
         (
-            {"valve_delay_s": -1},
-            "pneumatics.valve_delay_s: must be a number from 0 to 1, not -1",
-        ),
-        (
             {"critical_ratio": 0.3},
             (
                 "pneumatics: `critical_ratio` is allowed only with `kind: orifice`;"
@@ -373,10 +307,6 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
             " `flow_limit_l_per_min`",
         ),
         (
-            {"kind": "orifice", "flow_limit_l_per_min": 0},
-            "flow_limit_l_per_min: must be a number from 0.01 to 10000",
-        ),
-        (
             "lag",
             (
                 "pneumatics: must be a block of keys (kind, leak_per_s, valve_delay_s,"
@@ -386,9 +316,7 @@ def test_defaults_of_pneumatics_are_those_of_the_chambers():
     ],
 )
 def test_invalid_pneumatics_are_rejected(given, words):
-    assert any(words in line for line in refusal(pneumatics=given)), refusal(
-        pneumatics=given
-    )
+    assert words in "\n".join(refusal(pneumatics=given))
 
 
 # Pressure
@@ -435,7 +363,6 @@ def test_the_limit_follows_an_override():
 # Times
 
 
-@pytest.mark.default_cases(at=[0, 1, 3, 4, 5])
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -449,10 +376,7 @@ def test_the_limit_follows_an_override():
         ),
         (
             {"duration_s": 1.01},
-            (
-                "duration_s: duration 1.01 s is not a multiple of the analytical"
-                " plant's tick"
-            ),
+            "duration_s: duration 1.01 s is not a multiple of the analytical plant's",
         ),
         (
             {"record_hz": 60},
@@ -510,23 +434,6 @@ def test_no_recording_rate_is_proposed_for_incompatible_ticks():
     assert "no rate fits the ticks of the plants; change `tick_s`" in line
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize("record_hz", [0.5, 10, 25, 50, 200, 1000])
-def test_valid_recording_rates(record_hz):
-    from srs_twin.rollout import rollout
-
-    s = scenario(duration_s=0.2, record_hz=record_hz, plants=plants())
-    if record_hz < 5:
-        s = scenario(duration_s=2, record_hz=record_hz, plants=plants())
-    trajectory = rollout(
-        s.build_plant("analytical"),
-        s.build_controller(),
-        s.duration,
-        record_hz=record_hz,
-    )
-    assert len(trajectory) == round(s.duration * record_hz) + 1
-
-
 # Expectations
 
 
@@ -537,7 +444,6 @@ def expectation(**keys):
     return each
 
 
-@pytest.mark.default_cases(at=[0, 3, 4])
 @pytest.mark.parametrize(
     ("keys", "inside", "outside", "allowed"),
     [
@@ -560,14 +466,11 @@ def test_what_expectations_allow(keys, inside, outside, allowed):
     assert all(map(met, inside)) and not any(map(met, outside))
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     "metrics",
     [
         {},
-        {"plants": {}, "comparison": None},
         {"plants": {"twin": {}}},
-        {"plants": {"twin": {"com_speed_m_s": None}}},
         {"plants": {"twin": {"com_speed_m_s": math.nan}}},
         {"plants": {"analytical": {"com_speed_m_s": 0.2}}},
     ],
@@ -594,7 +497,6 @@ def test_row_contains_the_published_value():
     }
 
 
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("known", "value", "expected"),
     [
@@ -605,15 +507,10 @@ def test_row_contains_the_published_value():
     ],
 )
 def test_known_miss_of_an_expectation(known, value, expected):
-    each = expectation(
-        near=0.214, rel=0.15, **({"expected_failure": known} if known else {})
-    )
+    each = expectation(near=0.214, rel=0.15, expected_failure=known)
     outcome = each.check({"plants": {"twin": {"com_speed_m_s": value}}})
-    assert (outcome["expected_failure"], verdict(outcome), outcome["met"]) == (
-        known,
-        expected,
-        value == 0.2,
-    )
+    assert (outcome["expected_failure"], verdict(outcome)) == (known, expected)
+    assert outcome["met"] == (value == 0.2)
 
 
 def test_expectations_of_the_comparison():
@@ -627,7 +524,6 @@ def test_expectations_of_the_comparison():
     assert each.check({"comparison": {"com_speed_rel": -0.05}})["met"]
 
 
-@pytest.mark.default_cases(at=[0, 2, 3, 5, 6, 8, 11])
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
@@ -638,7 +534,10 @@ def test_expectations_of_the_comparison():
                 " com_speed_m_s?"
             ),
         ),
-        ({"metric": "com_speed_rel"}, "expect[0]: com_speed_rel needs of: comparison"),
+        (
+            {"metric": "com_speed_rel"},
+            "expect[0]: the metric `com_speed_rel` needs `of: comparison`",
+        ),
         (
             {"plant": None, "of": "comparison"},
             "expect[0]: the metric `com_speed_m_s` needs `plant: analytical` or"
@@ -649,20 +548,11 @@ def test_expectations_of_the_comparison():
             "expect[0]: an expectation concerns one plant or the comparison",
         ),
         (
-            {"plant": None},
-            "expect[0]: an expectation concerns one plant or the comparison",
-        ),
-        (
             {"plant": "both"},
             "expect[0].plant: must be one of analytical, twin, not text 'both'",
         ),
         (
             {"above": 0},
-            "expect[0]: an expectation needs exactly one of the keys `near`, `below`,"
-            " `above` and `published`",
-        ),
-        (
-            {"below": None},
             "expect[0]: an expectation needs exactly one of the keys `near`, `below`,"
             " `above` and `published`",
         ),
@@ -706,176 +596,137 @@ def test_expectations_need_their_plants_to_run():
 
 # Resolved documents
 
-numbers = st.floats(0.02, 0.9)
-printable = st.text(
-    st.characters(codec="utf-8", exclude_categories=["Cc", "Cs"]),
-    min_size=1,
-    max_size=50,
-)
-mappings = st.fixed_dictionaries
-scenarios = mappings(
-    {
-        "robot": (
-            st.sampled_from(["gen1", "gen2", "gen3", "gen4"])
-            | mappings(
-                {
-                    "base": st.just("gen2"),
-                    "bending": mappings({"stiffness_nm_per_rad": numbers}),
-                }
-            )
-        ),
-        "duration_s": st.integers(1, 100),
-        "controller": mappings(
-            {"kind": st.just("gait"), "frequency_hz": numbers},
-            optional={"offset": numbers, "phase_step_rad": numbers},
-        ),
-    },
-    optional={
-        "title": printable,
-        "seed": st.integers(0, 2**32 - 1),
-        "supply": mappings({"pressure_kpa": st.floats(0.1, 30)}),
-        "start": mappings({"x_m": numbers}),
-        "world": mappings({"goal": mappings({"x_m": numbers, "y_m": numbers})}),
-        "plants": st.sampled_from(
-            [plants(), {"twin": {"gaps": False}}, {"analytical": {}, "twin": {}}]
-        ),
-    },
-)
-
-
-@pytest.mark.slow
-@settings(max_examples=40)
-@given(scenarios)
-def test_a_resolved_document_loads_as_an_equal_scenario(data):
-    s = parse_scenario(data)
-    again = parse_yaml(dump_yaml(s.document), "scenario.resolved.yaml")
-    again.raise_problems()
-    assert again.data == s.document
-    assert parse_scenario(again.data, name="another") == s
-
-
-TOGETHER = {
-    "sensor": {"sensor": {"kind": "hall"}},
-    "pneumatics": {
-        "pneumatics": {"kind": "orifice", "flow_limit_l_per_min": 100.0},
-        "plants": plants(),
-    },
-    "comparison": {"plants": {"analytical": {"gaps": False}, "twin": {}}},
-    "world": {"plants": {"twin": {"contact": "loaded"}}},
-}
-"""Additional keys that the keys of a section require."""
-SET = {
-    ("supply", "pressure_kpa"): 31.0,
-    ("start", "velocity_m_s"): [0.1, -0.2],
-    ("start", "bend_rad"): [0.1, 0.0, -0.3, 0.0],
-    ("start", "bend_rate_rad_s"): [1.0, 0.0, 0.0, 0.0],
-    ("start", "pressure_kpa"): [[10.0, 0.0]] * 4,
-    ("sensor", "span_rad"): 1.1,
-    ("sensor", "distance_mm"): 12.0,
-    ("pneumatics", "initial_line_pressure_kpa"): 20.0,
-    ("world", "obstacles"): [{"x_m": 3.0, "y_m": 2.0, "radius_m": 0.25}],
-    ("world", "circles"): str(
-        (data_root() / "calibration/examples/room/posts.csv").resolve()
-    ),
-    ("world", "map"): str(
-        (data_root() / "calibration/examples/room/room.yaml").resolve()
-    ),
-    ("world", "polygons"): [{"corners_m": [[3.0, 3.0], [4.0, 3.0], [4.0, 5.0]]}],
-    ("world", "random"): {
+ROOM = data_root() / "calibration/examples/room"
+WORLD = {
+    "obstacles": [{"x_m": 3.0, "y_m": 2.0, "radius_m": 0.25}],
+    "circles": str((ROOM / "posts.csv").resolve()),
+    "map": str((ROOM / "room.yaml").resolve()),
+    "polygons": [{"corners_m": [[3.0, 3.0], [4.0, 3.0], [4.0, 5.0]]}],
+    "random": {
+        "kind": "strewn",
         "count": 2,
         "seed": 5,
         "area": {"x_m": [2.0, 9.0], "y_m": [2.0, 9.0]},
+        "radius_m": [0.03, 0.04],
+        "gap_m": 0.1,
+        "clear_m": 0.4,
     },
-    ("world", "pegs"): {
+    "pegs": {
         "spacing_m": 0.2,
         "radius_m": 0.02,
         "rows": 2,
         "columns": 3,
+        "jitter_m": 0.01,
+        "staggered": True,
         "x_m": 1.0,
+        "y_m": 0.1,
+        "seed": 6,
     },
-    ("world", "floor"): {"tilt_deg": 3.0, "uphill_deg": 90.0},
-    ("world", "steps"): [{"x_m": 0.5, "height_m": 0.002}],
-    ("world", "objects"): [
+    "obstacle_friction": 0.4,
+    "floor": {"tilt_deg": 3.0, "uphill_deg": 90.0},
+    "steps": [{"x_m": 0.5, "height_m": 0.002}],
+    "bounds": {"x_m": [-9.0, 9.0], "y_m": [-9.0, 9.0]},
+    "goal": {
+        "x_m": 1.0,
+        "y_m": 2.0,
+        "heading_rad": 0.5,
+        "radius_m": 0.06,
+        "heading_tolerance_rad": 0.2,
+    },
+}
+CYLINDER = {
+    "kind": "cylinder",
+    "radius_m": 0.04,
+    "mass_kg": 0.1,
+    "friction": 0.3,
+    "x_m": 2.0,
+    "y_m": 0.0,
+    "heading_rad": 0.1,
+}
+COMPLETE = [
+    ("supply", {"pressure_kpa": 31.0}),
+    ("valves", {"layout": "in_out"}),
+    (
+        "start",
         {
-            "kind": "cylinder",
-            "radius_m": 0.04,
-            "mass_kg": 0.1,
-            "friction": 0.3,
-            "x_m": 2.0,
-            "y_m": 0.0,
-        }
-    ],
-    ("world", "bounds"): {"x_m": [-9.0, 9.0], "y_m": [-9.0, 9.0]},
-    ("world", "goal"): {"x_m": 1.0, "y_m": 2.0, "heading_rad": 0.5},
-    ("plants", "analytical"): {
-        "gaps": False,
-        "model": "simplified",
-        "friction_torque": False,
-    },
-    ("plants", "twin"): {
-        "gaps": False,
-        "timestep_s": 0.0005,
-        "wheels": "skid",
-        "hinges_per_segment": 3,
-    },
+            "x_m": 0.1,
+            "y_m": -0.2,
+            "heading_rad": 0.3,
+            "velocity_m_s": [0.1, -0.2],
+            "yaw_rate_rad_s": 0.4,
+            "bend_rad": [0.1, 0.0, -0.3, 0.0],
+            "bend_rate_rad_s": [1.0, 0.0, 0.0, 0.0],
+            "pressure_kpa": [[10.0, 0.0]] * 4,
+        },
+    ),
+    (
+        "sensor",
+        {
+            "kind": "hall",
+            "span_rad": 1.1,
+            "distance_mm": 12.0,
+            "orientation": "side",
+            "chamber": "rectangular",
+            "noise_uv": 3.0,
+            "bits": 12,
+            "bias_v": 0.1,
+            "gain_error": 0.2,
+        },
+    ),
+    (
+        "pneumatics",
+        {
+            "kind": "orifice",
+            "leak_per_s": 0.1,
+            "valve_delay_s": 0.004,
+            "critical_ratio": 0.4,
+            "flow_limit_l_per_min": 100.0,
+            "line_volume_ml": 80.0,
+            "initial_line_pressure_kpa": 20.0,
+        },
+    ),
+    ("world", WORLD),
+    ("world", WORLD | {"steps": [], "objects": [CYLINDER]}),
+    (
+        "plants",
+        {
+            "analytical": {
+                "gaps": False,
+                "timestep_s": 0.002,
+                "tick_s": 0.01,
+                "model": "simplified",
+                "friction_torque": False,
+                "inertia": "point",
+                "friction": "wheel",
+                "load": "static",
+                "contact": False,
+                "slip_speed_m_s": 0.002,
+            },
+            "twin": {
+                "gaps": False,
+                "timestep_s": 0.0005,
+                "tick_s": 0.01,
+                "wheels": "skid",
+                "contact": "loaded",
+                "friction": "ellipse",
+                "hinges_per_segment": 3,
+            },
+        },
+    ),
+    ("comparison", {"gap_factor": True}),
+]
+"""Sections in which all keys have values, most of them other than the default."""
+PLANTS_OF = {
+    "comparison": {"analytical": {"gaps": False}, "twin": {}},
+    "pneumatics": plants(),
+    "world": {"twin": {}},
 }
-"""Values of keys that cannot be chosen by their bounds."""
-OF_A_RUN = {("start", "run"), ("start", "time_s")}
-"""They need a run: test_start.py."""
-SECTIONS = {
-    key: f.default
-    for key, f in with_extensions().model_fields.items()
-    if isinstance(f.default, Section)
-}
 
 
-def other_than_default(field):
-    """Return a value of a key other than its default: the last choice, or a low number."""
-    kinds = field.annotation, *get_args(field.annotation)
-    choices = [choice for kind in kinds for choice in get_args(kind)]
-    if texts := [
-        choice
-        for choice in choices
-        if isinstance(choice, str) and choice != field.default
-    ]:
-        return texts[-1]
-    if isinstance(field.default, bool):
-        return not field.default
-    low, high = (
-        next(getattr(m, end) for m in field.metadata if hasattr(m, end))
-        for end in ("ge", "le")
-    )
-    number = low + (min(high, low + 1) - low) / 4
-    return math.ceil(number + 1) if int in (field.annotation, *choices) else number
-
-
-@pytest.mark.default_cases(at=[0, 2, 14, 24, 29, 31, 32, 41])
-@pytest.mark.parametrize(
-    ("section", "key"),
-    [
-        (name, key)
-        for name, each in SECTIONS.items()
-        for key in type(each).model_fields
-        if (name, key) not in OF_A_RUN
-    ],
-)
-def test_keys_of_sections_survive_resolution(section, key):
-    field = type(SECTIONS[section]).model_fields[key]
-    value = SET[section, key] if (section, key) in SET else other_than_default(field)
-    needed = TOGETHER.get(section, {})
-    s = scenario(**needed | {section: needed.get(section, {}) | {key: value}})
-    if key == "allow_overpressure":
-        assert s.file.allow_overpressure
-        return
-    kept = s.file.model_dump(mode="json")[section][key]
-    written = s.document[section][key]
-    if isinstance(value, dict):
-        kept, written = ({k: each[k] for k in value} for each in (kept, written))
-    elif isinstance(value, list) and isinstance(value[0], dict):
-        kept, written = (
-            [{k: each[0][k] for k in value[0]}] for each in (kept, written)
-        )
-    assert kept == written == value != field.default
+@pytest.mark.parametrize(("section", "given"), COMPLETE)
+def test_keys_of_sections_survive_resolution(section, given):
+    s = scenario(**{"plants": PLANTS_OF.get(section, {"twin": {}}), section: given})
+    assert s.document[section] == given
     assert parse_scenario(s.document) == s
 
 
@@ -936,27 +787,11 @@ def test_shipped_expectations_can_fail_and_cite_sources(name):
     assert any(each.source for each in s.expect)
 
 
-def test_shipped_scenarios_are_those_documented():
-    wanted = {f"gen{i}_{way}" for i in (2, 3, 4) for way in ("straight", "turn")} | {
-        "gen1_straight"
-    }
-    wanted |= {
-        f"module_{what}_{way}"
-        for what in (
-            "step",
-            "sine_025hz",
-            "sine_1hz",
-            "sine_4hz",
-            "sine_6hz",
-            "square_2hz",
-            "hold_leak",
-        )
-        for way in ("direct", "iterative")
-    }
-    assert wanted <= set(shipped_names("scenario"))
-    s = load_scenario("gen2_straight")
-    assert (s.controller.frequency_hz, s.supply_pa, s.duration) == (2.0, 48_300, 10)
-    assert load_scenario("gen2_turn").controller.offset == 0.4
+def claimed(name):
+    """Return a published claim."""
+    claims = load_yaml(claims_file(), limit=CLAIMS_BYTES).data
+    (claim,) = [each for each in claims if each["id"] == name]
+    return claim
 
 
 @pytest.mark.parametrize(
@@ -968,19 +803,15 @@ def test_shipped_scenarios_are_those_documented():
     ],
 )
 def test_published_speeds_have_an_interval_and_a_tolerance(name, claim, tol):
-    (row,) = [
-        c for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data if c["id"] == claim
-    ]
+    row = claimed(claim)
     found = [
         e
         for e in load_scenario(name).expect
         if e.metric == "com_speed_m_s" and e.plant == "twin"
     ]
     by_interval, each = sorted(found, key=lambda e: e.published is None)
-    assert (
-        by_interval.published == each.near == row["value"]
-        and by_interval.within == "interval_95"
-    )
+    assert by_interval.published == each.near == row["value"]
+    assert by_interval.within == "interval_95"
     assert each.allowed[1] - each.near <= tol * row["value"] * (1 + 1e-9)
 
 
@@ -988,11 +819,7 @@ def test_published_speeds_have_an_interval_and_a_tolerance(name, claim, tol):
     ("name", "offset"), [("gen4_straight", 0.0), ("gen4_turn", 0.3)]
 )
 def test_generation_4_is_compared_with_table_8(name, offset):
-    (table,) = [
-        c
-        for c in load_yaml(claims_file(), limit=CLAIMS_BYTES).data
-        if c["id"] == "table8"
-    ]
+    table = claimed("table8")
     (row,) = [r for r in table["rows"] if r["offset"] == offset]
     published = {"com_speed_m_s": row["speed"], "turning_radius_m": row["radius"]}
     found = [e for e in load_scenario(name).expect if e.metric in published]
@@ -1059,9 +886,3 @@ def test_schema_describes_overrides():
     stiffness = override["properties"]["bending"]["properties"]["stiffness_nm_per_rad"]
     assert stiffness["anyOf"][0] == {"type": "number", "minimum": 1e-10, "maximum": 1e9}
     assert override["required"] == ["base"]
-
-
-def test_a_path_object_is_a_path(tmp_path):
-    path = tmp_path / "mine"
-    path.write_text(dump_yaml(MINIMAL), "utf-8")
-    assert load_scenario(Path(path)).name == "mine"

@@ -106,15 +106,3 @@ def as_documented(name, plants):
             mean = drawn[metric]["mean"]
             deviation = drawn[metric]["deviation"]
             assert unit * numbers[metric] == pytest.approx(mean, abs=4 * deviation)
-
-
-@pytest.mark.slow
-def test_generation_2_is_the_fastest(shipped_run):
-    # Table 10 and Section 3.4.2, by the analytical model.
-    speed = {}
-    for generation in ("gen1", "gen2", "gen3", "gen4"):
-        metrics = json.loads(
-            (shipped_run(f"{generation}_straight") / "metrics.json").read_text("utf-8")
-        )
-        speed[generation] = metrics["plants"]["analytical"]["com_speed_m_s"]
-    assert speed["gen2"] > speed["gen4"] > speed["gen3"] > speed["gen1"]
