@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -22,7 +23,6 @@ from srs_twin.comparison.metrics import (
     meanings,
     published,
 )
-from srs_twin.io.documents import Override, parse_yaml
 from srs_twin.io.files import shipped_names
 from srs_twin.scenario.loading import parse_scenario
 
@@ -55,7 +55,6 @@ def test_a_resolved_scenario_can_be_changed_again():
     assert first.robot.friction.mu_t != 0.1  # what it was made from stays
 
 
-@pytest.mark.default_cases(at=[0, 1, 2, 9, 10, 11, 12, 15, 16, 17])
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -72,24 +71,6 @@ def test_a_resolved_scenario_can_be_changed_again():
         ),
         # Only controllers of other kinds have the block controller.gait.
         ("gait.frequency=1", "frequency_ratio or controller.frequency_hz?"),
-        ("stiffness=0.2", "did you mean robot.bending.stiffness_nm_per_rad?"),
-        (
-            "robot.stiffness_nm_per_rad=1",
-            "did you mean robot.bending.stiffness_nm_per_rad?",
-        ),
-        (
-            "bending.stiffness_nm_per_rad=1",
-            "did you mean robot.bending.stiffness_nm_per_rad?",
-        ),
-        (
-            "controller.frequency_hz=fast",
-            "must be a number from 0.01 to 50, not text 'fast'",
-        ),
-        ("controller.frequency_hz=", "must be a number from 0.01 to 50, not nothing"),
-        (
-            "robot.bending.stiffness=1",
-            "unknown key; did you mean stiffness_nm_per_rad?",
-        ),
         (
             "robot.friction.mu_t=-1",
             "robot.friction.mu_t: must be a number from 0 to 10, not -1",
@@ -100,15 +81,12 @@ def test_a_resolved_scenario_can_be_changed_again():
             "this entry does not exist; the list has 7 entries, counted from 0",
         ),
         ("supply.pressure_kpa=48300", "not 48300; did you mean 48.3?"),
-        ("supply.pressure_kpa=0.0483", "not 0.0483; did you mean 48.3?"),
         ("start.heading_rad=90", "did you mean 1.571?"),
         ("supply.pressure_kpa=[1", "not YAML"),
         ("duration_s", "must be FIELD=VALUE, as in controller.frequency_hz=1.5"),
         ("=3", "must be FIELD=VALUE"),
-        ("a..b=1", "'a..b' is not a valid field name; write it as in world.ob"),
+        ("stiffness=0.2", "did you mean robot.bending.stiffness_nm_per_rad?"),
         ("duration_s=&a 1", "anchors (&a) are not allowed; write each value out"),
-        ("title=*a", "aliases (*a) are not allowed; write the value out"),
-        ("controller.²=1", "controller.²: unknown key; allowed: "),
     ],
 )
 def test_a_mistake_names_the_option_and_the_remedy(srs_twin, tmp_path, words, said):
@@ -158,33 +136,9 @@ def test_value_with_a_likely_unit_error_is_reported():
     assert warned(44.0) == ()
 
 
-def test_a_change_of_a_list_and_of_a_new_block():
-    document = parse_yaml("a: {b: [1, 2]}\n", "x.yaml")
-    document.apply(Override("first", ("a", "b", 1), 5))
-    document.apply(Override("second", ("c", "d"), {"e": 1}))
-    assert document.data == {"a": {"b": [1, 5]}, "c": {"d": {"e": 1}}}
-    document.report(("c", "d", "e"), "wrong")
-    document.report(("a", "b", 0), "wrong")
-    with pytest.raises(InputError) as caught:
-        document.raise_problems()
-    assert str(caught.value).splitlines() == [
-        "second: c.d.e: wrong",
-        "x.yaml:1:9: a.b[0]: wrong",
-    ]
-
-
 def test_single_plant_has_no_expectations_of_the_other(srs_twin, tmp_path):
-    words = [
-        "run",
-        "gen2_straight",
-        "--plants",
-        "analytical",
-        "--duration",
-        "3",
-        "--json",
-        "--check",
-    ]
-    done = srs_twin(*words, cwd=tmp_path)
+    words = "run gen2_straight --plants analytical --duration 3 --json --check"
+    done = srs_twin(*words.split(), cwd=tmp_path)
     found = json.loads(done.stdout)
     assert done.returncode == 0
     assert list(found["plants"]) == ["analytical"]
@@ -196,17 +150,8 @@ def test_single_plant_has_no_expectations_of_the_other(srs_twin, tmp_path):
 
 
 def test_json_of_several_runs_includes_errors(srs_twin, tmp_path):
-    words = [
-        "run",
-        "gen2_straight",
-        "gen2_strait",
-        "--duration",
-        "0.5",
-        "--plants",
-        "analytical",
-        "--json",
-    ]
-    done = srs_twin(*words, cwd=tmp_path)
+    words = "run gen2_straight gen2_strait --duration 0.5 --plants analytical --json"
+    done = srs_twin(*words.split(), cwd=tmp_path)
     first, second = json.loads(done.stdout)["runs"]
     assert done.returncode == 2
     assert first["scenario"] == "gen2_straight"
@@ -232,10 +177,8 @@ def test_every_metric_is_listed_with_unit_and_meaning(srs_twin, tmp_path):
         "follow",
         "replay",
     }
-    assert all(
-        set(each) == {"name", "title"} and all(each.values())
-        for each in found["robots"]
-    )
+    for each in found["robots"]:
+        assert set(each) == {"name", "title"} and all(each.values())
 
 
 def test_list_starts_with_six_scenarios_and_groups_all(srs_twin, tmp_path):
@@ -253,10 +196,8 @@ def test_list_starts_with_six_scenarios_and_groups_all(srs_twin, tmp_path):
         len(set(names) & set(text.split())) for text in rest
     ]
     # At most one scenario per group to begin with; the studies are listed as well.
-    assert all(
-        len({*beginning} & {row["name"] for row in group}) <= 1
-        for group in groups.values()
-    )
+    for group in groups.values():
+        assert len({*beginning} & {row["name"] for row in group}) <= 1
     assert set(shipped_names("study")) <= set(rest[-1].split())
 
 
@@ -264,12 +205,9 @@ def test_list_starts_with_six_scenarios_and_groups_all(srs_twin, tmp_path):
 def test_show_prints_every_value_with_its_source(srs_twin, tmp_path, name):
     document = json.loads(srs_twin("show", name, "--json", cwd=tmp_path).stdout)
     snake = document if name == "gen2" else document["robot"]
-    assert snake["friction"]["mu_t"]["source"]
+    mu_t = snake["friction"]["mu_t"]
     text = " ".join(srs_twin("show", name, cwd=tmp_path).stdout.split())
-    assert (
-        f"friction.mu_t: {snake['friction']['mu_t']['value']};"
-        f" {snake['friction']['mu_t']['status']}:" in text
-    )
+    assert f"friction.mu_t: {mu_t['value']}; {mu_t['status']}: {mu_t['source']}" in text
 
 
 def test_show_of_an_unknown_name_is_refused(srs_twin, tmp_path):
@@ -280,14 +218,13 @@ def test_show_of_an_unknown_name_is_refused(srs_twin, tmp_path):
     )
 
 
+def crawling(speed, rate=0.0):
+    return {"com_speed_m_s": speed, "yaw_rate_rad_s": rate}
+
+
 def both(speeds, rates=(0.0, 0.0), **more):
-    plants = {
-        plant: {"com_speed_m_s": speed, "yaw_rate_rad_s": rate}
-        for plant, speed, rate in zip(
-            ("analytical", "twin"), speeds, rates, strict=True
-        )
-    }
-    return {"plants": plants, "comparison": {}} | more
+    analytical, twin = map(crawling, speeds, rates)
+    return {"plants": {"analytical": analytical, "twin": twin}, "comparison": {}} | more
 
 
 COMPLIANCE = (
@@ -296,7 +233,6 @@ COMPLIANCE = (
 CAUSE = {"name": "compliance", "com_speed_m_s": -0.03, "yaw_rate_rad_s": 0.0}
 
 
-@pytest.mark.default_cases(at=[0, 2, 3, 4, 5, 6, 7])
 @pytest.mark.parametrize(
     ("metrics", "said"),
     [
@@ -366,40 +302,32 @@ def test_headline_states_the_range_over_plausible_segments(speeds, said):
     assert sentence in headline(metrics)
 
 
-@pytest.mark.default_cases(at=[0, 56, 84, 139])
-@pytest.mark.parametrize("averaged", [False, True])
+CHANGES = [-0.5049, 0.26, 0.505, 1.0, 1.004, 2.5]
+"""Change of the speed due to compliance, as a multiple of the difference of the plants."""
+
+
 @pytest.mark.parametrize("twin", [0.05, 0.1234, 0.15, 0.196, 0.2049, 0.25, 0.31])
-@pytest.mark.parametrize(
-    "effect", [-1.7, -1.0, -0.5049, -0.26, 0.26, 0.505, 1.0, 1.004, 1.243, 2.5]
-)
-def test_percentages_of_the_headline_add_up(averaged, twin, effect):
-    change = effect * (twin - 0.2)
-    fraction = {"name": "compliance", "value": [change, 0.0]}
-    why = {
-        "attribution": {
-            "measures": ["com_speed_m_s", "yaw_rate_rad_s"],
-            "shares": [fraction],
-        }
-    }
-    said = headline(
-        both(
-            (0.2, twin),
-            **why if averaged else {"cause": CAUSE | {"com_speed_m_s": change}},
-        )
-    )
-    whole, direction = re.search(r"(\d+) % (slower|faster)", said).groups()
-    assert (direction == "slower") == (twin < 0.2)
-    cause = re.search(r"compliance.* (?:slows?|speeds?) it(?: up)? by (\d+) %", said)
-    assert (cause is None) == (effect < 0), (
-        "a cause that acts the other way is not named"
-    )
-    if cause is not None:
-        others = re.search(r"other effects (by another|offset) (\d+) %", said)
-        rest = (
-            0
-            if others is None
-            else int(others[2]) * (1 if others[1] == "by another" else -1)
-        )
+def test_percentages_of_the_headline_add_up(twin):
+    for effect, averaged in itertools.product(CHANGES, (False, True)):
+        change = effect * (twin - 0.2)
+        why = {"cause": CAUSE | {"com_speed_m_s": change}}
+        if averaged:
+            share = {"name": "compliance", "value": [change, 0.0]}
+            measures = ["com_speed_m_s", "yaw_rate_rad_s"]
+            why = {"attribution": {"measures": measures, "shares": [share]}}
+        said = headline(both((0.2, twin), **why))
+        whole, direction = re.search(r"(\d+) % (slower|faster)", said).groups()
+        assert (direction == "slower") == (twin < 0.2)
+        cause = re.search(r"compliance.* (?:slow|speed)s? it(?: up)? by (\d+) %", said)
+        # A cause that acts the other way is not named.
+        assert (cause is None) == (effect < 0)
+        if cause is None:
+            continue
+        rest = 0
+        if others := re.search(r"other effects (by another|offset) (\d+) %", said):
+            rest = int(others[2])
+            if others[1] == "offset":
+                rest = -rest
         assert int(cause[1]) + rest == int(whole)
         assert int(cause[1]) == pytest.approx(100 * abs(change / 0.2), abs=0.5001)
         assert ("alone would" in said) != averaged
@@ -417,20 +345,16 @@ def test_only_expectations_of_plants_are_published_values():
 
 
 def test_headline_tells_of_objects_and_of_a_body_that_passes_through_itself():
-    speed = {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.0}
-    said = headline({"plants": {"twin": speed | {"object_moved_m": 0.42}}})
+    twin = crawling(0.1)
+    said = headline({"plants": {"twin": twin | {"object_moved_m": 0.42}}})
     assert (
         said == "The twin crawls at 0.1 m/s, straight on; it moves an object by 0.42 m."
     )
-    said = headline({"plants": {"twin": speed}, "body_overlap_m": {"twin": 0.0384}})
+    said = headline({"plants": {"twin": twin}, "body_overlap_m": {"twin": 0.0384}})
     assert "overlap by up to 38 mm (twin)" in said
 
 
-def test_headline_of_every_run_names_its_plants():
-    assert (
-        headline({"plants": {"twin": {"com_speed_m_s": 0.1, "yaw_rate_rad_s": 0.3}}})
-        == "The twin crawls at 0.1 m/s, turning by 0.3 rad/s."
-    )
+def test_headline_of_followers_names_each_plant():
     followed = {"goal_reached": 1, "cross_track_rms_m": 0.01}
     both_of = {"analytical": followed, "twin": followed | {"goal_reached": 0}}
     assert (
@@ -449,22 +373,18 @@ def test_headline_of_every_run_names_its_plants():
     ],
 )
 def test_a_run_turns_from_0_05_rad_per_s(rate, said):
-    metrics = {"plants": {"twin": {"com_speed_m_s": 0.1, "yaw_rate_rad_s": rate}}}
-    assert headline(metrics) == f"The twin crawls at 0.1 m/s, {said}."
+    found = headline({"plants": {"twin": crawling(0.1, rate)}})
+    assert found == f"The twin crawls at 0.1 m/s, {said}."
 
 
 def test_a_scenario_is_compared_by_its_name():
     found = srs.compare("gen2_straight", set=SHORT)
     assert set(found.trajectories) == {"analytical", "twin"}
-    assert (
-        found.metrics
-        == srs.compare(
-            found.trajectories["analytical"], found.trajectories["twin"]
-        ).metrics
-    )
+    again = srs.compare(*found.trajectories.values())
+    assert found.metrics == again.metrics
     page = found._repr_html_()
     assert "<table>" in page and "data:image/svg+xml" in page and str(found) in page
-    for each in (found.trajectories["twin"], srs.compare(*found.trajectories.values())):
+    for each in (found.trajectories["twin"], again):
         assert "<table>" in each._repr_html_()
     with pytest.raises(InputError, match="did you mean frequency_hz"):
         srs.compare("gen2_straight", set={"controller.frequency": 1.0})

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from srs_twin.cli import console
-from srs_twin.cli.console import Display, RunCounter
+from srs_twin.cli.console import RunCounter
 from srs_twin.identification.fitting import FitProgress
 
 pytestmark = pytest.mark.fast
@@ -106,17 +106,8 @@ def test_a_bar_is_drawn_once_and_filled_by_the_fraction_done(clock, monkeypatch)
 
 def test_a_bar_of_unknown_length_has_no_percentage(clock, monkeypatch):
     terminal(monkeypatch)
-
-    class Search(Display):
-        def _line(self):
-            return "searching"
-
-        def _bar(self):
-            return self.title, None, "searching"
-
-    with Search("fit") as search:
+    with FitProgress("fit") as search:
         clock.now += 3.0
-        search._show()
-        search._show()
+        search(1, 0.5)
         (bar,) = search._progress.tasks
         assert bar.total is None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -35,54 +36,37 @@ def test_only_necessary_checks_fail():
     assert failed_checks([fine, optional, needed]) == [needed]
 
 
-FAILURES = [
-    (
-        checks.python_check("3.10.4", ">=3.11,<3.13"),
-        "broken",
-        "3.10.4",
-        "uv venv --python 3.12",
-    ),
-    (checks.python_check("3.13.0", ">=3.11,<3.13"), "broken", "3.13.0", ">=3.11,<3.13"),
-    (
-        checks.packages_check(
-            [asked("numpy"), asked("mujoco", None, False)], checkout=True
-        ),
-        "missing",
-        "mujoco is missing",
-        "uv sync",
-    ),
-    (
-        checks.packages_check([asked("mujoco", "4.0", False)], checkout=False),
-        "broken",
-        "mujoco is 4.0, but mujoco>=1",
-        "pip install 'mujoco>=1'",
-    ),
-]
+ALLOWED = ">=3.11,<3.13"
+NO_MUJOCO = [asked("numpy"), asked("mujoco", None, False)]
+OLD_MUJOCO = [asked("mujoco", "4.0", False)]
+NO_RAY = [asked("numpy"), asked("ray", None, False, "ray")]
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize(("check", "status", "finding", "remedy"), FAILURES)
-def test_each_failure_has_its_remedy(check, status, finding, remedy):
-    assert (check.status, finding in check.detail, remedy in check.remedy) == (
-        status,
-        True,
-        True,
-    ), check
-
-
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
-    "check",
+    ("check", "status", "finding", "remedy"),
     [
-        checks.python_check("3.11.0", ">=3.11,<3.13"),
-        checks.packages_check(
-            [asked("numpy"), asked("ray", None, False, "ray")], checkout=True
+        (checks.python_check("3.10.4", ALLOWED), "broken", "3.10.4", "--python 3.12"),
+        (checks.python_check("3.13.0", ALLOWED), "broken", "3.13.0", ALLOWED),
+        (checks.python_check("3.11.0", ALLOWED), "ok", "3.11.0", ""),
+        (
+            checks.packages_check(NO_MUJOCO, checkout=True),
+            "missing",
+            "mujoco is missing",
+            "uv sync",
         ),
+        (
+            checks.packages_check(OLD_MUJOCO, checkout=False),
+            "broken",
+            "mujoco is 4.0, but mujoco>=1",
+            "pip install 'mujoco>=1'",
+        ),
+        (checks.packages_check(NO_RAY, checkout=True), "ok", "", ""),
     ],
-    ids=lambda check: check.name,
 )
-def test_passed_check_has_no_remedy(check):
-    assert (check.status, check.remedy) == ("ok", "")
+def test_each_failure_has_its_remedy(check, status, finding, remedy):
+    assert check.status == status
+    assert finding in check.detail and remedy in check.remedy
+    assert bool(check.remedy) == (status != "ok")
 
 
 def failing_with(reason):
@@ -269,12 +253,7 @@ def test_command_on_this_machine(srs_twin_process, tmp_path):
     assert (done.returncode, works, done.stderr) == (0, True, "")
     keys = {"topic", "name", "status", "detail", "remedy", "necessary"}
     for name, check in checks.items():
-        assert check.keys() == keys and check["status"] in (
-            "ok",
-            "missing",
-            "broken",
-            "undecided",
-        ), name
+        assert check.keys() == keys
         assert (check["status"] == "ok") == (check["remedy"] == ""), name
         assert check["status"] in ("ok", "undecided") or not check["necessary"], name
     assert {*probes.PROBES, "Rerun viewer", "results"} <= checks.keys()
@@ -291,16 +270,10 @@ def test_command_on_a_broken_machine(srs_twin_process, tmp_path):
     (tmp_path / "runs").write_text("a file")
     done = srs_twin_process("doctor", cwd=tmp_path, PYTHONPATH=str(shadow), DISPLAY="")
     assert done.returncode == 2
-    assert (
-        done.stderr.startswith("runs would fail due to imports, ")
-        and "results" in done.stderr
-    )
-    assert (
-        "libopenblas.so.0" in done.stdout
-        and "Traceback" not in done.stdout + done.stderr
-    )
-    lines = done.stdout.splitlines()
-    bad = [
-        i for i, line in enumerate(lines) if line.startswith(("  missing", "  broken"))
-    ]
-    assert len(bad) >= 4 and all(lines[i + 1].strip().startswith("→ ") for i in bad)
+    assert done.stderr.startswith("runs would fail due to imports, ")
+    assert "results" in done.stderr
+    assert "libopenblas.so.0" in done.stdout
+    assert "Traceback" not in done.stdout + done.stderr
+    # The remedy is on the next line.
+    bad = re.findall(r"^  (?:missing|broken).*\n +(→?)", done.stdout, re.MULTILINE)
+    assert len(bad) >= 4 and set(bad) == {"→"}

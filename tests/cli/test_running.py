@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -57,6 +58,8 @@ def test_output_folder_is_complete_and_keeps_other_files(compared):
     assert {path.name for path in (room / "out").iterdir()} == {*PRODUCTS, "notes.txt"}
     assert (room / "out/notes.txt").read_text() == "mine"
     assert sorted(path.name for path in room.iterdir()) == ["out", "short.yaml"]
+    verify_recording(room / "out/recording.rrd")
+    assert (room / "out/report.html").read_text().rstrip().endswith("</html>")
 
 
 def test_metrics_follow_from_the_trajectories(compared):
@@ -66,15 +69,8 @@ def test_metrics_follow_from_the_trajectories(compared):
     keys += ["expectations", "left_out", "versions"]
     assert list(metrics) == keys
     assert (metrics["scenario"], metrics["robot"]) == ("short", "gen2")
-    assert set(metrics["versions"]) == {
-        "srs_twin",
-        "mujoco",
-        "numpy",
-        "scipy",
-        "numba",
-        "python",
-        "arithmetic",
-    }
+    versions = ["srs_twin", "mujoco", "numpy", "scipy", "numba", "python", "arithmetic"]
+    assert set(metrics["versions"]) == set(versions)
     speeds = {}
     for plant in ("analytical", "twin"):
         run = Trajectory.from_parquet(room / f"out/{plant}.parquet")
@@ -90,39 +86,14 @@ def test_metrics_follow_from_the_trajectories(compared):
     assert metrics["comparison"]["com_speed_rel"] == pytest.approx(relative, abs=0.02)
 
 
-def test_terminal_output_agrees_with_metrics_json(compared):
-    room, done = compared
-    metrics = json.loads((room / "out/metrics.json").read_text())
-    speed = f"{metrics['plants']['twin']['com_speed_m_s']:.4g}"
-    (row,) = (line for line in done.stdout.splitlines() if "CoM speed" in line)
-    assert speed in row.split()
-    assert row.split()[-1] == "0.214"
-    assert (
-        f"met    twin com_speed_m_s = {speed}, allowed 0.107 to 0.321 (Table 10)"
-        in done.stdout
-    )
-    assert "MISSED comparison com_speed_rel" in done.stdout
-    assert max(map(len, done.stdout.splitlines())) <= 80
-    assert "files in out;" in done.stderr
-
-
-def test_recording_and_report_are_complete(compared):
-    room, _ = compared
-    verify_recording(room / "out/recording.rrd")
-    report = (room / "out/report.html").read_text()
-    assert "Short" in report
-    assert report.rstrip().endswith("</html>")
-
-
 def test_resolved_scenario_gives_identical_files(compared, tmp_path):
     room, _ = compared
     again = run_scenario(
         load_scenario(room / "out/scenario.resolved.yaml"), tmp_path / "again"
     )
     for name in ("analytical.parquet", "twin.parquet"):
-        assert (again.folder / name).read_bytes() == (
-            room / "out" / name
-        ).read_bytes(), name
+        kept = (room / "out" / name).read_bytes()
+        assert (again.folder / name).read_bytes() == kept, name
 
 
 def test_single_plant_run_removes_files_of_earlier_runs(compared, tmp_path):
@@ -140,10 +111,6 @@ def test_single_plant_run_removes_files_of_earlier_runs(compared, tmp_path):
 
 def test_unwritable_folder_is_reported_before_simulation(tmp_path):
     scenario = load_scenario(write(tmp_path, "short"))
-    (tmp_path / "file").touch()
-    for folder in (tmp_path / "file", tmp_path / "file/below"):
-        with pytest.raises(InputError, match=r"file.*: cannot .*--out"):
-            prepare(scenario, folder)
     (tmp_path / "out/report.html").mkdir(parents=True)
     with pytest.raises(
         InputError, match=r"report.html: a folder has the name of an output file"
@@ -152,14 +119,12 @@ def test_unwritable_folder_is_reported_before_simulation(tmp_path):
 
 
 def test_progress_rises_to_the_end_for_each_plant(tmp_path):
-    progress: dict[str, list[float]] = {}
+    progress: dict[str, list[float]] = defaultdict(list)
     text = SCENARIO.replace("duration_s: 2", "duration_s: 0.2").split("expect:")[0]
     run_scenario(
         load_scenario(write(tmp_path, "brief", text)),
         tmp_path / "out",
-        progress=lambda plant, fraction: progress.setdefault(plant, []).append(
-            fraction
-        ),
+        progress=lambda plant, fraction: progress[plant].append(fraction),
     )
     assert list(progress) == ["analytical", "twin"]
     for parts in progress.values():
@@ -195,65 +160,20 @@ def test_diverged_plant_keeps_its_trajectory_and_the_other_runs(tmp_path):
     kept = Trajectory.from_parquet(tmp_path / "out/analytical.parquet")
     assert kept.time[-1] == pytest.approx(1.0)
     assert np.isfinite(kept.com).all()
-    assert Trajectory.from_parquet(tmp_path / "out/twin.parquet").time[
-        -1
-    ] == pytest.approx(2.0)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "analytical.parquet",
-        "twin.parquet",
-        "scenario.resolved.yaml",
-    }
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("interruptible")
-def test_interrupt_keeps_complete_runs_and_exits_with_130(tmp_path):
-    long = SCENARIO.replace("duration_s: 2", "duration_s: 600").replace(
-        "analytical: {}, ", ""
-    )
-    brief = SCENARIO.replace("duration_s: 2", "duration_s: 0.2").split("expect:")[0]
-    words = [
-        "run",
-        write(tmp_path, "brief", brief),
-        write(tmp_path, "long", long.split("expect:")[0]),
-    ]
-    script = str(Path(sys.executable).with_name("srs-twin"))
-    child = subprocess.Popen(
-        [script, *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True
-    )
-    (kept := tmp_path / "runs/long/metrics.json").parent.mkdir(parents=True)
-    kept.write_text("of an earlier run")
-    started = tmp_path / "runs/brief/metrics.json"
-    deadline = time.monotonic() + 600
-    while not started.exists() and time.monotonic() < deadline:
-        time.sleep(0.1)
-    time.sleep(1.0)
-    child.send_signal(signal.SIGINT)
-    _, said = child.communicate(timeout=300)
-    assert child.returncode == 130, said
-    assert "interrupted; complete runs: runs/brief" in said
-    assert "Traceback" not in said
-    assert (tmp_path / "runs/brief/metrics.json").is_file()
-    assert [path.name for path in (tmp_path / "runs/long").iterdir()] == [kept.name]
-    assert kept.read_text() == "of an earlier run"
+    other = Trajectory.from_parquet(tmp_path / "out/twin.parquet")
+    assert other.time[-1] == pytest.approx(2.0)
+    names = ["analytical.parquet", "scenario.resolved.yaml", "twin.parquet"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
 
 
 @pytest.mark.slow
 def test_command_keeps_ignored_interrupts(tmp_path):
     """As in the background of a script; so do its workers."""
+    twin = SCENARIO.split("expect:", maxsplit=1)[0].replace("analytical: {}, ", "")
     for name, duration in (("brief", "0.2"), ("long", "5")):
-        document = SCENARIO.replace("duration_s: 2", f"duration_s: {duration}").split(
-            "expect:"
-        )[0]
-        write(tmp_path, name, document.replace("analytical: {}, ", ""))
-    words = [
-        Path(sys.executable).with_name("srs-twin"),
-        "run",
-        "./brief.yaml",
-        "./long.yaml",
-        "--workers",
-        "2",
-    ]
+        write(tmp_path, name, twin.replace("duration_s: 2", f"duration_s: {duration}"))
+    script = Path(sys.executable).with_name("srs-twin")
+    words = [script, *["run", "./brief.yaml", "./long.yaml", "--workers", "2"]]
     with on_interrupt(signal.SIG_IGN):
         child = subprocess.Popen(
             words,
@@ -268,27 +188,6 @@ def test_command_keeps_ignored_interrupts(tmp_path):
     _, said = child.communicate(timeout=300)
     assert (child.returncode, "interrupted" in said) == (0, False), said
     assert (tmp_path / "runs/long/metrics.json").is_file()
-
-
-@pytest.mark.default_cases(at=[0, 3, 4])
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["compare", "./nosuch.yaml"], "nosuch.yaml: no such file"),
-        (["compare", "gen2_strait"], "unknown scenario 'gen2_strait'"),
-        (["run", "./bad.yaml"], "bad.yaml:5:13: controller.frequency_hz: missing"),
-        (["models", "export", "gen9"], "unknown robot 'gen9'; did you mean gen"),
-        (["view", "nosuch"], "nosuch: no recording was found"),
-    ],
-)
-def test_bad_input_exits_with_2_and_writes_nothing(tmp_path, srs_twin, words, said):
-    write(tmp_path, "bad", SCENARIO.replace("frequency_hz", "frequency"))
-    done = srs_twin(*words, cwd=tmp_path)
-    assert done.returncode == 2
-    assert done.stderr.startswith(said)
-    assert "Traceback" not in done.stderr
-    assert done.stdout == ""
-    assert [path.name for path in tmp_path.iterdir()] == ["bad.yaml"]
 
 
 def test_schema_is_json_with_the_keys(tmp_path, srs_twin):
