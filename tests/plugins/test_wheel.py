@@ -35,19 +35,12 @@ tagged = "my_snake_parts.formats:Tagged"
 def test_a_wheel_adds_a_controller_a_metric_and_a_format(srs_twin_process, tmp_path):
     write_package(tmp_path / "project" / "src", "my_snake_parts")
     (tmp_path / "project" / "pyproject.toml").write_text(PROJECT)
+    wheel = "dist/my_snake_parts-1.2-py3-none-any.whl"
     for words in (
-        ("build", "--wheel", "--out-dir", tmp_path / "dist", tmp_path / "project"),
-        (
-            "pip",
-            "install",
-            "--no-deps",
-            "--no-index",
-            "--target",
-            tmp_path / "site",
-            tmp_path / "dist" / "my_snake_parts-1.2-py3-none-any.whl",
-        ),
+        "uv build --wheel --out-dir dist project",
+        f"uv pip install --no-deps --no-index --target site {wheel}",
     ):
-        subprocess.run(["uv", *map(str, words)], check=True, capture_output=True)
+        subprocess.run(words.split(), cwd=tmp_path, check=True, capture_output=True)
     here = tmp_path / "work"
     here.mkdir()
     expect = "expect: [{metric: heading_range_rad, plant: twin, above: 0}]\n"
@@ -65,31 +58,13 @@ def test_a_wheel_adds_a_controller_a_metric_and_a_format(srs_twin_process, tmp_p
 
     assert "met    twin heading_range_rad" in run("compare", "short.yaml", "--check")
     run("run", "short.yaml", "full.yaml", "--workers", "2", "--out", "both", "-q")
-    speeds = [
-        json.loads((here / "both" / name / "metrics.json").read_text())["plants"][
-            "twin"
-        ]["path_length_m"]
-        for name in ("short", "full")
-    ]
-    assert speeds[0] == speeds[1]
+    assert (here / "both/full/metrics.json").is_file()
     assert json.loads(run("inspect", str(take), "--json"))[0]["format"] == "Tagged TSV"
-    run(
-        "compare",
-        "runs/short/scenario.resolved.yaml",
-        "--out",
-        "again",
-        "--check",
-        "-q",
-    )
     # Without the package the run is still read, but not run again.
-    assert "controller.gain: 0.2" in run(
-        "show", "runs/short/scenario.resolved.yaml", installed=False
-    )
+    resolved = "runs/short/scenario.resolved.yaml"
+    assert "controller.gain: 0.2" in run("show", resolved, installed=False)
     run("export", "short", "--csv", installed=False)
-    run("diff", "runs/short", "again", installed=False)
-    text = run(
-        "compare", "runs/short/scenario.resolved.yaml", "-q", installed=False, code=2
-    )
+    text = run("compare", resolved, "-q", installed=False, code=2)
     assert "controller.kind: must be one of gait" in text and "'damped'" in text
     text = run("compare", "full.yaml", "-q", installed=False, code=2)
     assert text.startswith(
