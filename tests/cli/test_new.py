@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import subprocess
 import sys
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -33,6 +35,15 @@ def test_a_new_robot_has_the_given_size(new):
     assert spec.geometry.body_length == pytest.approx(0.66, rel=1e-3)
     assert spec.mass.total == pytest.approx(2.1, rel=1e-3)
     assert spec.supply.nominal == pytest.approx(60e3)
+    # The segments are twice as long as those of generation 2.
+    gen2 = load_robot("gen2")
+    for each in fields(gen2.geometry):
+        if each.name != "connectors":
+            own = getattr(spec.geometry, each.name)
+            half = getattr(gen2.geometry, each.name)
+            assert own == pytest.approx(2 * half, rel=1e-3), each.name
+    damping_time = gen2.bending.damping_time * math.sqrt(2)
+    assert spec.bending.damping_time == pytest.approx(damping_time, rel=1e-3)
     # The work of the air bends the segment: half of p V over q².
     grown = 45e-6 * (0.66 / 6 / 0.055) ** 3
     assert spec.bending.stiffness == pytest.approx(
@@ -55,6 +66,7 @@ def test_a_new_robot_with_servos_asks_for_no_air(new):
     spec = record.spec()
     assert spec.segments == 8
     assert spec.geometry.body_length == pytest.approx(0.48, rel=1e-3)
+    assert spec.geometry.segment_length == pytest.approx(0.06 / 15, rel=1e-3)
     assert "silicone" not in arm.read_text("utf-8")
 
 
