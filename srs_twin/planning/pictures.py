@@ -26,8 +26,9 @@ from srs_twin.viewing.plots.signals import goal_ring
 from srs_twin.viewing.plots.style import (
     GOAL_COLOR,
     STYLES,
+    add_legend,
     drawing,
-    finish,
+    finish_floor,
     panels,
     style_of,
 )
@@ -93,20 +94,17 @@ def following_plot(
         for later in followers.get(plant, metadata)["plans"][1:]:
             x, y = path_points(segments_of(later)).T
             axes.plot(x, y, color=style.color, linewidth=0.7, linestyle=":")
-    axes.legend(loc="best", fontsize=8, frameon=False)
+    add_legend(axes)
     return figure
 
 
 @drawing
 def plan_plot(problem: Problem, segments: Sequence[Segment], title: str) -> Figure:
     """Plot the world and the goal of a problem, and the segments of a plan, if any."""
-    figure, axes = _sheet(_metadata(problem), segments, problem.footprint)
+    metadata = {"world": asdict(problem.world), "goal": asdict(problem.goal)}
+    figure, axes = _sheet(metadata, segments, problem.footprint)
     axes.set_title(title, fontsize=10, wrap=True)
     return figure
-
-
-def _metadata(problem: Problem) -> dict[str, object]:
-    return {"world": asdict(problem.world), "goal": asdict(problem.goal)}
 
 
 def _sheet(
@@ -153,18 +151,21 @@ def _sheet(
         )
     )
     axes.autoscale_view()
-    axes.set_aspect("equal", adjustable="datalim")
-    finish(axes, "y (m)", "x (m)", title="Plan with footprint, obstacles and goal")
+    finish_floor(axes, "Plan with footprint, obstacles and goal")
     return figure, axes
 
 
 def _band(segment: Segment, footprint: Footprint) -> np.ndarray:
-    motion = footprint.at(segment.curvature)
-    beyond = (footprint.behind, footprint.ahead)
-    left, right = (
-        segment_points(segment, n, *beyond) for n in (motion.left, -motion.right)
-    )
+    left, right = _edges(segment, footprint, footprint.behind, footprint.ahead)
     return np.concatenate([left, right[::-1]])
+
+
+def _edges(
+    segment: Segment, footprint: Footprint, *beyond: float
+) -> tuple[np.ndarray, np.ndarray]:
+    motion = footprint.at(segment.curvature)
+    left = segment_points(segment, motion.left, *beyond)
+    return left, segment_points(segment, -motion.right, *beyond)
 
 
 def path_points(segments: Sequence[Segment]) -> np.ndarray:
@@ -203,10 +204,7 @@ def plan_lines(
             )
         )
         edges = tuple(
-            segment_points(segment, offset)
-            for segment in segments
-            for motion in [footprint.at(segment.curvature)]
-            for offset in (motion.left, -motion.right)
+            edge for segment in segments for edge in _edges(segment, footprint)
         )
         lines.append(FloorLine("plan/edges", edges, _EDGE_COLOUR, 0.0015))
     ring = goal_ring(goal["x"], goal["y"], goal["radius"])

@@ -15,7 +15,6 @@ from matplotlib.figure import Figure
 from pydantic import Field
 
 from srs_twin.comparison.compare import compare
-from srs_twin.comparison.learning import is_learning
 from srs_twin.errors import UnknownNameError
 from srs_twin.io.files import data_root
 from srs_twin.planning.pictures import following_plot
@@ -36,7 +35,13 @@ from srs_twin.viewing.plots.runs import (
     speed_plot,
     tracking_plot,
 )
-from srs_twin.viewing.plots.style import finish, own_settings, panels
+from srs_twin.viewing.plots.style import (
+    add_legend,
+    finish,
+    finish_floor,
+    own_settings,
+    panels,
+)
 
 
 class FigureEntry(Section):
@@ -104,7 +109,7 @@ def _trajectories(store: RunStore, runs: RunRequest) -> Trajectories:
     return {plant: run for plant, run in trajectories.items() if run is not None}
 
 
-def _from_runs(plot: Callable[[Trajectories], Figure]) -> Drawing:
+def _from_runs(plot: Callable[[Trajectories], Figure | None]) -> Drawing:
     return lambda store, entry: plot(_trajectories(store, entry.of[0]))
 
 
@@ -124,13 +129,6 @@ def _from_runs_and_robot(
 def _difference(runs: Trajectories, robot: RobotSpec) -> Figure | None:
     if len(runs) == 2:
         return error_plot(compare(runs["analytical"], runs["twin"]), robot)
-    return None
-
-
-def _learning(store: RunStore, entry: FigureEntry) -> Figure | None:
-    runs = _trajectories(store, entry.of[0])
-    if all(map(is_learning, runs.values())):
-        return learning_plot(runs)
     return None
 
 
@@ -158,7 +156,7 @@ def _over_time(
     for style, run in runs_with_styles(runs):
         axes.plot(run.time, value(run), **style.line)
     finish(axes, label, "time (s)")
-    axes.legend(loc="best", fontsize=8, frameon=False)
+    add_legend(axes)
     return figure
 
 
@@ -170,7 +168,7 @@ def _tail(runs: Trajectories) -> Figure:
 
 def _readings(runs: Trajectories) -> Figure:
     count = next(iter(runs.values())).stack("bend").shape[1]
-    figure, rows = panels(1.2 + 1.3 * count, count, share_y=True)
+    figure, rows = panels(1.2 + 1.3 * count, count, sharey=True)
     for style, run in runs_with_styles(runs):
         last_seconds = run.time >= run.time[-1] - 2.0
         time = run.time[last_seconds]
@@ -181,7 +179,7 @@ def _readings(runs: Trajectories) -> Figure:
             axes.plot(time, bends, **style.line)
             finish(axes, f"$q_{{{j}}}$ (rad)")
     rows[0].set_title("Bends, and sensor readings (thin)", fontsize=10)
-    rows[0].legend(loc="upper right", fontsize=8, frameon=False, ncols=2)
+    add_legend(rows[0], "upper right", ncols=2)
     rows[-1].set_xlabel("time (s)")
     return figure
 
@@ -200,7 +198,7 @@ def _step(runs: Trajectories, robot: RobotSpec) -> Figure:
     bend = float(runs["analytical"]["bend_1"][-1]) * (1 - decay / (slow - fast))
     axes.plot(time, bend, ":", color="0.2", linewidth=1.0, label="Eq. 14 (E1, E2)")
     axes.set_xlim(0, 1)
-    axes.legend(loc="lower right", fontsize=8, frameon=False)
+    add_legend(axes, "lower right")
     return figure
 
 
@@ -215,9 +213,8 @@ def _paths(store: RunStore, entry: FigureEntry) -> Figure:
                 linestyle=style.dash,
                 label=f"{name}, {style.label}",
             )
-    axes.set_aspect("equal", adjustable="datalim")
-    finish(axes, "y (m)", "x (m)", title="Paths of the centre of mass")
-    axes.legend(loc="best", fontsize=7, frameon=False)
+    finish_floor(axes, "Paths of the centre of mass")
+    add_legend(axes, fontsize=7)
     return figure
 
 
@@ -225,7 +222,7 @@ DRAWINGS: Mapping[str, Drawing] = {
     "above": _from_runs_and_robot(plan_view),
     "bends": _from_runs(bend_plot),
     "difference": _from_runs_and_robot(_difference),
-    "learning": _learning,
+    "learning": _from_runs(learning_plot),
     "paths": _paths,
     "plan": _from_runs_and_robot(following_plot),
     "readings": _from_runs(_readings),

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from srs_twin.comparison.compare import MEASURES
-from srs_twin.comparison.learning import is_learning
 from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
     RunMetrics,
@@ -27,7 +26,7 @@ from srs_twin.robot.spec import RobotSpec
 from srs_twin.scenario.expectation import allowed_text, tally, verdict
 from srs_twin.scenario.modified import Changes, left_out_line, text_of
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.additions import added_to
+from srs_twin.viewing.additions import RunPictures, added_to
 from srs_twin.viewing.content import RunContent, events_of
 from srs_twin.viewing.html import (
     Picture,
@@ -54,8 +53,6 @@ from srs_twin.viewing.plots.runs import (
 from srs_twin.viewing.plots.signals import kind_of
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from srs_twin.comparison.compare import Attribution, Comparison
     from srs_twin.scenario.expectation import ExpectationRow
 
@@ -249,15 +246,16 @@ def _signed(value: float) -> str:
 def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
     runs = content.trajectories
     spec = content.spec
-    figures: dict[str, Figure | None] = {}
-    title = "Difference of each plant from the measured robot over time."
-    figures[title] = measured_plot(content.measured)
-    added = next(filter(None, map(added_to, runs.values())), None)
-    if added:
-        figures |= added.figures(runs, spec)
-    if all(map(is_learning, runs.values())):
-        title = "Learning: amplitudes and duties of each module per period."
-        figures[title] = learning_plot(runs)
+    added = next(filter(None, map(added_to, runs.values())), RunPictures())
+    figures = {
+        "Difference of each plant from the measured robot over time.": measured_plot(
+            content.measured
+        ),
+        **added.figures(runs, spec),
+        "Learning: amplitudes and duties of each module per period.": learning_plot(
+            runs
+        ),
+    }
     if tracked:
         title = "Bend of the first segment and its reference."
         figures[title] = tracking_plot(runs)
@@ -266,12 +264,15 @@ def _plots(content: RunContent, *, tracked: bool) -> list[Picture]:
         figures[title] = plan_view(runs, spec, content.world)
     if not tracked:
         figures["Speed of the centre of mass."] = speed_plot(runs)
-    title = "Bend of each segment; positive bends the head end to the left."
-    figures[title] = bend_plot(runs)
-    title = "Pressure difference between the + chamber and the − chamber."
-    figures[title] = pressure_plot(runs)
-    title = "Sensor reading of the first segment against the bend."
-    figures[title] = reading_plot(runs)
+    figures |= {
+        "Bend of each segment; positive bends the head end to the left.": bend_plot(
+            runs
+        ),
+        "Pressure difference between the + chamber and the − chamber.": pressure_plot(
+            runs
+        ),
+        "Sensor reading of the first segment against the bend.": reading_plot(runs),
+    }
     if content.comparison is not None and len(content.comparison.time):
         title = "Distance between the twin and the analytical model."
         figures[title] = error_plot(content.comparison, spec)

@@ -19,8 +19,9 @@ from srs_twin.viewing.plots.signals import body_line, goal_ring
 from srs_twin.viewing.plots.style import (
     OBJECT_COLOR,
     Style,
+    add_legend,
     drawing,
-    finish,
+    finish_floor,
     panels,
     style_of,
 )
@@ -69,13 +70,12 @@ def plan_view(
     polygons = (item.corners for item in world.polygons)
     for patch in obstacle_patches(circles, polygons):
         axes.add_artist(patch)  # add_patch would extend the view to distant obstacles
-    axes.set_aspect("equal", adjustable="datalim")
     listed = ", ".join(f"{time:.3g}" for time in times)
     title = (
         f"Plan view: paths of the centre of mass, bodies (dot: head) at t = {listed} s"
     )
-    finish(axes, "y (m)", "x (m)", title=title)
-    figure.legend(loc="lower right", ncols=len(trajectories), fontsize=9, frameon=False)
+    finish_floor(axes, title)
+    add_legend(figure, "lower right", ncols=len(trajectories), fontsize=9)
     return figure
 
 
@@ -196,7 +196,6 @@ def lines_plot(lines: Mapping[str, np.ndarray]) -> Figure:
     figure, (axes,) = panels(3.0)
     for name, points in lines.items():
         axes.plot(*points.T, label=name)
-    axes.set_aspect("equal", adjustable="datalim")
-    finish(axes, "y (m)", "x (m)", title="")
-    axes.legend(fontsize=9, frameon=False)
+    finish_floor(axes)
+    add_legend(axes, fontsize=9)
     return figure

@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from srs_twin.comparison.compare import MEASURES
-from srs_twin.comparison.learning import PeriodAmplitudes
+from srs_twin.comparison.learning import PeriodAmplitudes, is_learning
 from srs_twin.comparison.tracking import ReadingCurve
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Trajectory
@@ -34,6 +34,7 @@ from srs_twin.viewing.plots.style import (
     REFERENCE,
     STYLES,
     Style,
+    add_legend,
     drawing,
     finish,
     panels,
@@ -160,7 +161,7 @@ def _by_segment(
     segments = min(values.shape[1] for values in signals)
     count = min(segments, _MAX_ROWS)
     plotted = np.unique(np.linspace(0, segments - 1, count).round().astype(int))
-    figure, rows = panels(0.9 + 1.1 * len(plotted), len(plotted), share_y=True)
+    figure, rows = panels(0.9 + 1.1 * len(plotted), len(plotted), sharey=True)
     window = _common_window(trajectories)
     for axes, j in zip(rows, plotted, strict=True):
         for (style, run), values in zip(
@@ -190,9 +191,7 @@ class _Window(NamedTuple):
 
 def _finish_time(figure: Figure, rows: Sequence[Axes], window: _Window) -> None:
     handles, labels = rows[0].get_legend_handles_labels()
-    figure.legend(
-        handles, labels, loc="upper right", ncols=len(labels), fontsize=8, frameon=False
-    )
+    add_legend(figure, "upper right", handles=handles, labels=labels, ncols=len(labels))
     rows[-1].set_xlabel("time (s)")
     last = window.last if window.last > window.first else window.first + 1.0
     rows[-1].set_xlim(window.first, last)
@@ -213,13 +212,15 @@ def _common_window(trajectories: Runs) -> _Window:
 
 
 @drawing
-def learning_plot(trajectories: Runs) -> Figure:
+def learning_plot(trajectories: Runs) -> Figure | None:
     """Plot bend amplitudes and valve duty cycles, one row per module.
 
     The left column shows the amplitudes with dotted targets, and the right column shows
     the duty cycles. Colours distinguish the chambers, and dash patterns distinguish the
-    plants.
+    plants. If a controller does not learn, the result is None.
     """
+    if not all(map(is_learning, trajectories.values())):
+        return None
     runs = [
         (style, PeriodAmplitudes.from_trajectory(run))
         for style, run in runs_with_styles(trajectories)
@@ -255,9 +256,7 @@ def learning_plot(trajectories: Runs) -> Figure:
         Line2D([], [], color="0.4", linestyle=style.dash, label=style.label)
         for style, _ in runs
     ]
-    figure.legend(
-        handles=handles, loc="upper right", ncols=4, fontsize=8, frameon=False
-    )
+    add_legend(figure, "upper right", handles=handles, ncols=4)
     return figure
 
 
@@ -289,7 +288,7 @@ def tracking_plot(trajectories: Runs) -> Figure:
     """
     count = len(trajectories)
     figure, (bends, *valves) = panels(
-        2.9 + 0.75 * count, 1 + count, heights=[2.6, *[0.75] * count]
+        2.9 + 0.75 * count, 1 + count, height_ratios=[2.6, *[0.75] * count]
     )
     run = next(iter(trajectories.values()))
     first = float(run.time[0])
@@ -348,7 +347,7 @@ def reading_plot(trajectories: Runs) -> Figure | None:
     title = "Sensor reading of the first segment (dots: single readings; lines: means)"
     finish(readings, "sensed (°)", title=title, loc="left")
     finish(errors, "mean − bend (°)", "bend (°)")
-    readings.legend(loc="upper left", fontsize=8, frameon=False)
+    add_legend(readings, "upper left")
     return figure
 
 
@@ -377,7 +376,7 @@ def measured_plot(differences: Mapping[str, MeasuredDifference]) -> Figure | Non
         finish(axes, label)
     distances = "shapes and paths as distances, " if plotted else ""
     set_title(rows[0], f"Plant − measured: {distances}bends RMS over segments")
-    rows[0].legend(loc="upper left", fontsize=8, frameon=False)
+    add_legend(rows[0], "upper left")
     rows[-1].set_xlabel("time (s)")
     return figure
 
@@ -420,13 +419,13 @@ def attribution_plot(attribution: Attribution) -> Figure:
         " below it"
     )
     figure.suptitle(caption, x=0.01, ha="left", fontsize=11)
-    for m, (axes, (title, unit)) in enumerate(
-        zip(grid.flat, MEASURES.values(), strict=True)
+    values = [(share.value, share.low, share.high) for share in shares]
+    values += [(total,) * 3 for total in (attribution.remainder, attribution.gap)]
+    # The axes of the transposed array are measures, (value, low, high) and bars.
+    for axes, (title, unit), bounds in zip(
+        grid.flat, MEASURES.values(), np.array(values).T, strict=True
     ):
-        totals = [attribution.remainder[m], attribution.gap[m]]
-        bars = np.array([*(share.value[m] for share in shares), *totals])
-        low = np.array([*(share.low[m] for share in shares), *totals])
-        high = np.array([*(share.high[m] for share in shares), *totals])
+        bars, low, high = bounds
         scale = 1.0
         prefix = ""
         if np.abs(bars).max() < 0.1:

@@ -7,14 +7,14 @@ layouts double the drawing time.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypedDict
+from typing import Any, Literal
 
 import numpy as np
-from matplotlib import rc_context, rcParams, rcParamsDefault
+from matplotlib import colors, rc_context, rcParams, rcParamsDefault
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -43,23 +43,11 @@ def rgb(color: str) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def unit_rgba(color: str, alpha: float = 1.0) -> tuple[float, float, float, float]:
-    """Convert a colour #rrggbb to RGBA values from 0 to 1, as used by MuJoCo."""
-    red, green, blue = rgb(color)
-    return red / 255, green / 255, blue / 255, alpha
-
+unit_rgba = colors.to_rgba
+"""Convert a colour #rrggbb to RGBA values from 0 to 1, as used by MuJoCo."""
 
 PLUS_RGB = rgb(PLUS_COLOR)
 MINUS_RGB = rgb(MINUS_COLOR)
-
-
-class LineStyle(TypedDict):
-    """Keyword arguments of `Axes.plot` for a line."""
-
-    color: str
-    linestyle: str
-    linewidth: float
-    label: str
 
 
 @dataclass(frozen=True)
@@ -84,7 +72,7 @@ class Style:
         return rgb(self.color)
 
     @property
-    def line(self) -> LineStyle:
+    def line(self) -> dict[str, Any]:
         """Line style as keyword arguments for `Axes.plot`."""
         return {
             "color": self.color,
@@ -176,33 +164,15 @@ _TOP = 0.42
 _BOTTOM = 0.5
 
 
-def panels(
-    height: float,
-    rows: int = 1,
-    *,
-    right: float = 0.2,
-    share_y: bool = False,
-    heights: Sequence[float] = (),
-) -> tuple[Figure, list[Axes]]:
+def panels(height: float, rows: int = 1, **options: Any) -> tuple[Figure, list[Axes]]:
     """Create a figure with one column of panels that share the x axis.
 
     Args:
         height: figure height, inches.
         rows: number of panels.
-        right: right margin, inches.
-        share_y: whether the panels also share the y axis.
-        heights: relative panel heights, from top to bottom.
+        options: additional arguments of `side_by_side`.
     """
-    figure, grid = side_by_side(
-        height,
-        1,
-        rows,
-        right=right,
-        space=0.18,
-        sharex=True,
-        sharey=share_y,
-        height_ratios=heights or None,
-    )
+    figure, grid = side_by_side(height, 1, rows, space=0.18, sharex=True, **options)
     return figure, list(grid[:, 0])
 
 
@@ -269,6 +239,17 @@ def finish(
         set_title(axes, title, loc)
     axes.grid(True, linewidth=0.4, alpha=0.5)
     axes.tick_params(labelsize=8)
+
+
+def finish_floor(axes: Axes, title: str = "") -> None:
+    """Give a panel that shows the floor equal scales, axis labels, title and grid."""
+    axes.set_aspect("equal", adjustable="datalim")
+    finish(axes, "y (m)", "x (m)", title=title)
+
+
+def add_legend(target: Axes | Figure, loc: Any = "best", **options: Any) -> None:
+    """Add a legend without a frame to a panel or a figure."""
+    target.legend(loc=loc, frameon=False, **{"fontsize": 8} | options)
 
 
 FORMATS = (".png", ".svg")
