@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import sys
 import weakref
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
@@ -10,8 +11,8 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
+from srs_twin.errors import InputError
 from srs_twin.viewing.mujoco.opengl import OpenGLContext, new_context, usable_opengl
-from srs_twin.viewing.plots.style import unit_rgba
 
 _MAX_GEOMS = 20_000
 _SHADOW_FACTOR = 2
@@ -103,6 +104,15 @@ class Canvas:
         self._opengl.make_current()
         pixels = np.empty((self._frame.height, self._frame.width, 3), dtype=np.uint8)
         mujoco.mjr_render(self._frame, self._scene, self._context)
+        if labels:
+            self._draw_labels(labels)
+        mujoco.mjr_readPixels(pixels, None, self._frame, self._context)
+        return pixels[::-1]
+
+    def _draw_labels(self, labels: Sequence[Label]) -> None:
+        # The test of an OpenGL backend draws no labels and omits this slow import.
+        from srs_twin.viewing.plots.style import unit_rgba
+
         drawn = labels
         if self._frame.width < _MIN_LABELS_WIDTH:
             drawn = labels[:1]
@@ -115,11 +125,31 @@ class Canvas:
             mujoco.mjr_label(
                 box, font, text, *unit_rgba(color), 1.0, 1.0, 1.0, self._context
             )
-        mujoco.mjr_readPixels(pixels, None, self._frame, self._context)
-        return pixels[::-1]
 
 
 def _free(context: mujoco.MjrContext, opengl: OpenGLContext) -> None:
     opengl.make_current()
     context.free()
     opengl.free()
+
+
+def draw_box(name: str) -> None:
+    """Render a white box on a black background to test a backend."""
+    model = mujoco.MjModel.from_xml_string(
+        # Software rendering would spend most time on shadows and multisampling.
+        "<mujoco><visual><quality shadowsize='0'"
+        " offsamples='0'/></visual><worldbody><geom type='box' size='.1 .1 .1' rgba='1"
+        " 1 1 1'/></worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    camera = mujoco.MjvCamera()
+    mujoco.mj_forward(model, data)
+    mujoco.mjv_defaultFreeCamera(model, camera)
+    with Canvas(model, 16, 16, opengl=name) as canvas:
+        pixels = canvas.draw(data, camera)
+    if pixels.max() == pixels.min():
+        raise InputError("all pixels have the same colour")
+
+
+if __name__ == "__main__":
+    draw_box(sys.argv[1])

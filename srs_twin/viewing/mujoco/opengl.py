@@ -15,19 +15,14 @@ import sys
 from functools import lru_cache
 from typing import Protocol
 
-import numpy as np
-
 from srs_twin.errors import InputError
 
 PACKAGES = {"egl": "libegl1 libgl1-mesa-dri", "osmesa": "libosmesa6"}
 """Debian and Ubuntu packages that provide each OpenGL backend."""
 
-_MODULES = {
-    "egl": "mujoco.egl",
-    "osmesa": "mujoco.osmesa",
-    "glfw": "mujoco.glfw",
-    "cgl": "mujoco.cgl",
-}
+_BACKENDS = ("egl", "osmesa", "glfw", "cgl")
+"""OpenGL backends, which are modules of the package `mujoco`."""
+
 _CANDIDATES = {"linux": ("egl", "osmesa"), "darwin": ("cgl",)}
 _UNSPECIFIED = (
     "",
@@ -93,16 +88,16 @@ class OpenGLContext(Protocol):
 
 def new_context(name: str, width: int, height: int) -> OpenGLContext:
     """Create an OpenGL context with the given backend and image size."""
-    module = importlib.import_module(_MODULES[name])
+    module = importlib.import_module(f"mujoco.{name}")
     context: OpenGLContext = module.GLContext(width, height)
     return context
 
 
 def _test(name: str) -> str:
     """Return why an OpenGL backend does not work, or an empty string if it works."""
-    if name not in _MODULES:
-        return f"unknown backend; allowed backends: {', '.join(_MODULES)}"
-    command = [sys.executable, "-m", __spec__.name, name]
+    if name not in _BACKENDS:
+        return f"unknown backend; allowed backends: {', '.join(_BACKENDS)}"
+    command = [sys.executable, "-m", f"{__package__}.canvas", name]
     environment = {**os.environ, "MUJOCO_GL": name}
     try:
         done = subprocess.run(
@@ -122,40 +117,3 @@ def _test(name: str) -> str:
     errors = [line for line in lines if "Error" in line]
     reasons = [*errors, *lines, f"exit code {done.returncode}"]
     return reasons[0]
-
-
-def draw_box(name: str) -> None:
-    """Render a white box on a black background to test a backend."""
-    import mujoco
-
-    model = mujoco.MjModel.from_xml_string(
-        # Software rendering would spend most time on shadows and multisampling.
-        "<mujoco><visual><quality shadowsize='0'"
-        " offsamples='0'/></visual><worldbody><geom type='box' size='.1 .1 .1' rgba='1"
-        " 1 1 1'/></worldbody></mujoco>"
-    )
-    data = mujoco.MjData(model)
-    camera = mujoco.MjvCamera()
-    scene = mujoco.MjvScene(model, maxgeom=10)
-    mujoco.mj_forward(model, data)
-    mujoco.mjv_defaultFreeCamera(model, camera)
-    all_kinds = mujoco.mjtCatBit.mjCAT_ALL.value
-    mujoco.mjv_updateScene(
-        model, data, mujoco.MjvOption(), None, camera, all_kinds, scene
-    )
-    size = mujoco.MjrRect(0, 0, 16, 16)
-    pixels = np.empty((16, 16, 3), dtype=np.uint8)
-    context = new_context(name, 16, 16)
-    context.make_current()
-    renderer = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50.value)
-    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, renderer)
-    mujoco.mjr_render(size, scene, renderer)
-    mujoco.mjr_readPixels(pixels, None, size, renderer)
-    renderer.free()
-    context.free()
-    if pixels.max() == pixels.min():
-        raise InputError("all pixels have the same colour")
-
-
-if __name__ == "__main__":
-    draw_box(sys.argv[1])
