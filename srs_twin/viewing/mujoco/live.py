@@ -68,8 +68,6 @@ class LiveSnake:
     """
 
     state: SnakeState
-    command: GaitCommand
-    paused: bool
     floor_lines: list[FloorLine]
     _gait: CommandedGait | None
     _controller: Controller | None
@@ -87,7 +85,6 @@ class LiveSnake:
         """
         self.scenario = scenario
         self._modified = modified
-        self._controller = None
         if scenario is not None:
             twin = scenario.build_plant("twin")
             assert isinstance(twin, TwinSnake), "`build_plant` returns a TwinSnake"

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -25,10 +25,16 @@ from srs_twin.robot.world import Circle, Goal
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.mujoco.canvas import Canvas
-from srs_twin.viewing.mujoco.stage import Stage
+from srs_twin.viewing.mujoco.stage import Ghost, Stage
 from srs_twin.viewing.plots.from_above import strobe_times
 from srs_twin.viewing.plots.signals import gait_period
-from srs_twin.viewing.plots.style import MINUS_COLOR, PLUS_COLOR, STYLES, drawing
+from srs_twin.viewing.plots.style import (
+    MINUS_COLOR,
+    PLUS_COLOR,
+    STYLES,
+    add_legend,
+    drawing,
+)
 
 AddFrame = Callable[[np.ndarray], None]
 
@@ -156,8 +162,7 @@ def _smooth_path(run: Trajectory) -> np.ndarray:
     return np.column_stack(mean) / (end - begin)[:, None]
 
 
-@dataclass(frozen=True)
-class Size:
+class Size(NamedTuple):
     """Width and height of an image in pixels, which must be even for videos."""
 
     width: int = 1280
@@ -172,7 +177,7 @@ def write_video(
     size: Size = Size(),  # noqa: B008 (frozen)
     fps: int = 30,
     speed: float = 1.0,
-    ghost: tuple[str, Trajectory] | None = None,
+    ghost: Ghost | None = None,
     progress: Callable[[float], None] = lambda fraction: None,
 ) -> int:
     """Write a video of a run and return the number of frames.
@@ -189,10 +194,11 @@ def write_video(
     """
     encoder()  # report a missing encoder before the frames are rendered
     stage, camera = _scene(scenario, run, ghost)
-    count = int(stage.duration / speed * fps + 1e-9) + 1
+    duration = float(run.time[-1] - run.time[0])
+    count = int(duration / speed * fps + 1e-9) + 1
     times = run.time[0] + np.arange(count) * speed / fps
     with (
-        Canvas(stage.model, size.width, size.height) as canvas,
+        Canvas(stage.model, *size) as canvas,
         video_writer(path, width=size.width, height=size.height, fps=fps) as add,
     ):
         for k, time in enumerate(times):
@@ -209,7 +215,7 @@ def write_image(
     time: float,
     *,
     size: Size = Size(),  # noqa: B008
-    ghost: tuple[str, Trajectory] | None = None,
+    ghost: Ghost | None = None,
 ) -> None:
     """Write a PNG image of a run from the camera position used in videos.
 
@@ -229,17 +235,17 @@ def write_image(
             f"t = {time:g} s is outside the run; choose a time from {first:g} to"
             f" {last:g} s"
         )
-    with Canvas(stage.model, size.width, size.height) as canvas:
+    with Canvas(stage.model, *size) as canvas:
         row = stage.row_at(time)
         pixels = stage.render(canvas, camera.at(row), row)
     write_png(path, pixels)
 
 
 def _scene(
-    scenario: Scenario, run: Trajectory, ghost: tuple[str, Trajectory] | None
+    scenario: Scenario, run: Trajectory, ghost: Ghost | None
 ) -> tuple[Stage, FollowCamera]:
     stage = Stage(scenario, run, ghost)
-    other = None if stage.ghost is None else stage.ghost.run
+    _, other = ghost or (None, None)
     length = scenario.robot.geometry.body_length
     return stage, FollowCamera(run, length, bench=stage.bench, ghost=other)
 
@@ -363,7 +369,7 @@ def _render_from_above(
                 stage.model, stage.data, option, mujoco.MjvPerturb(), moving, scene
             )
 
-    with Canvas(stage.model, size.width, size.height) as canvas:
+    with Canvas(stage.model, *size) as canvas:
         stage.show(last)
         return canvas.draw(stage.data, camera, add)
 
@@ -375,10 +381,4 @@ def _add_legend(figure: Figure, floor_lines: Mapping[str, str]) -> None:
         Patch(color=PLUS_COLOR, label="$p^+ > p^-$ (left)"),
         Patch(color=MINUS_COLOR, label="$p^+ < p^-$ (right)"),
     ]
-    figure.legend(
-        handles=handles,
-        loc="lower center",
-        ncols=len(handles),
-        frameon=False,
-        fontsize=8,
-    )
+    add_legend(figure, "lower center", handles=handles, ncols=len(handles))

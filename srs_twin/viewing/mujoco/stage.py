@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -14,7 +14,7 @@ from srs_twin.errors import InputError
 from srs_twin.plants.twin.snake import TwinSnake
 from srs_twin.scenario.scenario import Scenario
 from srs_twin.trajectory import Trajectory
-from srs_twin.viewing.additions import added_to
+from srs_twin.viewing.additions import RunPictures, added_to
 from srs_twin.viewing.mujoco.canvas import Canvas, Label
 from srs_twin.viewing.plots.signals import body_line, pressure_difference
 from srs_twin.viewing.plots.style import (
@@ -27,13 +27,8 @@ from srs_twin.viewing.plots.style import (
     unit_rgba,
 )
 
-
-class Ghost(NamedTuple):
-    """Plant that is drawn translucent in the scene of the twin."""
-
-    plant: str
-    run: Trajectory
-
+Ghost = tuple[str, Trajectory]
+"""Name and trajectory of a plant that is drawn translucent in the twin's scene."""
 
 _MAX_TRAIL_POINTS = 400
 _MAX_MARKS = 2000
@@ -62,13 +57,14 @@ class Stage:
 
     Attributes:
         bench: whether the head is clamped.
+        legend: colours of the floor lines, keyed by label.
     """
 
     def __init__(
         self,
         scenario: Scenario,
         run: Trajectory,
-        ghost: tuple[str, Trajectory] | None = None,
+        ghost: Ghost | None = None,
     ) -> None:
         """Build the scene for a trajectory with ``qpos`` columns."""
         if not run.has("qpos") or not len(run):
@@ -78,11 +74,15 @@ class Stage:
             )
         self.run = run
         self.bench = scenario.file.bench
-        self.ghost = None if ghost is None else Ghost(*ghost)
-        self._labels = _legend(run, self.ghost, bench=self.bench)
-        if self.ghost is not None:
+        pictures = added_to(run) or RunPictures()
+        self.legend = pictures.legend
+        self._floor_lines = _floor_lines(run, pictures)
+        self._ghost = ghost
+        self._labels = _labels(run, self.legend, ghost, bench=self.bench)
+        if ghost is not None:
             geometry = scenario.robot.geometry
-            self._ghost_line = body_line(self.ghost.run, geometry, _GHOST_CHORDS)
+            _, ghost_run = ghost
+            self._ghost_line = body_line(ghost_run, geometry, _GHOST_CHORDS)
         plant = scenario.build_plant("twin", pneumatics="lag", sensor="ideal")
         assert isinstance(plant, TwinSnake), "`build_plant` returns a TwinSnake"
         self.model = plant.physics.model
@@ -96,23 +96,11 @@ class Stage:
             )
         self._skins = Skins(self.model, scenario.robot.segments)
         make_obstacles_translucent(self.model)
-        self._colors = pressure_colors(pressure_difference(run)) / np.float32(255)
+        self._colors = pressure_colors(pressure_difference(run))
         step = math.ceil(len(run) / _MAX_TRAIL_POINTS)
         self._trail_rows = np.arange(0, len(run), step)
-        self._floor_lines = _floor_lines(run)
         self._marks = contact_marks(run)
         self._mark_radius = _MARK_RATIO * scenario.robot.geometry.body_length
-
-    @property
-    def duration(self) -> float:
-        """Duration of the run, s."""
-        return float(self.run.time[-1] - self.run.time[0])
-
-    @property
-    def legend(self) -> Mapping[str, str]:
-        """Colours of the floor lines, keyed by label."""
-        pictures = added_to(self.run)
-        return pictures.legend if pictures else {}
 
     def row_at(self, time: float) -> int:
         """Return the index of the sample nearest to a time (s)."""
@@ -157,15 +145,10 @@ class Stage:
     def _add_marks(self, scene: mujoco.MjvScene, row: int) -> None:
         rows, points = self._marks
         disc = mujoco.mjtGeom.mjGEOM_CYLINDER
-        rgba = np.array(unit_rgba(CONTACT_COLOR), dtype=np.float32)
+        rgba = unit_rgba(CONTACT_COLOR)
         size = [self._mark_radius, self._mark_radius, _LINE_M / 2]
         for x, y in points[rows <= row]:
-            if scene.ngeom == scene.maxgeom:
-                return
-            geom = scene.geoms[scene.ngeom]
-            place = [x, y, 0.0]
-            mujoco.mjv_initGeom(geom, disc, size, place, np.eye(3).ravel(), rgba)
-            scene.ngeom += 1
+            _add_geom(scene, disc, rgba, size, [x, y, 0.0])
 
     def _add_scale_bar(self, scene: mujoco.MjvScene, camera: mujoco.MjvCamera) -> None:
         azimuth = math.radians(camera.azimuth)
@@ -179,26 +162,21 @@ class Stage:
             scene.geoms[first].label = f"{_SCALE_BAR_M:g} m"
 
     def _add_ghost(self, scene: mujoco.MjvScene, row: int) -> None:
-        if self.ghost is None:
+        if self._ghost is None:
             return
-        plant, run = self.ghost
+        plant, run = self._ghost
         line = self._ghost_line[int(np.abs(run.time - self.run.time[row]).argmin())]
-        color = unit_rgba(style_of(plant).color, _GHOST_ALPHA)
-        rgba = np.array(color, dtype=np.float32)
+        rgba = unit_rgba(style_of(plant).color, _GHOST_ALPHA)
         skin = self._skins.geoms[0][0]
         height = self.data.geom_xpos[skin, 2]
         points = np.pad(line, ((0, 0), (0, 1)), constant_values=height)
         # Coincident surfaces would flicker, so the ghost is thinner than the twin.
         radius = 0.92 * self.model.geom_size[skin, 0]
-        for begin, end in zip(points, points[1:], strict=False):
-            if scene.ngeom == scene.maxgeom:
-                return
-            geom = scene.geoms[scene.ngeom]
-            capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
-            unset = np.zeros(3), np.zeros(3), np.zeros(9)
-            mujoco.mjv_initGeom(geom, capsule, *unset, rgba)
-            mujoco.mjv_connector(geom, capsule, radius, begin, end)
-            scene.ngeom += 1
+        capsule = mujoco.mjtGeom.mjGEOM_CAPSULE
+        for begin, end in itertools.pairwise(points):
+            geom = _add_geom(scene, capsule, rgba)
+            if geom is not None:
+                mujoco.mjv_connector(geom, capsule, radius, begin, end)
 
 
 def contact_marks(run: Trajectory) -> tuple[np.ndarray, np.ndarray]:
@@ -237,21 +215,38 @@ def add_line(
         level: layer of the line, which covers the lines in lower layers.
     """
     box = mujoco.mjtGeom.mjGEOM_BOX
-    rgba = np.array(unit_rgba(color), dtype=np.float32)
+    rgba = unit_rgba(color)
     heights = _LINE_M * np.linspace(level, level + 1, len(points))
     for begin, end, height in zip(points, points[1:], heights, strict=False):
-        if scene.ngeom == scene.maxgeom:
-            return
         length = math.hypot(*(end - begin))
         c, s = (end - begin) / length if length else (1.0, 0.0)
         size = [length / 2 + half_width, half_width, _LINE_M / 2]
         place = [*(begin + end) / 2, height]
         axes = [c, -s, 0, s, c, 0, 0, 0, 1]
-        mujoco.mjv_initGeom(scene.geoms[scene.ngeom], box, size, place, axes, rgba)
-        scene.ngeom += 1
+        _add_geom(scene, box, rgba, size, place, axes)
 
 
-def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]:
+def _add_geom(
+    scene: mujoco.MjvScene,
+    kind: mujoco.mjtGeom,
+    rgba: Sequence[float],
+    size: Sequence[float] = (0.0, 0.0, 0.0),
+    place: Sequence[float] = (0.0, 0.0, 0.0),
+    axes: Sequence[float] = (1, 0, 0, 0, 1, 0, 0, 0, 1),
+) -> mujoco.MjvGeom | None:
+    """Add a geom to a scene and return it, or None if the scene has no free geoms."""
+    if scene.ngeom == scene.maxgeom:
+        return None
+    geom = scene.geoms[scene.ngeom]
+    color = np.array(rgba, dtype=np.float32)
+    mujoco.mjv_initGeom(geom, kind, size, place, axes, color)
+    scene.ngeom += 1
+    return geom
+
+
+def _labels(
+    run: Trajectory, legend: Mapping[str, str], ghost: Ghost | None, *, bench: bool
+) -> list[Label]:
     labels: dict[str, str] = {}
     if run.has("pressure_plus"):
         labels |= {"p+ > p-": PLUS_COLOR, "p+ < p-": MINUS_COLOR}
@@ -259,10 +254,10 @@ def _legend(run: Trajectory, ghost: Ghost | None, *, bench: bool) -> list[Label]
         labels["twin, CoM"] = STYLES["twin"].color
     if run.has("load"):
         labels["contacts"] = CONTACT_COLOR
-    if pictures := added_to(run):
-        labels |= pictures.legend
+    labels |= legend
     if ghost is not None:
-        labels[ghost.plant] = style_of(ghost.plant).color
+        plant, _ = ghost
+        labels[plant] = style_of(plant).color
     return [Label(text, color) for text, color in labels.items()]
 
 
@@ -290,8 +285,8 @@ class Skins:
                 self.geoms[int(match[1]) - 1].append(geom)
 
     def paint(self, colors: np.ndarray) -> None:
-        """Set the segment colours, RGBA from 0 to 1, shape (segments, 4)."""
-        for geoms, color in zip(self.geoms, colors, strict=True):
+        """Set the segment colours, RGBA bytes, shape (segments, 4)."""
+        for geoms, color in zip(self.geoms, colors / np.float32(255), strict=True):
             self._model.geom_rgba[geoms] = color
 
     def show(self, pressure: np.ndarray, full_scale: float) -> None:
@@ -302,14 +297,12 @@ class Skins:
             full_scale: pressure difference with the most saturated colour, in the unit
                 of `pressure`.
         """
-        colors = pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale)
-        self.paint(colors / np.float32(255))
+        self.paint(pressure_colors(pressure[:, 0] - pressure[:, 1], full_scale))
 
 
-def _floor_lines(run: Trajectory) -> list[tuple[np.ndarray, str]]:
-    pictures = added_to(run)
-    if pictures is None:
-        return []
+def _floor_lines(
+    run: Trajectory, pictures: RunPictures
+) -> list[tuple[np.ndarray, str]]:
     listed = pictures.legend.values()
     return [
         (strip, line.color)
