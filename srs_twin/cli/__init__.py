@@ -24,14 +24,10 @@ from srs_twin.cli.console import (
 )
 from srs_twin.errors import (
     RENAMED,
-    CacheWarning,
-    EngineWarning,
     InputError,
     RenamedWarning,
-    SessionWarning,
     SrsError,
     TaskFailedError,
-    UnitWarning,
     WriteError,
 )
 from srs_twin.io.files import check_printable
@@ -46,13 +42,6 @@ With Python's default of 700, `compare` spends a sixth of its time on garbage
 collection. The threshold of 200,000 increases memory use by 3 %.
 """
 
-_SHORT_WARNINGS = (
-    CacheWarning,
-    EngineWarning,
-    RenamedWarning,
-    SessionWarning,
-    UnitWarning,
-)
 _PYTHON_FORMATWARNING = warnings.formatwarning
 
 # These file system errors are reported as invalid input, because earlier checks cannot
@@ -118,11 +107,10 @@ def main(argv: list[str] | None = None) -> None:
         if is_interrupt(error):
             sys.exit(INTERRUPTED)
         show_traceback(error)
-        code = errno.errorcode.get(getattr(error, "errno", None) or 0)
         if (
             isinstance(error, OSError)
             and error.filename
-            and code in _FILE_SYSTEM_ERRORS
+            and errno.errorcode.get(error.errno or 0, "") in _FILE_SYSTEM_ERRORS
         ):
             say(
                 f"{os.fsdecode(error.filename)}: the file cannot be used"
@@ -206,6 +194,6 @@ def _format_warning(
     lineno: int,
     line: str | None = None,
 ) -> str:
-    if category in _SHORT_WARNINGS:
+    if category.__module__ == RenamedWarning.__module__:  # a warning of this package
         return as_started(f"warning: {message}\n")
     return _PYTHON_FORMATWARNING(message, category, filename, lineno, line)

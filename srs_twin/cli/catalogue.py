@@ -18,9 +18,6 @@ _KINDS = ("scenarios", "robots", "sweeps", "controllers", "metrics", "studies")
 _DEFAULT_KINDS = _KINDS[:-1]
 """Kinds that `list --json` prints by default, as part of the public interface."""
 
-_PRINTED_KINDS = ("scenarios", "robots", "sweeps", "studies", "controllers")
-"""Kinds that `list` prints by default."""
-
 _BEGINNING = {
     "gen2_straight": (
         "crawl straight ahead; both plants, their difference and its cause"
@@ -51,6 +48,10 @@ _FILE_KINDS = {
     "sweeps": "sweep",
     "studies": "study",
 }
+"""Names used by `shipped_names`, keyed by the kind of file."""
+
+_PRINTED_KINDS = (*_FILE_KINDS, "controllers")
+"""Kinds that `list` prints by default."""
 
 
 def list_(

@@ -99,9 +99,7 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
 
     # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
     # remains ignored.
-    defaults: dict[
-        signal.Signals, Callable[[int, FrameType | None], object] | signal.Handlers
-    ] = {
+    defaults: dict[signal.Signals, Any] = {
         signal.SIGINT: signal.default_int_handler,
         signal.SIGTERM: signal.SIG_DFL,
     }

@@ -59,9 +59,6 @@ _JOINT_FRACTION = 1 / 15
 _SERVO_PLANE_RATIO = 0.1
 """Ratio of a servo joint's pitch and roll stiffness to weight times length."""
 
-_SUFFIXES = {".yaml": ".yaml", ".txt": ".py"}
-"""Suffix of the written file, keyed by the suffix of the template."""
-
 
 @dataclass(frozen=True)
 class NewRobotOptions:
@@ -143,11 +140,9 @@ class RobotSize(NamedTuple):
         """
         from srs_twin.robot.plausibility import likely_unit
 
-        length = self.segments * _PITCH_M
-        mass = _default_mass(self.segments, self.length)
         usual = {
-            "length": length,
-            "mass": mass,
+            "length": self.segments * _PITCH_M,
+            "mass": _default_mass(self.segments, self.length),
             "pressure": _PRESSURE_KPA,
             "bend": _BEND_RAD,
         }
@@ -375,7 +370,8 @@ def _write(
             f"the name {name!r} is not allowed; begin with a lower-case letter and"
             " use only lower-case letters, digits and _"
         )
-    path = Path(out or f"{name}{_SUFFIXES[Path(template).suffix]}")
+    # A template of a Python file has the suffix .txt.
+    path = Path(out or f"{name}{Path(template).suffix}".replace(".txt", ".py"))
     if path.exists():
         raise InputError(
             f"{path} already exists; choose another name, or another path with --out"

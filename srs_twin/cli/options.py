@@ -101,13 +101,18 @@ OneOutOption = Annotated[
     str | None,
     option("--out DIR", "Folder for the output files. [default: runs/SCENARIO]"),
 ]
-_CHECK = "Exit with code 1 if a result lies outside its expected range."
-CheckOption = Annotated[bool, option("--check", _CHECK)]
-_STRICT = (
-    "Like --check, but expectations that cannot be judged or are marked with"
-    " `expected_failure` also cause exit code 1."
-)
-StrictOption = Annotated[bool, option("--strict", _STRICT)]
+CheckOption = Annotated[
+    bool,
+    option("--check", "Exit with code 1 if a result lies outside its expected range."),
+]
+StrictOption = Annotated[
+    bool,
+    option(
+        "--strict",
+        "Like --check, but expectations that cannot be judged or are marked with"
+        " `expected_failure` also cause exit code 1.",
+    ),
+]
 QuietOption = Annotated[
     bool, option("--quiet -q", "Print only errors, without tables and progress.")
 ]
@@ -115,22 +120,33 @@ WorkersOption = Annotated[int | None, workers_option("--workers -j N")]
 JsonOption = Annotated[
     bool, option("--json", "Print the result as a JSON document instead of tables.")
 ]
-_PLUGIN = (
-    "Python file with classes used by the input files, such as a controller. Can be"
-    f" repeated. Alternatively, list files in the environment variable {PLUGINS}."
-)
-PluginOption = Annotated[list[str] | None, option("--plugin FILE.py", _PLUGIN)]
+PluginOption = Annotated[
+    list[str] | None,
+    option(
+        "--plugin FILE.py",
+        "Python file with classes used by the input files, such as a controller. Can be"
+        f" repeated. Alternatively, list files in the environment variable {PLUGINS}.",
+    ),
+]
 OverwriteOption = Annotated[
     bool, option("--overwrite", "Replace the output file if it already exists.")
 ]
 
-_PRESSURE = "Supply pressure (gauge) in kPa. [default: from the robot file]"
-PressureOption = Annotated[float | None, option("--pressure KPA", _PRESSURE)]
-_FRICTION = (
-    "Friction law of the analytical model: axis, wheel, ellipse, cosine or viscous."
-    " [default: wheel]"
-)
-FloorOption = Annotated[str | None, option("--friction-law NAME", _FRICTION)]
+PressureOption = Annotated[
+    float | None,
+    option(
+        "--pressure KPA",
+        "Supply pressure (gauge) in kPa. [default: from the robot file]",
+    ),
+]
+FloorOption = Annotated[
+    str | None,
+    option(
+        "--friction-law NAME",
+        "Friction law of the analytical model: axis, wheel, ellipse, cosine or viscous."
+        " [default: wheel]",
+    ),
+]
 
 
 def print_json(document: object) -> None:

@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypedDict
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -41,7 +41,6 @@ from srs_twin.errors import InputError, SrsError
 from srs_twin.extensions import plugins
 
 if TYPE_CHECKING:
-    from srs_twin.experiment import Explain, FindCause
     from srs_twin.io.documents import Override
     from srs_twin.scenario.scenario import Scenario
 
@@ -76,11 +75,6 @@ class ReportOptions:
 DEFAULT_REPORT = ReportOptions()
 
 
-class _Explanation(TypedDict, total=False):
-    explain: Explain
-    main_cause: FindCause
-
-
 def run_case(
     task: tuple[Scenario, Path],
     progress: Callable[[str, float], None] | None = None,
@@ -99,7 +93,7 @@ def run_case(
     from srs_twin.experiment import prepare
 
     start = time.perf_counter()
-    options: _Explanation = {}
+    options: dict[str, Any] = {}
     if explain:
         from srs_twin.attribution import explain as explain_difference
 

@@ -48,13 +48,11 @@ def rows(metrics: RunMetrics) -> list[list[str]]:
     published_values = published(metrics["expectations"])
     lines = [
         [
-            *(
-                metric_title(row.metric),
-                row.unit,
-                *row.values,
-                row.difference,
-                row.per_cent,
-            ),
+            metric_title(row.metric),
+            row.unit,
+            *row.values,
+            row.difference,
+            row.per_cent,
             _number(tidy(row.metric, published_values.get(row.metric, (None,))[0])),
         ]
         for row in result_rows(metrics, chosen(plants), _number)

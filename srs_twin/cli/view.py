@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import sys
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from srs_twin.cli.catalogue import is_robot
-from srs_twin.cli.console import ScenarioProgress, handle_signals
+from srs_twin.cli.console import ScenarioProgress, handle_signals, say
 from srs_twin.cli.options import ChangeOptions, OptionRange, QuietOption, argument
 from srs_twin.errors import InputError
 from srs_twin.io.files import display_path, escape_unprintable
@@ -71,12 +70,7 @@ def _serve(recording: Path, port: int) -> None:
     try:
         with serve_recordings([recording], port) as (address, serve):
             typer.echo(address)
-            sys.stdout.flush()
-            print(
-                "open this address in a browser; press Ctrl-C to stop",
-                file=sys.stderr,
-                flush=True,
-            )
+            say("open this address in a browser; press Ctrl-C to stop")
             serve()
     except KeyboardInterrupt:
         return

@@ -8,6 +8,7 @@ their scenarios have different names. Wall times are not compared.
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import re
@@ -153,13 +154,9 @@ class Difference:
 
 
 def _json_value(value: object) -> object:
-    if not isinstance(value, float) or math.isfinite(value):
-        return value
-    if math.isnan(value):
-        return "NaN"
-    if value > 0:
-        return "Infinity"
-    return "-Infinity"
+    if isinstance(value, float) and not math.isfinite(value):
+        return json.dumps(value)
+    return value
 
 
 @checked

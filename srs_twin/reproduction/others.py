@@ -122,7 +122,7 @@ class PredictedQuantity:
             "median": self.predicted.median,
             "interval_95": list(self.predicted.interval_95),
             "robots": self.predicted.robots,
-            "recomputed": None,
+            "recomputed": self.recomputed and asdict(self.recomputed),
             "recomputed_verdict": None,
             "published": None,
             "inside": None,
@@ -143,9 +143,7 @@ class PredictedQuantity:
                 "known_before": published.known,
                 "source": published.source,
             }
-        if self.recomputed is not None:
-            document["recomputed"] = asdict(self.recomputed)
-            if published is not None:
+            if self.recomputed is not None:
                 verdict = self.recomputed.verdict(published)
                 document["recomputed_verdict"] = verdict.value
         return document

@@ -384,6 +384,22 @@ def verdict_text(row: JudgedClaim) -> str:
     return ", ".join(verdicts) or _NOTHING
 
 
+_STORED_FIELDS = (
+    "id",
+    "source",
+    "robot",
+    "says",
+    "use",
+    "group",
+    "could_fail",
+    "tolerance",
+    "fitted",
+    "rule",
+    "value",
+    "unit",
+)
+"""Fields of a claim that reproduce.json contains."""
+
 _HEADINGS = (
     "row",
     "statement",
@@ -428,22 +444,8 @@ def write_json(path: Path, rows: Sequence[JudgedClaim], changes: Sequence[str]) 
 
 def _row(row: JudgedClaim, outcomes: object) -> dict[str, object]:
     claim = row.claim
-    return {
-        "id": claim.id,
-        "source": claim.source,
-        "robot": claim.robot,
-        "says": claim.says,
-        "use": claim.use,
-        "group": claim.group,
-        "could_fail": claim.could_fail,
-        "tolerance": claim.tolerance,
-        "fitted": claim.fitted,
-        "rule": claim.rule,
-        "value": claim.value,
-        "unit": claim.unit,
-        "allowed": claim.allowed_text,
-        "outcomes": outcomes,
-    }
+    stored = {name: getattr(claim, name) for name in _STORED_FIELDS}
+    return stored | {"allowed": claim.allowed_text, "outcomes": outcomes}
 
 
 def write_html(
