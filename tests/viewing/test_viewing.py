@@ -239,7 +239,6 @@ def test_plots_of_the_middle_module_are_shown_first(spec, kind):
 def layout_of(spec, apart):
     return Layout(
         plants=["analytical", "twin"],
-        camera_target="eye",
         segments=4,
         start=np.zeros(2),
         heading=0.0,

@@ -15,6 +15,9 @@ from srs_twin.viewing.additions import FollowedSignal
 TIMELINE = "sim_time"
 """Name of the timeline for the simulated time (s)."""
 
+CAMERA_TARGET = "eye"
+"""Entity inside `world/` that the camera follows."""
+
 _PERIODS_SHOWN = 4
 """Number of gait periods that plots show around the time cursor."""
 
@@ -26,7 +29,6 @@ class Layout:
     """Parameters for the viewer layout of one run.
 
     Attributes:
-        camera_target: entity inside `world/` that the camera follows.
         start: mean start position of the plants, m, shape (2,).
         heading: initial heading, rad.
         body_length: body length, m.
@@ -42,14 +44,13 @@ class Layout:
     """
 
     plants: Sequence[str]
-    camera_target: str
     segments: int
     start: np.ndarray
     heading: float
     body_length: float
     separation: float
-    period: float | None
-    compared: bool
+    period: float | None = None
+    compared: bool = False
     kind: str = "gait"
     signals: Sequence[FollowedSignal] = ()
     speeds: tuple[float, float] | None = None
@@ -97,12 +98,8 @@ def side_by_side_blueprint(layouts: Mapping[str, Layout]) -> rrb.Blueprint:
 
 
 def _with_collapsed_panels(contents: rrb.Horizontal | rrb.Grid) -> rrb.Blueprint:
-    return rrb.Blueprint(
-        contents,
-        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-    )
+    time_panel = rrb.TimePanel(timeline=TIMELINE, state="collapsed")
+    return rrb.Blueprint(contents, time_panel, collapse_panels=True)
 
 
 def _plots(layout: Layout) -> Rows:
@@ -201,7 +198,7 @@ def scene_view(layout: Layout, name: str = "") -> rrb.Spatial3DView:
             position=[*eye, 0.96 * distance],
             look_target=[*layout.start, 0.0],
             eye_up=[0.0, 0.0, 1.0],
-            tracking_entity=f"{layout.world}/{layout.camera_target}",
+            tracking_entity=f"{layout.world}/{CAMERA_TARGET}",
         ),
         overrides={
             f"{layout.world}/{plant}/trail": until_cursor for plant in layout.plants
@@ -220,20 +217,6 @@ def _periods_axis(layout: Layout) -> rrb.TimeAxis | None:
     return rrb.TimeAxis(view_range=rrb.TimeRange(*ends))
 
 
-def _plot(
-    origin: str,
-    name: str,
-    *,
-    axis_x: rrb.TimeAxis | None = None,
-    axis_y: rrb.ScalarAxis | None = None,
-    contents: Sequence[str] | str = "$origin/**",
-) -> rrb.TimeSeriesView:
+def _plot(origin: str, name: str, **options: Any) -> rrb.TimeSeriesView:
     corner = rrb.PlotLegend(rrb.Corner2D.RightBottom)
-    return rrb.TimeSeriesView(
-        origin=origin,
-        name=name,
-        plot_legend=corner,
-        axis_x=axis_x,
-        axis_y=axis_y,
-        contents=contents,
-    )
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, **options)

@@ -33,6 +33,7 @@ from srs_twin.viewing.plots.signals import body_line
 from srs_twin.viewing.plots.style import STYLES, rgb
 from srs_twin.viewing.rerun.blueprint import TIMELINE
 from srs_twin.viewing.rerun.recording import APPLICATION
+from srs_twin.viewing.rerun.scene import at_height
 from srs_twin.viewing.rerun.viewer import (
     HOST,
     free_port,
@@ -159,12 +160,12 @@ class LiveView:
         line = body_line(Trajectory(columns), geometry)[0]
         color = _LOST_COLOR if estimate.lost else rgb(STYLES["twin"].color)
         thickness = geometry.width / 4
-        strips = [_at_height(line, _BODY_HEIGHT_M)]
+        strips = [at_height(line, _BODY_HEIGHT_M)]
         body = rr.LineStrips3D(strips, colors=[color], radii=thickness)
         self._log.log("world/robot/body", body)
         sd = float(np.hypot(*estimate.pose_sd[:2]))
         radii = np.full(len(poses), _Z95 * sd + thickness)
-        points = _at_height(poses[:, :2], _FLOOR_HEIGHT_M)
+        points = at_height(poses[:, :2], _FLOOR_HEIGHT_M)
         spread = rr.Points3D(points, radii=radii, colors=[(*color, 50)])
         self._log.log("world/robot/spread", spread)
         self._trail.append([*estimate.pose[:2].tolist(), _FLOOR_HEIGHT_M])
@@ -172,7 +173,7 @@ class LiveView:
         self._log.log("world/robot/trail", trail)
 
     def _log_prediction(self, prediction: LiveForecast) -> None:
-        points = _at_height(prediction.pose[:, :2], _FLOOR_HEIGHT_M)
+        points = at_height(prediction.pose[:, :2], _FLOOR_HEIGHT_M)
         path = rr.LineStrips3D([points], colors=[_PREDICTION_COLOR], radii=0.002)
         self._log.log("world/next/path", path)
         radii = _Z95 * np.hypot(prediction.pose_sd[:, 0], prediction.pose_sd[:, 1])
@@ -225,7 +226,3 @@ def live_view(
         finally:
             log.flush()
             log.disconnect()
-
-
-def _at_height(points: np.ndarray, height: float) -> np.ndarray:
-    return np.column_stack([points, np.full(len(points), height)])

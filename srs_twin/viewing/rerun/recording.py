@@ -49,6 +49,7 @@ from srs_twin.viewing.plots.style import (
     style_of,
 )
 from srs_twin.viewing.rerun.blueprint import (
+    CAMERA_TARGET,
     Layout,
     run_blueprint,
     side_by_side_blueprint,
@@ -76,7 +77,6 @@ SCENE_HZ = 50.0
 Plotted signals keep all samples.
 """
 
-_CAMERA_TARGET = "eye"
 _WARNINGS = ("saturation", "fault", "reading_lost", "no_new_plan", "contact", "ended")
 """Event kinds logged as warnings."""
 
@@ -196,7 +196,7 @@ def subsample(trajectory: Trajectory, rate_hz: float) -> Trajectory:
     if len(steps) and steps[0] > 0:
         stride = max(1, round(1 / (rate_hz * steps[0])))
     columns = {name: column[::stride] for name, column in trajectory.columns.items()}
-    return Trajectory(columns, trajectory.units, trajectory.events, trajectory.metadata)
+    return replace(trajectory, columns=columns)
 
 
 def _additions(
@@ -224,7 +224,6 @@ def _layout(
     signals = [added.signals for _, added in _additions(trajectories)]
     return Layout(
         plants=list(trajectories),
-        camera_target=_CAMERA_TARGET,
         segments=spec.segments,
         start=coms[:, 0].mean(axis=0),
         heading=float(followed["heading"][0]),
@@ -260,8 +259,8 @@ def _send_camera_target(
     time, coms = _coms(trajectories)
     to = Entities(log, time, "world/")
     positions = np.pad(coms.mean(axis=0), ((0, 0), (0, 1)))
-    to.static(_CAMERA_TARGET, rr.Points3D.from_fields(radii=[1e-5]))
-    to.send(_CAMERA_TARGET, rr.Points3D.columns(positions=positions))
+    to.static(CAMERA_TARGET, rr.Points3D.from_fields(radii=[1e-5]))
+    to.send(CAMERA_TARGET, rr.Points3D.columns(positions=positions))
 
 
 def _send_floor(
@@ -398,14 +397,11 @@ class _StoredRun:
         coms = np.array([path[: min(map(len, paths))] for path in paths])
         return Layout(
             plants=snakes,
-            camera_target=_CAMERA_TARGET,
             segments=len(connectors) - 1,
             start=coms[:, 0].mean(axis=0),
             heading=float(np.arctan2(along[1], along[0])),
             body_length=float(np.hypot(*along)),
             separation=_separation(coms),
-            period=None,
-            compared=False,
             root=self.root,
         )
 

@@ -127,9 +127,9 @@ def send_objects(to: Entities, run: Trajectory, world: World) -> None:
         if item.is_box:
             shape = rr.Boxes3D
             look = {"half_sizes": [[item.size[0] / 2, item.size[1] / 2, half]]}
-        look["colors"] = [rgb(OBJECT_COLOR)]
-        centres = _at_height(np.stack([x, y], axis=-1), half)
-        _send_solids(to, f"object_{k}", shape, centres, rotation, **look)
+        centres = at_height(np.stack([x, y], axis=-1), half)
+        colors = [rgb(OBJECT_COLOR)]
+        _send_solids(to, f"object_{k}", shape, centres, rotation, colors=colors, **look)
 
 
 def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
@@ -153,8 +153,8 @@ def send_contacts(to: Entities, run: Trajectory, height: float) -> None:
     # after a contact must remove them.
     ended = np.append(False, in_contact[:-1]) & ~in_contact
     rows = np.flatnonzero(in_contact | ended)
-    origins = _at_height(run.position[rows][touched[rows]], height)
-    vectors = _at_height(METRES_PER_NEWTON * force[rows][touched[rows]], 0.0)
+    origins = at_height(run.position[rows][touched[rows]], height)
+    vectors = at_height(METRES_PER_NEWTON * force[rows][touched[rows]], 0.0)
     look = rr.Arrows3D.from_fields(colors=[rgb(FORCE_COLOR)], radii=[_FORCE_RADIUS_M])
     to.static("contact", look)
     arrows = rr.Arrows3D.columns(origins=origins, vectors=vectors)
@@ -211,7 +211,7 @@ def send_snake(
 def _send_tracks(to: Entities, snake: Trajectory, style: Style) -> None:
     places = snake.position[snake.stack("load") > 0.0]
     step = max(1, math.ceil(len(places) / _MAX_TRACKS))
-    points = _at_height(places[::step], _LINE_HEIGHT_M)
+    points = at_height(places[::step], _LINE_HEIGHT_M)
     tracks = rr.Points3D(points, colors=[style.rgb], radii=[_FORCE_RADIUS_M])
     to.static("tracks", tracks)
 
@@ -282,9 +282,14 @@ def _send_connectors(
 ) -> None:
     half = [size / 2 for size in connector_size(geometry)]
     centres = connector_places(snake, geometry).reshape(-1, 3).astype(np.float32)
-    look = {"half_sizes": [half], "colors": colors}
     _send_solids(
-        to, "connectors", rr.Boxes3D, centres, connector_orientations(snake), **look
+        to,
+        "connectors",
+        rr.Boxes3D,
+        centres,
+        connector_orientations(snake),
+        half_sizes=[half],
+        colors=colors,
     )
 
 
@@ -293,9 +298,16 @@ def _send_wheels(
 ) -> None:
     radius = geometry.wheel_radius
     axle = np.repeat(snake.stack("connector_heading") + np.pi / 2, 2, axis=1)
-    centres = _at_height(wheel_centres(snake, geometry), radius)
-    look = {"lengths": [0.4 * radius], "radii": [radius], "colors": [color]}
-    _send_solids(to, "wheels", rr.Cylinders3D, centres, _yaw_quaternions(axle), **look)
+    _send_solids(
+        to,
+        "wheels",
+        rr.Cylinders3D,
+        at_height(wheel_centres(snake, geometry), radius),
+        _yaw_quaternions(axle),
+        lengths=[0.4 * radius],
+        radii=[radius],
+        colors=[color],
+    )
 
 
 def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
@@ -308,9 +320,15 @@ def _send_spokes(to: Entities, snake: Trajectory, geometry: Geometry) -> None:
     cos = np.cos(turn)
     sin = np.sin(turn)
     rotation = np.stack([-s * sin, c * sin, s * cos, c * cos], axis=-1)
-    centres = _at_height(wheel_centres(snake, geometry), radius)
-    look = {"half_sizes": [half], "colors": [_SPOKE_COLOR]}
-    _send_solids(to, "spokes", rr.Boxes3D, centres, rotation, **look)
+    _send_solids(
+        to,
+        "spokes",
+        rr.Boxes3D,
+        at_height(wheel_centres(snake, geometry), radius),
+        rotation,
+        half_sizes=[half],
+        colors=[_SPOKE_COLOR],
+    )
 
 
 def _send_solids(
@@ -331,23 +349,24 @@ def _send_solids(
 def _send_trail(to: Entities, snake: Trajectory, style: Style) -> None:
     before = np.concatenate([snake.com[:1], snake.com[:-1]])
     ends = np.stack([before, snake.com], axis=1)
-    strips = _at_height(ends, 0.002).reshape(-1, 2, 3)
+    strips = at_height(ends, 0.002).reshape(-1, 2, 3)
     to.static("trail", rr.LineStrips3D.from_fields(colors=[style.rgb], radii=[0.002]))
     to.send("trail", rr.LineStrips3D.columns(strips=strips))
     to.static("com", rr.Points3D.from_fields(colors=[style.rgb], radii=[0.004]))
-    to.send("com", rr.Points3D.columns(positions=_at_height(snake.com, 0.003)))
+    to.send("com", rr.Points3D.columns(positions=at_height(snake.com, 0.003)))
 
 
 def send_lines(to: Entities, lines: Iterable[FloorLine]) -> None:
     """Log lines on the floor."""
     for line in lines:
-        strips = [_at_height(strip, _LINE_HEIGHT_M) for strip in line.strips]
+        strips = [at_height(strip, _LINE_HEIGHT_M) for strip in line.strips]
         colors = [rgb(line.color)]
         shape = rr.LineStrips3D(strips, colors=colors, radii=[line.radius])
         to.static(line.name, shape)
 
 
-def _at_height(points: np.ndarray, height: float) -> np.ndarray:
+def at_height(points: np.ndarray, height: float) -> np.ndarray:
+    """Add a height (m) to points of shape (…, 2). The result has shape (n, 3)."""
     flat = points.reshape(-1, 2)
     return np.column_stack([flat, np.full(len(flat), height)]).astype(np.float32)
 

@@ -77,7 +77,7 @@ def open_recording(path: str | Path) -> None:
         )
     # The default address would accept connections from the network.
     exit_code = subprocess.run(
-        [program, "--bind", "127.0.0.1", recording], check=False
+        [program, "--bind", HOST, recording], check=False
     ).returncode
     if exit_code > 0:
         raise InputError(
@@ -211,7 +211,7 @@ def serve_recordings(
         server,
         running_rerun("--serve-web", *ports, *map(str, recordings)) as (rerun, output),
     ):
-        if not is_served(rerun, [f"{upstream}/"], _START_TIMEOUT_S):
+        if not is_served(rerun, f"{upstream}/"):
             raise InputError(
                 f"Rerun does not serve the web viewer: {output_lines(output)[-1]}"
             )
@@ -268,17 +268,13 @@ def _opener() -> urllib.request.OpenerDirector:
     return urllib.request.build_opener(urllib.request.ProxyHandler({}))
 
 
-def is_served(
-    server: subprocess.Popen[bytes], addresses: Sequence[str], timeout_s: float
-) -> bool:
-    """Wait for all addresses to respond, and return whether they did in time."""
-    deadline = time.monotonic() + timeout_s
+def is_served(server: Rerun, address: str) -> bool:
+    """Wait for an address to respond, and return whether it did in time."""
+    head = urllib.request.Request(address, method="HEAD")
+    deadline = time.monotonic() + _START_TIMEOUT_S
     while server.poll() is None and time.monotonic() < deadline:
         try:
-            for address in addresses:
-                _opener().open(
-                    urllib.request.Request(address, method="HEAD"), timeout=2.0
-                ).close()
+            _opener().open(head, timeout=2.0).close()
             return True
         except (urllib.error.URLError, OSError):
             time.sleep(0.1)
