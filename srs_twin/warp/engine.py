@@ -218,7 +218,6 @@ class DeviceEngine:
         k = self._kernels
         structs = self.structs
         data = self.data
-        accumulators = structs["accumulators"]
         chambers = structs["chambers"]
         if gait:
             valves = k.set_gait, self.count, structs["wave"]
@@ -227,7 +226,10 @@ class DeviceEngine:
         self._start(*valves, self._valves, axes=2)
         self._start(
             k.advance_chambers,
-            *(structs["relaxation"], chambers, self._valves, data.ctrl),
+            structs["relaxation"],
+            chambers,
+            self._valves,
+            data.ctrl,
             axes=2,
         )
         if self.loaded:
@@ -236,9 +238,15 @@ class DeviceEngine:
             mjw.step(self._model, data)
         self._start(
             k.accumulate,
-            *(self.count, data.sensordata, structs["addresses"]),
-            *(accumulators, chambers, data.qvel, self._damping),
-            *(self._energy_loss, self._internal_loss),
+            self.count,
+            data.sensordata,
+            structs["addresses"],
+            structs["accumulators"],
+            chambers,
+            data.qvel,
+            self._damping,
+            self._energy_loss,
+            self._internal_loss,
         )
 
     def _step_loaded_bodies(self) -> None:

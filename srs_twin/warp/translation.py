@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 import linecache
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from types import FunctionType
 from typing import Any, NamedTuple
 
@@ -18,8 +18,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from srs_twin.plants.twin import friction_solve, spatial_algebra, stick_slip
-from srs_twin.pneumatics import chambers, lag
+from srs_twin.plants.twin import friction_solve, stick_slip
 
 _TOLERANCES = {
     "_RIM_TOLERANCE": 1e-6,  # Relative tolerance of the rim speed (`stick_slip`).
@@ -30,66 +29,36 @@ _TOLERANCES = {
 
 
 def as_warp_functions(
-    functions: Sequence[Callable[..., object]], **translated: wp.Function
+    functions: Iterable[Callable[..., object]], **translated: wp.Function
 ) -> dict[str, wp.Function]:
-    """Translate functions to Warp, and return all Warp functions keyed by name.
+    """Translate functions and their callees, and return Warp functions keyed by name.
 
     Args:
-        functions: functions to translate, which may be compiled by Numba. Callees must
-            precede their callers.
-        **translated: Warp functions that the functions may call, keyed by name.
+        functions: functions to translate, which may be compiled by Numba.
+        **translated: Warp functions that replace callees, keyed by name.
     """
     namespace: dict[str, Any] = _TOLERANCES | {"Traction": _TRACTION} | translated
     for function in functions:
-        plain = getattr(function, "py_func", function)
-        copy = FunctionType(
-            plain.__code__, {**plain.__globals__, **namespace}, plain.__name__
-        )
-        copy.__module__ = plain.__module__
-        copy.__qualname__ = f"warp_{plain.__name__}"
-        copy.__annotations__ = dict.fromkeys(inspect.signature(plain).parameters, Any)
-        namespace[plain.__name__] = wp.func(copy)
+        _translate(function, namespace)
     return namespace
 
 
-_SPATIAL_ALGEBRA = (
-    "clear",
-    "add_product",
-    "dot",
-    "inner",
-    "point_jacobian",
-    "spatial_velocities",
-    "project",
-    "project_jacobian",
-    "factor",
-    "substitute",
-)
+def _translate(function: Any, namespace: dict[str, Any]) -> None:
+    """Add the Warp versions of a function and of its callees to a namespace."""
+    plain = getattr(function, "py_func", function)
+    for name in plain.__code__.co_names:
+        callee = plain.__globals__.get(name)
+        is_function = isinstance(getattr(callee, "py_func", callee), FunctionType)
+        if is_function and name not in namespace:
+            _translate(callee, namespace)
+    copy = FunctionType(
+        plain.__code__, {**plain.__globals__, **namespace}, plain.__name__
+    )
+    copy.__module__ = plain.__module__
+    copy.__qualname__ = f"warp_{plain.__name__}"
+    copy.__annotations__ = dict.fromkeys(inspect.signature(plain).parameters, Any)
+    namespace[plain.__name__] = wp.func(copy)
 
-_FRICTION_SOLVE = (
-    "solve_direction_portably",
-    "_locate_wheels",
-    "_read_normal_forces",
-    "_generalised_forces",
-    "_contact_velocity",
-    "_friction_load",
-    "_evaluation_fraction",
-    "_friction_law",
-    "_evaluate_friction",
-    "_sum_impulses",
-    "_evaluate_residual",
-    "_assemble",
-    "_line_search",
-)
-"""First functions of `friction_solve` to translate, with callees before callers."""
-
-_FRICTION_STEP = (
-    "_newton",
-    "apply_stored_friction",
-    "set_mid_velocity",
-    "solve_friction",
-    "store_friction",
-)
-"""Remaining functions of `friction_solve` to translate, with callees before callers."""
 
 _OBJECT_FUNCTIONS = (
     "apply_object_friction",
@@ -106,28 +75,20 @@ def _no_objects(engine, sparsity, workspace, h):  # type: ignore[no-untyped-def]
 
 
 def warp_functions() -> dict[str, wp.Function]:
-    """Return the Warp versions of the chamber and friction functions, keyed by name."""
-    functions = as_warp_functions(
-        [
-            stick_slip.stick_slip_friction,
-            stick_slip.skin_friction,
-            stick_slip.rolling_friction,
-            stick_slip.axis_friction,
-            chambers.volume,
-            chambers.log_cosh,
-            chambers.apply_bend_law,
-            lag.advance_segment,
-            lag.filling_content,
-            *(getattr(spatial_algebra, name) for name in _SPATIAL_ALGEBRA),
-        ]
-    )
+    """Return the Warp versions of the friction functions, keyed by name."""
     no_objects = as_warp_functions([_no_objects])["_no_objects"]
-    functions |= dict.fromkeys(_OBJECT_FUNCTIONS, no_objects)
-    solve = [getattr(friction_solve, name) for name in _FRICTION_SOLVE]
-    functions = as_warp_functions(solve, **functions)
+    functions = as_warp_functions(
+        [friction_solve.solve_direction_portably],
+        **dict.fromkeys(_OBJECT_FUNCTIONS, no_objects),
+    )
     # The CPU version calls C functions of MuJoCo, which Warp cannot call.
     functions["_solve_direction"] = functions["solve_direction_portably"]
-    step = [getattr(friction_solve, name) for name in _FRICTION_STEP]
+    step = (
+        friction_solve.apply_stored_friction,
+        friction_solve.set_mid_velocity,
+        friction_solve.solve_friction,
+        friction_solve.store_friction,
+    )
     return as_warp_functions(step, **functions)
 
 
