@@ -60,44 +60,22 @@ Journals and recordings are kept, because their names are numbered.
 _MOST_ROWS = 1_000_000
 
 
-class EstimateTable:
-    """Time series of estimates with standard deviations."""
+def estimate_row(time: float, e: Estimate) -> np.ndarray:
+    """Return an estimate and its time (s) as a row of `estimates_over_time`."""
+    return np.concatenate(
+        [[time], e.pose, e.pose_sd, e.bend, e.bend_sd, [bool(e.lost)]]
+    )
 
-    def __init__(self, spec: RobotSpec) -> None:
-        self._spec = spec
-        self._rows = list[np.ndarray]()
 
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def add(self, time: float, e: Estimate) -> None:
-        """Add an estimate and its time since the start of the session (s)."""
-        self._rows.append(
-            np.concatenate(
-                [[time], e.pose, e.pose_sd, e.bend, e.bend_sd, [bool(e.lost)]]
-            )
-        )
-        del self._rows[:-_MOST_ROWS]
-
-    def trajectory(self) -> Trajectory:
-        """Return the table as a trajectory."""
-        segments = range(1, self._spec.segments + 1)
-        units = {"com_x_sd": "m", "com_y_sd": "m", "heading_sd": "rad"}
-        units |= {f"bend_sd_{j}": "rad" for j in segments}
-        names = [
-            "time",
-            "com_x",
-            "com_y",
-            "heading",
-            "com_x_sd",
-            "com_y_sd",
-            "heading_sd",
-            *(f"bend_{j}" for j in segments),
-            *(f"bend_sd_{j}" for j in segments),
-            "lost",
-        ]
-        columns = dict(zip(names, np.array(self._rows).T, strict=True))
-        return Trajectory(columns, units, metadata={"robot": self._spec.name})
+def estimates_over_time(rows: Iterable[np.ndarray], spec: RobotSpec) -> Trajectory:
+    """Return the time series of estimates with standard deviations."""
+    segments = range(1, spec.segments + 1)
+    units = {"com_x_sd": "m", "com_y_sd": "m", "heading_sd": "rad"}
+    names = ["time", "com_x", "com_y", "heading", *units]
+    names += [f"{name}_{j}" for name in ("bend", "bend_sd") for j in segments]
+    units |= {f"bend_sd_{j}": "rad" for j in segments}
+    columns = dict(zip([*names, "lost"], np.stack([*rows], axis=1), strict=True))
+    return Trajectory(columns, units, metadata={"robot": spec.name})
 
 
 def summary(
@@ -144,21 +122,21 @@ def summary(
 
 
 def write_results(
-    folder: Path, found: Mapping[str, object], table: EstimateTable
+    folder: Path, found: Mapping[str, object], estimates: Trajectory | None
 ) -> None:
-    """Write the summary and the table of estimates to a folder."""
+    """Write the summary and the time series of estimates to a folder."""
     with replace_files(folder, (SUMMARY, ESTIMATE)) as fresh:
-        if len(table):
-            table.trajectory().to_parquet(fresh / ESTIMATE)
+        if estimates is not None:
+            estimates.to_parquet(fresh / ESTIMATE)
         (fresh / SUMMARY).write_text(
             json.dumps(found, indent=1, allow_nan=False) + "\n", "utf-8"
         )
 
 
 def _quantiles_ms(durations: Collection[float]) -> dict[str, float | None]:
-    if not durations:
-        return {"median": None, "p99": None}
-    median, p99 = np.quantile(np.array(durations) * 1e3, [0.5, 0.99]).tolist()
+    median = p99 = None
+    if durations:
+        median, p99 = np.quantile(np.array(durations) * 1e3, [0.5, 0.99]).tolist()
     return {"median": median, "p99": p99}
 
 
@@ -220,22 +198,6 @@ def warm_up(spec: RobotSpec) -> None:
         messages.append(Message(POSES, "cameras", now, now, rows, names))
         shadow.update(now, messages)
     shadow.predict()
-
-
-class PeriodicTimer:
-    """Timer that shows when periodic work is due."""
-
-    def __init__(self, seconds: float) -> None:
-        """Create a timer that starts at the first call of `is_over`."""
-        self._seconds = seconds
-        self._next = math.inf
-
-    def is_over(self, now: float) -> bool:
-        """Return whether the work is due at a time (s), and restart the timer if so."""
-        over = now >= self._next
-        if over or math.isinf(self._next):
-            self._next = now + self._seconds
-        return over
 
 
 def _restore(shadow: Shadow, path: Path) -> bool:
@@ -314,14 +276,12 @@ class Session:
         self.latency = deque[float](maxlen=_KEPT)
         self.lag = 0.0
         self.view_s = 0.0
-        self._table = EstimateTable(shadow.spec)
+        self._rows = deque[np.ndarray](maxlen=_MOST_ROWS)
         self._prediction: Prediction | None = None
         self._start = 0.0
         self._stopped = False
         self._slow = False
-        self._intervals = {
-            work: PeriodicTimer(seconds) for work, seconds in INTERVALS_S.items()
-        }
+        self._next_times = dict.fromkeys(INTERVALS_S, math.inf)
         self._skipped = 0.0
         self._behind = 0.0
         self._uncertain: set[str] = set()
@@ -367,11 +327,11 @@ class Session:
             self._tick(clock(), tick - self._start)
             self._collect()
             self._submit(tick)
-            if self.estimate is not None and self._intervals["view"].is_over(tick):
+            if self.estimate is not None and self._is_due("view", tick):
                 self._show(self.estimate)
             self.ticks.append(time.monotonic() - tick)
             done += 1
-            if self._intervals["watch"].is_over(tick):
+            if self._is_due("watch", tick):
                 self._watch()
                 self._report_senders()
             left = start + done * TICK_S - time.monotonic()
@@ -380,20 +340,29 @@ class Session:
             elif left < -_RESTART_S:
                 start = time.monotonic() - done * TICK_S
 
+    def _is_due(self, work: str, now: float) -> bool:
+        """Return whether periodic work is due at a time (s), and restart its timer.
+
+        The timer starts at the first call.
+        """
+        is_due = now >= self._next_times[work]
+        if is_due or math.isinf(self._next_times[work]):
+            self._next_times[work] = now + INTERVALS_S[work]
+        return is_due
+
     def _submit(self, now: float) -> None:
-        intervals = self._intervals
         # No predictions are computed while the machine is too slow for all messages.
         can_predict = (
             self.estimate is not None and self._predicting is None and not self._behind
         )
-        if can_predict and intervals["predict"].is_over(now):
+        if can_predict and self._is_due("predict", now):
             self._predicting = self._pool.submit(self.shadow.prediction_task())
-        if self._journal is not None and intervals["flush"].is_over(now):
+        if self._journal is not None and self._is_due("flush", now):
             self._journal.flush()
         if self._out is None or self._saving is not None:
             return
         is_first = not self.ticks
-        if intervals["save"].is_over(now) or is_first:
+        if self._is_due("save", now) or is_first:
             # This thread copies the state, and another thread writes the file.
             save = self.shadow.save().write
             self._saving = self._pool.submit(save, self._out / STATE)
@@ -482,12 +451,11 @@ class Session:
     def _tick(self, now: float, since: float) -> None:
         if math.isnan(now):
             return
-        messages = self._receive()
+        messages = self._received()
         if self._commands is not None:  # Control words in journals are ignored.
             sent = [message.names[0] for message in messages if message.kind == CONTROL]
             for word in [*self._keys(), *sent]:
                 self._obey(word)
-        self._record(messages)
         if self._stopped:
             return
         # All messages of a replayed journal are processed, even if the playback is
@@ -505,17 +473,17 @@ class Session:
         if estimate is not None:
             for fault in estimate.faults:
                 self.faults.setdefault((fault.part, fault.name), since)
-            self._table.add(since, estimate)
+            self._rows.append(estimate_row(since, estimate))
         if self._commands is not None:
             self._send(self._commands, now)
 
-    def _receive(self) -> list[Message]:
-        return [message for link in self._links for message in link.received()]
-
-    def _record(self, messages: Iterable[Message]) -> None:
+    def _received(self) -> list[Message]:
+        """Return the received messages, which are also written to the journal."""
+        messages = [message for link in self._links for message in link.received()]
         if self._journal is not None:
             for message in messages:
                 self._journal.write(message)
+        return messages
 
     def _send(self, link: MqttLink, now: float) -> None:
         contact = self.shadow.contact.estimate
@@ -563,12 +531,12 @@ class Session:
         if self._commands is not None and self._steering is not None:
             text = "stopped"
             if error is not None:
-                text = f"stopped: {type(error).__name__}"
+                text += f": {type(error).__name__}"
             self._commands.send(STATUS, text, wait_s=_GOODBYE_S)
 
     def _close_journal(self) -> None:
         if self._journal is not None:
-            self._record(self._receive())
+            self._received()
             self._journal.close()
 
     def _summarise(self, seconds: float, error: BaseException | None) -> None:
@@ -596,4 +564,7 @@ class Session:
         self._collect()
         self._summary["problems"] = self.problems
         if self._out is not None:
-            write_results(self._out, self._summary, self._table)
+            estimates = None
+            if self._rows:
+                estimates = estimates_over_time(self._rows, self.shadow.spec)
+            write_results(self._out, self._summary, estimates)
