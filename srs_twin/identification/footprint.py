@@ -283,11 +283,13 @@ class FootprintStudy:
             self.setup.make_controller(offset)
         listed = ", ".join(f"{offset:g}" for offset in self.offsets) or "(none)"
         message = f"offsets {listed} are not allowed"
-        if not all(b > a for a, b in zip(self.offsets, self.offsets[1:], strict=False)):
+        if not all(a < b for a, b in itertools.pairwise(self.offsets)):
             raise InputError(f"{message}; give each offset once, in ascending order")
-        both_sides = self.offsets and self.offsets[0] < 0 < self.offsets[-1]
         fewest, most = _OFFSETS
-        if not (both_sides and fewest <= len(self.offsets) <= most):
+        if not (
+            fewest <= len(self.offsets) <= most
+            and self.offsets[0] < 0 < self.offsets[-1]
+        ):
             raise InputError(
                 f"{message}; a planner needs between {fewest} and {most} offsets, some"
                 " below 0 and some above 0"
@@ -341,31 +343,22 @@ class FootprintStudy:
             for time in times
         ]
 
-        def count(done: int) -> None:
-            progress(done, self.runs)
-
-        runs = self._run(jobs, threads, count)
-        repeats = iter(
-            [runs[k : k + self.phases] for k in range(0, len(runs), self.phases)]
-        )
+        runs = iter(self._run(jobs, threads, progress))
         paths = {}
-        spreads = []
-        for offset, repeat in zip(self.offsets, repeats, strict=False):
-            with named_in_errors(f"offset {offset:g}"):
-                path, spread = average_repeats(
-                    [steady_path(setup, run, self.periods) for run in repeat]
+        spreads = {}
+        for offset in self.offsets:
+            with named_in_errors(_name_of((offset,))):
+                paths[offset], spreads[offset] = average_repeats(
+                    [steady_path(setup, run, self.periods) for run in next(runs)]
                 )
-            paths[offset] = path
-            spreads.append(spread)
         transients = [
-            self._transient(change, times, repeat, paths)
-            for change, repeat in zip(self.changes, repeats, strict=True)
+            self._transient(change, times, next(runs), paths) for change in self.changes
         ]
         return FootprintMeasurement(
             setup,
             self.offsets,
             tuple(paths.values()),
-            tuple(spreads),
+            tuple(spreads.values()),
             tuple(transients),
             self.phases,
             self.periods,
@@ -375,15 +368,20 @@ class FootprintStudy:
         self,
         jobs: Sequence[Job],
         threads: int | None,
-        progress: Callable[[int], None],
-    ) -> list[Trajectory]:
-        runs = []
-        for k, run in enumerate(run_many(jobs, threads=threads, progress=progress)):
+        progress: Callable[[int, int], object],
+    ) -> list[list[Trajectory]]:
+        """Return the repeated simulations of each offset and of each change."""
+        offsets = [*((offset,) for offset in self.offsets), *self.changes]
+        repeats: list[list[Trajectory]] = [[] for _ in offsets]
+        done = run_many(
+            jobs, threads=threads, progress=lambda count: progress(count, self.runs)
+        )
+        for k, run in enumerate(done):
             if isinstance(run, DivergedError):
-                run.args = (f"{self._job_name(k // self.phases)}: {run}",)
+                run.args = (f"{_name_of(offsets[k // self.phases])}: {run}",)
                 raise run
-            runs.append(run)
-        return runs
+            repeats[k // self.phases].append(run)
+        return repeats
 
     def _transient(
         self,
@@ -393,7 +391,7 @@ class FootprintStudy:
         paths: Mapping[float, SteadyPath],
     ) -> Transient:
         before, after = change
-        with named_in_errors(f"offset {before:g} to {after:g}"):
+        with named_in_errors(_name_of(change)):
             transients = [
                 measure_transient(
                     run,
@@ -406,10 +404,9 @@ class FootprintStudy:
             ]
             return combine_transients(transients)
 
-    def _job_name(self, number: int) -> str:
-        if number < len(self.offsets):
-            return f"offset {self.offsets[number]:g}"
-        return "offset {:g} to {:g}".format(*self.changes[number - len(self.offsets)])
+
+def _name_of(offsets: Sequence[float]) -> str:
+    return f"offset {' to '.join(f'{offset:g}' for offset in offsets)}"
 
 
 def steady_path(setup: GaitSetup, run: Trajectory, periods: int) -> SteadyPath:

@@ -53,8 +53,9 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
     setup = measured.setup
     paths = measured.steady
     phases = f"{measured.repeats} gait phases"
+    plant = _plant_text(setup)
     source = (
-        f"measured on {_plant_text(setup)} by `srs-twin calibrate footprint`, over"
+        f"measured on {plant} by `srs-twin calibrate footprint`, over"
         f" {measured.periods} gait periods from each of {phases}"
     )
     edge = "as curvature_per_m; maximum over all runs"
@@ -69,7 +70,7 @@ def footprint_file(measured: FootprintMeasurement, name: str) -> FootprintFile:
         "name": name,
         "title": (
             f"{setup.spec.title.split(':')[0]}, {setup.frequency:g} Hz, "
-            f"{setup.supply_pa / 1000:.4g} kPa, as measured on {_plant_text(setup)}"
+            f"{setup.supply_pa / 1000:.4g} kPa, as measured on {plant}"
         ),
         "robot": setup.spec.name,
         "contact": setup.twin_contact,
@@ -196,10 +197,10 @@ def calibrate_command(study: FootprintStudy, robot: str, name: str) -> str:
     ]
     if setup.controller == "ilc":
         words.append(f"--target {setup.target:g}")
-    if setup.plant != "twin":
-        words.append(f"--plant {setup.plant}")
-    else:
+    if setup.plant == "twin":
         words.append(f"--contact {setup.twin_contact}")
+    else:
+        words.append(f"--plant {setup.plant}")
     if setup.chambers != "lag":
         words.append(f"--chambers {setup.chambers}")
     if study.offsets != setup.offsets:
@@ -214,9 +215,7 @@ def header_lines(
     study: FootprintStudy, robot: str, name: str, versions: Mapping[str, str]
 ) -> list[str]:
     """Return the comment lines at the start of a footprint file."""
-    with_versions = ", ".join(
-        f"{package} {version}" for package, version in versions.items()
-    )
+    with_versions = ", ".join(map(" ".join, versions.items()))
     return [*_identity(study, robot, name), f"with: {with_versions}"]
 
 
@@ -229,11 +228,10 @@ def robot_hash(spec: RobotSpec) -> str:
     def non_defaults(section: object) -> object:
         if not is_dataclass(section):
             return section
-        values = {field: getattr(section, field.name) for field in fields(section)}
         return {
             field.name: non_defaults(value)
-            for field, value in values.items()
-            if value != field.default
+            for field in fields(section)
+            if (value := getattr(section, field.name)) != field.default
         }
 
     return hashlib.sha256(repr(non_defaults(spec)).encode()).hexdigest()
@@ -272,11 +270,9 @@ def _change_entry(transient: Transient) -> dict[str, float]:
 
 
 def _plant_text(setup: GaitSetup) -> str:
-    if not isinstance(setup.plant, str):
+    if callable(setup.plant):
         return "a custom plant"
-    named = {"twin": "the twin", "analytical": "the analytical model compliant"}[
-        setup.plant
-    ]
-    if setup.chambers == "lag":
-        return named
-    return f"{named} with {setup.chambers} chambers"
+    text = "the twin" if setup.plant == "twin" else "the analytical model compliant"
+    if setup.chambers != "lag":
+        text += f" with {setup.chambers} chambers"
+    return text

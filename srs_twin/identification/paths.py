@@ -25,7 +25,7 @@ the run, the tolerance is at least twice this variation.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 
@@ -125,15 +125,11 @@ def period_averaged_path(
     corrected for this distance.
     """
     mean, velocity = window.running_mean(trajectory, trajectory.com)
-    turn = (
-        float(window.running_mean(trajectory, trajectory["heading"])[1].mean())
-        * window.period
-    )
+    _, turn_rate = window.running_mean(trajectory, trajectory["heading"])
     chord = (velocity[:, 0] + 1j * velocity[:, 1]) * window.period
-    half = turn / 2
-    if abs(half) < _SMALL_TURN_RAD:
-        inside = half / 12
-    else:
+    half = float(turn_rate.mean()) * window.period / 2
+    inside = half / 12
+    if abs(half) >= _SMALL_TURN_RAD:
         inside = (1 - np.sinc(half / np.pi)) / (2 * np.sin(half))
     place = mean[:, 0] + 1j * mean[:, 1] - 1j * inside * chord
     times = window.times(window.periods - 1) + window.period / 2
@@ -185,22 +181,13 @@ class SteadyPath:
         begin = poses.compose(
             Poses.arc(curvature, speed * (window.start - times))
         ).mean()
-        in_window = (trajectory.time >= window.start - 1e-9) & (
-            trajectory.time <= window.end + 1e-9
-        )
-        on_arc = begin.compose(
-            Poses.arc(curvature, speed * (trajectory.time[in_window] - window.start))
-        )
-        along, left = on_arc.coordinates(
-            body_sides(trajectory, geometry)[in_window], curvature
-        )
+        run = trajectory.between(window.start, window.end)
+        on_arc = begin.compose(Poses.arc(curvature, speed * (run.time - window.start)))
+        along, left = on_arc.coordinates(body_sides(run, geometry), curvature)
         # Head and tail are modelled as discs, as in the collision geometry of the twin.
-        ends, offset = on_arc.coordinates(
-            trajectory.position[in_window][:, [0, -1]], curvature
-        )
-        extent = (
-            geometry.width / 2 / (1 - curvature * offset)
-        )  # half the width of a disc, projected onto the arc
+        ends, offset = on_arc.coordinates(run.position[:, [0, -1]], curvature)
+        # The radius of a disc is projected onto the arc.
+        extent = geometry.width / 2 / (1 - curvature * offset)
         if abs(curvature) > _STRAIGHT_PER_M:
             extent = np.arcsin(curvature * extent) / curvature
         ahead = max(along.max(), (ends + extent).max())
@@ -217,12 +204,10 @@ def average_repeats(repeats: Sequence[SteadyPath]) -> tuple[SteadyPath, SteadyPa
     measurements.
     """
     values = np.array([astuple(repeat) for repeat in repeats])
-    names = [field.name for field in fields(SteadyPath)]
-    is_mean = [name in ("speed", "curvature") for name in names]
+    is_mean = [field.name in ("speed", "curvature") for field in fields(SteadyPath)]
     combined = np.where(is_mean, values.mean(axis=0), values.max(axis=0))
-    return SteadyPath(*combined.tolist()), SteadyPath(
-        *(np.ptp(values, axis=0) / 2).tolist()
-    )
+    spread = np.ptp(values, axis=0) / 2
+    return SteadyPath(*combined.tolist()), SteadyPath(*spread.tolist())
 
 
 BothPaths = tuple[SteadyPath, SteadyPath]
@@ -298,19 +283,20 @@ def _excess(
     Within one body length of the change, the area swept along the old arc is excluded.
     """
     before, after = paths
-    during = (trajectory.time >= time - 1e-9) & (trajectory.time <= settled + 1e-9)
-    body = body_sides(trajectory, geometry)[during]
-    distance = after.speed * (trajectory.time[during] - time)
+    run = trajectory.between(time, settled)
+    body = body_sides(run, geometry)
+    distance = after.speed * (run.time - time)
     _, left = begin.compose(Poses.arc(after.curvature, distance)).coordinates(
         body, after.curvature
     )
     along, offset = begin.coordinates(body, before.curvature)
     swept = (offset <= before.left) & (offset >= -before.right)
     swept &= (along <= before.ahead) & (along >= -before.ahead - before.behind)
-    outside = [np.where(swept, 0.0, left - after.left).max()]
-    outside.append(np.where(swept, 0.0, -left - after.right).max())
-    left_excess, right_excess = (max(float(distance), 0.0) for distance in outside)
-    return left_excess, right_excess
+    outside = ~swept
+    return (
+        float(np.max(left - after.left, initial=0.0, where=outside)),
+        float(np.max(-left - after.right, initial=0.0, where=outside)),
+    )
 
 
 def _settling_time(
@@ -342,15 +328,16 @@ def combine_transients(repeats: Sequence[Transient]) -> Transient:
     The displacements are averaged. The widths and the length are the maxima over all
     measurements.
     """
-    first = repeats[0]
-    left, right, length = (
-        max(getattr(t, name) for t in repeats) for name in ("left", "right", "length")
+    turn = np.angle(np.mean([np.exp(1j * t.dheading) for t in repeats]))
+    return replace(
+        repeats[0],
+        left=max(t.left for t in repeats),
+        right=max(t.right for t in repeats),
+        length=max(t.length for t in repeats),
+        dx=float(np.mean([t.dx for t in repeats])),
+        dy=float(np.mean([t.dy for t in repeats])),
+        dheading=float(turn),
     )
-    dx, dy = (
-        float(np.mean([getattr(t, name) for t in repeats])) for name in ("dx", "dy")
-    )
-    turn = float(np.angle(np.mean([np.exp(1j * t.dheading) for t in repeats])))
-    return Transient(first.before, first.after, left, right, length, dx, dy, turn)
 
 
 def _extrapolate(
