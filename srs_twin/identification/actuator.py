@@ -90,8 +90,7 @@ class Response:
         """Create a response from a recording and its valve or pressure log."""
         trajectory = recording.trajectory
         log = log_of(recording, name)
-        about = trajectory.metadata.get("valve_log")
-        is_estimated = isinstance(about, Mapping) and about.get("offset_estimated")
+        about = trajectory.metadata.get("valve_log", {})
         bend = measured_bends(recording)
         drive: Schedule | ValveLog
         if log.kind == "valve":
@@ -105,7 +104,7 @@ class Response:
             supply_pa,
             trajectory.time - log.time[0],
             bend,
-            clock_known=not is_estimated,
+            clock_known=not about.get("offset_estimated"),
         )
 
     def data_set(self, role: Role) -> DataSet:
@@ -236,11 +235,10 @@ def _response_residuals(
     bend, pressure = predict_response(response, spec, clock)
     yield from bend_residuals(response.name, response.bend - bend, role, math.nan)
     if response.pressure is not None and pressure is not None:
-        difference = response.pressure - pressure
         for j, k in np.ndindex(spec.segments, len(SIDES)):
             signal = f"{response.name} pressure_{SIDES[k]}_{j + 1}"
-            values = difference[:, j, k]
-            yield Residual(signal, "Pa", values, _PRESSURE_NOISE_PA, role)
+            difference = (response.pressure - pressure)[:, j, k]
+            yield Residual(signal, "Pa", difference, _PRESSURE_NOISE_PA, role)
 
 
 def bend_residuals(

@@ -147,17 +147,16 @@ class HangingBody:
     def segment(self, spec: RobotSpec, encloses_air: bool) -> HangingSegment:
         """Return the first segment of a robot with this body attached to its end."""
         g = spec.geometry
-        chamber = spec.chamber
-        plus, minus = (float(gain) for gain in chamber_gains(spec)[0])
-        air = (
-            plus,
-            minus,
-            bend_law_of(spec),
-            chamber.dead_volume,
-            chamber.displacement,
-        )
         return HangingSegment(
-            g.segment_length, g.rigid_gap, self.mass, self.inertia, *air, encloses_air
+            g.segment_length,
+            g.rigid_gap,
+            self.mass,
+            self.inertia,
+            *chamber_gains(spec)[0].tolist(),
+            bend_law_of(spec),
+            spec.chamber.dead_volume,
+            spec.chamber.displacement,
+            encloses_air,
         )
 
 
@@ -233,18 +232,16 @@ class _DampingFit:
         self.encloses_air = closed and decays[0].pressure is None
         self.segment = body.segment(spec, self.encloses_air)
         self.free_leak = self.encloses_air and leak is None
-        self.calm: list[int] = []
-        if self.encloses_air:
-            self.calm = [calm_samples(decay) for decay in decays]
+        self.calm = [calm_samples(decay) for decay in decays if self.encloses_air]
         self.grids = [_grid(decay) for decay in decays]
         self.air = [
             _measured_air(decay, spec, grid)
             for decay, grid in zip(decays, self.grids, strict=True)
         ]
         self.values = self._first_values()
-        self.values["leak"] = _FIRST_LEAK if leak is None else leak
-        if not self.encloses_air:
-            self.values["leak"] = 0.0
+        self.values["leak"] = 0.0
+        if self.encloses_air:
+            self.values["leak"] = _FIRST_LEAK if leak is None else leak
 
     def _first_values(self) -> dict[str, float]:
         first = self.decays[0]
@@ -285,11 +282,11 @@ class _DampingFit:
         for k, decay in enumerate(self.decays):
             size = float(np.ptp(decay.bend))
             speed = size * decay.pulsation
-            unknowns.append(free(f"bend_{k}", "rad", (-4.0, 4.0), size))
-            unknowns.append(
-                free(f"rate_{k}", "rad/s", (-20 * speed, 20 * speed), speed)
-            )
-            unknowns.append(free(f"rest_{k}", "rad", (-4.0, 4.0), size))
+            unknowns += [
+                free(f"bend_{k}", "rad", (-4.0, 4.0), size),
+                free(f"rate_{k}", "rad/s", (-20 * speed, 20 * speed), speed),
+                free(f"rest_{k}", "rad", (-4.0, 4.0), size),
+            ]
             for j in range(0 if coarse else len(_CREEP_RATIOS)):
                 unknowns.append(
                     free(f"creep_{j}_{k}", "rad", (-3 * size, 3 * size), size)
@@ -306,7 +303,7 @@ class _DampingFit:
         swings: float = math.inf,
     ) -> FitEstimate:
         """Fit the parameters to the first swings of the recorded or given bends."""
-        fitted = [decay.bend for decay in self.decays] if bends is None else bends
+        fitted = bends or [decay.bend for decay in self.decays]
 
         def residuals(values: Mapping[str, float]) -> list[Residual]:
             result = []
@@ -395,11 +392,10 @@ class _DampingFit:
             rest = rest + values[f"creep_{j}_{k}"] * np.exp(
                 (grid[0] - grid) * decay.pulsation / ratio
             )
-        bend = values[f"bend_{k}"]
         rate = values[f"rate_{k}"]
         if constant_about is not None:
             material, branches, moments = constant_loss(material, constant_about, rate)
-        start = np.concatenate([[bend, rate], air, moments])
+        start = np.concatenate([[values[f"bend_{k}"], rate], air, moments])
         path, end = swing(
             grid, start, rest, decay.pulsation, material, self.segment, branches
         )
@@ -445,11 +441,8 @@ def _grid(decay: Decay) -> np.ndarray:
     if decay.pressure is None:
         return decay.time
     samples = np.arange(len(decay.time))
-    return np.asarray(
-        np.interp(
-            np.arange(len(samples) * _UPSAMPLING) / _UPSAMPLING, samples, decay.time
-        )
-    )
+    fine = np.arange(len(samples) * _UPSAMPLING) / _UPSAMPLING
+    return np.asarray(np.interp(fine, samples, decay.time))
 
 
 def _measured_air(decay: Decay, spec: RobotSpec, grid: np.ndarray) -> np.ndarray:
@@ -481,21 +474,27 @@ def _derived(
         return math.log(getattr(fit.small_swing(estimate.values | dict(changes)), name))
 
     rows = with_value(estimate.parameters)
-    changes = []
-    for parameter in (estimate.parameters[k] for k in rows):
+    row = np.empty(len(rows))
+    for i, k in enumerate(rows):
+        parameter = estimate.parameters[k]
         value = parameter.value or 0.0
         step = _ERROR_STEP * (parameter.standard_error or 0.0)
         up, down = (
             logarithm({parameter.name: value + sign * step}) for sign in (1, -1)
         )
-        changes.append((up - down) / (2 * _ERROR_STEP))
-    row = np.array(changes)
+        row[i] = (up - down) / (2 * _ERROR_STEP)
     variance = float(row @ estimate.correlation[np.ix_(rows, rows)] @ row)
     error = math.hypot(math.sqrt(max(variance, 0.0)), model_error)
     freedom = max(estimate.independent - len(estimate.parameters), 1.0)
     half = half_width(error, freedom)
     value = math.exp(logarithm({}))
     verdict: Verdict = "cannot tell" if estimate.misfit else verdict_on(error, 1.0)
-    low = value * math.exp(-half)
-    high = value * math.exp(half)
-    return Parameter(name, unit, verdict, value, value * error, low, high)
+    return Parameter(
+        name,
+        unit,
+        verdict,
+        value,
+        standard_error=value * error,
+        low=value * math.exp(-half),
+        high=value * math.exp(half),
+    )

@@ -33,6 +33,8 @@ from srs_twin.recordings.signals.units import ANGLES, PRESSURES
 DECAY_COLUMNS = "time_s,bend_rad"
 """Header line of a recording of a free swing."""
 
+_NEEDED = f"a recording of a decay has the columns {DECAY_COLUMNS}"
+
 _MIN_RATE_HZ = 100.0
 _MIN_SAMPLES = 20
 _MIN_SAMPLES_PER_SWING = 5.0
@@ -100,14 +102,10 @@ class Decay:
 
     def first_state(self) -> tuple[float, float]:
         """Return the bend (rad) and bend rate (rad/s) at the first sample."""
-        since = (
-            self.time[self.time <= self.time[0] + 2 * self.half_period] - self.time[0]
-        )
-        phase = self.pulsation * since
+        first = self.time <= self.time[0] + 2 * self.half_period
+        phase = self.pulsation * (self.time[first] - self.time[0])
         sine = np.stack([np.ones_like(phase), np.cos(phase), np.sin(phase)], axis=1)
-        mean, at_start, forward = np.linalg.lstsq(
-            sine, self.bend[: len(since)], rcond=None
-        )[0]
+        mean, at_start, forward = np.linalg.lstsq(sine, self.bend[first], rcond=None)[0]
         return float(mean + at_start), float(forward) * self.pulsation
 
     def text(self) -> str:
@@ -143,11 +141,7 @@ def read_decay(
     file = table.file
     by_name = {column.name: column for column in table.columns if not column.number}
     if "bend" not in by_name:
-        raise file.error(
-            "the column 'bend_rad' is missing; a recording of a decay has the columns"
-            f" {DECAY_COLUMNS}",
-            1,
-        )
+        raise file.error(f"the column 'bend_rad' is missing; {_NEEDED}", 1)
     measured = [name for name in pressures if name in by_name]
     if len(measured) == 1:
         raise file.error(
@@ -155,10 +149,7 @@ def read_decay(
             " chambers, or of none",
             1,
         )
-    clock = table.clock(
-        "the time column is missing; a recording of a decay has the columns"
-        f" {DECAY_COLUMNS}"
-    )
+    clock = table.clock(f"the time column is missing; {_NEEDED}")
     rows = table.read_timed(clock, [by_name[name] for name in ("bend", *measured)])
     known = np.isfinite(rows.values).all(axis=1)
     time = rows.time[known]
@@ -174,9 +165,14 @@ def read_decay(
             f"the recording has {rate:.3g} samples per second, but at least"
             f" {_MIN_RATE_HZ:g} are needed; record faster"
         )
-    pressure = values[:, 1:] if measured else None
     return free_swing(
-        file.name, file.sha256, time, values[:, 0], pressure, start=start, noise=noise
+        file.name,
+        file.sha256,
+        time,
+        values[:, 0],
+        values[:, 1:] if measured else None,
+        start=start,
+        noise=noise,
     )
 
 
@@ -217,7 +213,6 @@ def free_swing(
             f"{name}: the recording has {len(time[used])} samples of free swing, but"
             f" at least {_MIN_SAMPLES} are needed; record longer or faster"
         )
-    used_pressure = None if pressure is None else pressure[used]
     swings = np.abs(np.diff(bend[turns]))
     decrements = np.log(swings[:-1] / swings[1:])
     return Decay(
@@ -225,12 +220,12 @@ def free_swing(
         sha256,
         time[used],
         bend[used],
-        bend[: first + 1],
-        time[: first + 1],
-        used_pressure,
-        noise,
-        half_period,
-        max(float(np.mean(decrements)), _LEAST_DECREMENT),
+        before=bend[: first + 1],
+        before_time=time[: first + 1],
+        pressure=None if pressure is None else pressure[used],
+        noise=noise,
+        half_period=half_period,
+        log_decrement=max(float(np.mean(decrements)), _LEAST_DECREMENT),
     )
 
 

@@ -23,7 +23,7 @@ is 2 % of the speed, of the turning rate and of the bend amplitudes.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,13 +110,8 @@ def _relative_noise(fraction: float) -> Callable[[Array], Array]:
 
 def _measurements(spec: RobotSpec) -> Iterator[CandidateExperiment]:
     def lengths(robot: RobotSpec) -> Array:
-        return np.array(
-            [
-                robot.geometry.segment_length,
-                robot.geometry.rigid_gap,
-                robot.geometry.half_track,
-            ]
-        )
+        g = robot.geometry
+        return np.array([g.segment_length, g.rigid_gap, g.half_track])
 
     yield CandidateExperiment(
         "record markers on the connectors (calibrate locomotion)",
@@ -134,12 +129,8 @@ def _pulls(spec: RobotSpec) -> Iterator[CandidateExperiment]:
         words = f" with {1000 * load:.0f} g on it" if load else ""
 
         def along(robot: RobotSpec, load: float = load) -> Array:
-            return np.array(
-                [
-                    robot.friction.mu_t * (robot.mass.total + load) * GRAVITY
-                    + robot.friction.drag
-                ]
-            )
+            friction = robot.friction.mu_t * (robot.mass.total + load) * GRAVITY
+            return np.array([friction + robot.friction.drag])
 
         def across(robot: RobotSpec, load: float = load) -> Array:
             return np.array([robot.friction.mu_n * (robot.mass.total + load) * GRAVITY])
@@ -295,15 +286,12 @@ def calibrate_design(
     """
     file = load_robot_file(robot)
     fractions = (np.arange(64) + 0.5) / 64
-    has_priors = any(record.uncertain for record in file.records().values())
-    if has_priors:
-        priors = Priors.from_robot(file).parameters
-    else:
-        priors = ()
-    known = {
-        prior.path: (prior.value, float(prior.quantile(fractions).std()))
-        for prior in priors
-    }
+    known = {}
+    if any(record.uncertain for record in file.records().values()):
+        known = {
+            prior.path: (prior.value, float(prior.quantile(fractions).std()))
+            for prior in Priors.from_robot(file).parameters
+        }
     return choose_experiments(file.spec(), known, target_accuracy)
 
 
@@ -326,16 +314,17 @@ def choose_experiments(
     zero_scale = 0.1 * spec.friction.mu_t * spec.mass.total * GRAVITY
     names = list(dict.fromkeys([*targets, *known]))
     unknown = [name for name in names if name not in known]
-    values = {
-        parameter.name: parameter.start for parameter in free_parameters(spec, unknown)
+    believed = {
+        parameter.name: (parameter.start, np.inf)
+        for parameter in free_parameters(spec, unknown)
     }
-    values |= {name: value for name, (value, _) in known.items()}
-    scale = np.array([abs(values[name]) or zero_scale for name in names])
-    deviations = {name: deviation for name, (_, deviation) in known.items()}
-    std = np.array([deviations.get(name, np.inf) for name in names]) / scale
+    believed |= known
+    values = {name: believed[name][0] for name in names}
+    scale = np.array([abs(value) or zero_scale for value in values.values()])
+    std = np.array([believed[name][1] for name in names]) / scale
     information = np.diag(1 / np.minimum(std, _PRIOR_STD) ** 2)
     offered = list(candidates(spec))
-    gains = [_information(each, spec, names, values, scale) for each in offered]
+    gains = [_information(each, spec, values, scale) for each in offered]
     goals = np.array(list(targets.values()))
     units = np.where([values[name] for name in targets], 1.0, zero_scale)
 
@@ -371,7 +360,6 @@ def choose_experiments(
 def _information(
     experiment: CandidateExperiment,
     spec: RobotSpec,
-    names: Sequence[str],
     values: Mapping[str, float],
     scale: Array,
 ) -> Array:
@@ -382,11 +370,11 @@ def _information(
     """
     predicted = experiment.predict(spec)
     columns = []
-    for name, size in zip(names, scale, strict=True):
-        up = values[name] + _STEP * size
-        down = values[name] - _STEP * size if values[name] else 0.0
+    for (name, value), size in zip(values.items(), scale, strict=True):
+        up = value + _STEP * size
+        down = value - _STEP * size if value else 0.0
         ends = [
-            experiment.predict(with_values(spec, {name: value})) for value in (up, down)
+            experiment.predict(with_values(spec, {name: end})) for end in (up, down)
         ]
         columns.append((ends[0] - ends[1]) / ((up - down) / size))
     derivatives = np.stack(columns, axis=1) / experiment.noise(predicted)[:, None]

@@ -108,6 +108,7 @@ def _changes(
     fit: FitFile, used: Sequence[ParameterEntry], changed: Iterable[str]
 ) -> Iterator[tuple[str, str, str]]:
     """Yield name, status and source of each value that differs from the base robot."""
+    held = f"held in fit {fit.name}"
     for parameter in used:
         record = _record_key(parameter.name)
         same_record = [other for other in used if _record_key(other.name) == record]
@@ -116,13 +117,9 @@ def _changes(
     has_gain = any(name.startswith("modules.gain") for name in names)
     if has_gain and _BEND in fit.held and _BEND not in names:
         why = "the fitted gains are multiples of this value"
-        yield _BEND, "calibrated", f"held in fit {fit.name}: {why}"
+        yield _BEND, "calibrated", f"{held}: {why}"
     for name in changed:
-        yield (
-            name,
-            "estimated",
-            f"held in fit {fit.name}; the fitted values depend on this number",
-        )
+        yield name, "estimated", f"{held}; the fitted values depend on this number"
 
 
 def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec:
@@ -134,13 +131,14 @@ def apply_fit(fit: FitFile, robot: RobotSpec, *, weak: bool = True) -> RobotSpec
 
 
 def _changed_fixed_values(fit: FitFile, base: RobotSpec) -> dict[str, float]:
-    held = {name: value for name, value in fit.held.items() if is_parameter(name)}
+    names = filter(is_parameter, fit.held)
+    starts = {
+        parameter.name: parameter.start for parameter in free_parameters(base, names)
+    }
     return {
-        parameter.name: held[parameter.name]
-        for parameter in free_parameters(base, held)
-        if not math.isclose(
-            parameter.start, held[parameter.name], rel_tol=_ROUNDING, abs_tol=_ROUNDING
-        )
+        name: fit.held[name]
+        for name, start in starts.items()
+        if not math.isclose(start, fit.held[name], rel_tol=_ROUNDING, abs_tol=_ROUNDING)
     }
 
 
@@ -160,14 +158,10 @@ def _records(spec: RobotSpec, section: str, key: str) -> dict[str, dict[str, obj
             name: {"value": values, "unit": "rad" if name.endswith("_rad") else "1"}
         }
     if section == "mass":
-        masses = list(spec.mass.connectors)
-        is_uniform = len(set(masses)) == 1
-        records: dict[str, dict[str, object]] = {
-            "connectors_kg": {
-                "value": masses[0] if is_uniform else masses,
-                "unit": "kg",
-            }
-        }
+        masses: object = list(spec.mass.connectors)
+        if len(set(spec.mass.connectors)) == 1:
+            masses = spec.mass.connectors[0]
+        records = {"connectors_kg": {"value": masses, "unit": "kg"}}
         if key == "connectors_kg":
             records["wheel_kg"] = {"value": spec.mass.wheel, "unit": "kg"}
         return records
@@ -186,18 +180,14 @@ def _record_key(name: str) -> str:
 
 
 def _prior(parameter: ParameterEntry) -> dict[str, object]:
-    numbers = (parameter.value, parameter.low, parameter.high)
-    if parameter.name.startswith(("modules.", "mass.")) or None in numbers:
+    low = parameter.low or 0.0
+    high = parameter.high or 0.0
+    if parameter.name.startswith(("modules.", "mass.")) or high <= low:
         return {}
-    value, low, high = (float(number or 0.0) for number in numbers)
     if low > 0.0:  # the fit estimates the logarithms of positive parameters
         factor = (high / low) ** (1 / _STDS_IN_INTERVAL)
-        if factor > 1.0 and value:
-            return {"uncertain": {"kind": "lognormal", "factor": min(factor, 100.0)}}
-        return {}
-    if high > low:
-        return {"uncertain": {"kind": "normal", "sd": (high - low) / _STDS_IN_INTERVAL}}
-    return {}
+        return {"uncertain": {"kind": "lognormal", "factor": min(factor, 100.0)}}
+    return {"uncertain": {"kind": "normal", "sd": (high - low) / _STDS_IN_INTERVAL}}
 
 
 def _correlations(fit: FitFile, names: Sequence[str]) -> list[dict[str, object]]:
@@ -207,8 +197,9 @@ def _correlations(fit: FitFile, names: Sequence[str]) -> list[dict[str, object]]
     entries = []
     for i, j in itertools.combinations(range(len(known)), 2):
         r = float(np.clip(fit.correlation[i][j], -_MAX_CORRELATION, _MAX_CORRELATION))
-        if known[i] in names and known[j] in names and abs(r) >= _MIN_CORRELATION:
-            entries.append({"of": [known[i], known[j]], "r": round(r, 4)})
+        pair = [known[i], known[j]]
+        if set(pair) <= set(names) and abs(r) >= _MIN_CORRELATION:
+            entries.append({"of": pair, "r": round(r, 4)})
     return entries
 
 
@@ -217,9 +208,7 @@ def _source(fit: FitFile, entries: list[ParameterEntry]) -> str:
         f"{e.name} {e.low:.4g} to {e.high:.4g} ({e.verdict})" for e in entries
     )
     source = f"fit {fit.name} ({fit.method}), 95 %: {words}"
-    if len(source) <= 1000:
-        return source
-    return source[:997] + "..."
+    return source if len(source) <= 1000 else source[:997] + "..."
 
 
 def merge_overrides(
@@ -308,10 +297,6 @@ def calibrate_robot(
             )
     robot = fitted_robot(fits, name, weak=weak)
     if out is not None:
-        write_robot(robot, out)
+        document = robot.model_dump(mode="json", exclude_none=True)
+        write_text(out, dump_yaml(document))
     return robot
-
-
-def write_robot(robot: RobotFile, path: StrPath) -> None:
-    """Write a robot file atomically."""
-    write_text(path, dump_yaml(robot.model_dump(mode="json", exclude_none=True)))

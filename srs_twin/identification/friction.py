@@ -122,12 +122,7 @@ class Pulls:
         for name in ("stiffness", "mass"):
             value = getattr(self, name)
             error = getattr(self, f"{name}_error")
-            if not (
-                math.isfinite(value)
-                and value > 0
-                and math.isfinite(error)
-                and 0 <= error < value
-            ):
+            if not 0 <= error < value < math.inf:
                 raise InputError(
                     f"{self.name}: {name} {value!r} with error {error!r} is not"
                     " allowed; the value must be above 0 and larger than its error"
@@ -156,12 +151,10 @@ class Pulls:
 
     def data_set(self, role: Role) -> DataSet:
         """Return the name, hash and size of the data."""
-        along, across = (
-            np.asarray(getattr(self, direction), dtype=float)
-            for direction in _DIRECTIONS
-        )
-        used = array_hash(along, across, np.array([self.stiffness, self.mass]))
-        return DataSet(self.name, self.sha256 or used, role, len(along) + len(across))
+        constants = [self.stiffness, self.mass]
+        used = array_hash(*map(np.asarray, (self.along, self.across, constants)))
+        samples = len(self.along) + len(self.across)
+        return DataSet(self.name, self.sha256 or used, role, samples)
 
 
 def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
@@ -174,13 +167,11 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
     shared += (pulls.mass_error / pulls.mass) ** 2
     values = [pulls.coefficients(direction) for direction in _DIRECTIONS]
     means = np.full(len(values), np.nan)
-    variances = np.full(len(values), np.nan)
-    scatter = np.full(len(values), np.nan)
+    variances = means.copy()
     for k, value in enumerate(values):
         if len(value):
             means[k] = value.mean()
             variances[k] = value.var(ddof=1) / len(value)
-            scatter[k] = max(value.std(ddof=1), 1e-12)
     # Errors in k and m scale both coefficients by the same factor, so the coefficients
     # are correlated.
     covariance = np.diag(variances) + shared * np.outer(means, means)
@@ -193,14 +184,14 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
             f"{data.name} {direction}",
             "1",
             data.coefficients(direction) - means[k],
-            float(scatter[k]),
+            max(float(values[k].std(ddof=1)), 1e-12),
             role,
         )
         for data, role in data_with_roles
         for k, direction in enumerate(_DIRECTIONS)
         if len(values[k]) and len(data.coefficients(direction))
     )
-    samples = sum(len(value) for value in values)
+    samples = sum(map(len, values))
     return FitEstimate(
         tuple(parameters),
         correlation_matrix(covariance, parameters),
@@ -261,27 +252,20 @@ def read_pull_table(path: StrPath) -> Pulls:
     """Read a table of pulls from a CSV file."""
     known: dict[str, dict[str, float]] = dict.fromkeys(_DIRECTIONS, LENGTHS)
     table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
+    file = table.file
+    needed = f"a table of pulls has the columns {PULL_COLUMNS}"
     columns = {column.name: column for column in table.columns}
     for column in table.columns:
         if column.number:
-            raise table.error(
-                column,
-                f"the column '{column.text}' must not be numbered; a table of"
-                f" pulls has the columns {PULL_COLUMNS}",
-            )
+            problem = f"the column '{column.text}' must not be numbered; {needed}"
+            raise table.error(column, problem)
     if not columns.keys() & set(_DIRECTIONS):
-        raise table.file.error(
-            "the columns 'along' and 'across' are both missing; a table of pulls has"
-            f" the columns {PULL_COLUMNS}",
-            1,
+        raise file.error(
+            f"the columns 'along' and 'across' are both missing; {needed}", 1
         )
     for name in _CONSTANTS[:2]:
         if name not in columns:
-            raise table.file.error(
-                f"the column '{name}' is missing; a table of pulls has the columns"
-                f" {PULL_COLUMNS}",
-                1,
-            )
+            raise file.error(f"the column '{name}' is missing; {needed}", 1)
     rows, _ = table.read(table.columns)
     values = {
         column.name: cells for column, cells in zip(table.columns, rows.T, strict=True)
@@ -294,7 +278,6 @@ def read_pull_table(path: StrPath) -> Pulls:
         _constant(table, columns[name], values[name]) if name in columns else 0.0
         for name in _CONSTANTS
     )
-    file = table.file
     return Pulls(
         along,
         across,
@@ -310,15 +293,16 @@ def read_pull_table(path: StrPath) -> Pulls:
 def _deformations(
     table: CsvTable, column: CsvColumn, values: np.ndarray
 ) -> list[float]:
-    wrong = np.flatnonzero((values < 0) | (values > _MAX_DEFORMATION_M))
-    if wrong.size:
-        row = int(wrong[0])
-        message = f"{column.text}: {values[row] / column.factor:g} is not allowed"
-        allowed = (
-            "a deformation must be between 0 and"
-            f" {_MAX_DEFORMATION_M / column.factor:g} {column.unit or 'm'}"
+    wrong = (values < 0) | (values > _MAX_DEFORMATION_M)
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise table.error(
+            column,
+            f"{column.text}: {values[row] / column.factor:g} is not allowed; a"
+            f" deformation must be between 0 and {_MAX_DEFORMATION_M / column.factor:g}"
+            f" {column.unit or 'm'}",
+            row,
         )
-        raise table.error(column, f"{message}; {allowed}", row)
     return [float(value) for value in values if np.isfinite(value)]
 
 
@@ -330,11 +314,12 @@ def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
     different = rows[values[rows] != first]
     if different.size:
         row = int(different[0])
-        message = (
-            f"the value is {values[row]:g} here but {first:g} above; use one file for"
-            " each spring and each mass"
+        raise table.error(
+            column,
+            f"{column.text}: the value is {values[row]:g} here but {first:g} above;"
+            " use one file for each spring and each mass",
+            row,
         )
-        raise table.error(column, f"{column.text}: {message}", row)
     return first
 
 
@@ -409,10 +394,7 @@ class CoastingTest:
         if len(time) < _MIN_SAMPLES:
             raise InputError(f"{name}: the recording has {len(time)} samples; {needed}")
         speed = np.hypot(*moving_derivative(time, trajectory.com).T)
-        if start is None:
-            first = int(np.argmax(speed))
-        else:
-            first = int(np.searchsorted(time, start))
+        first = int(np.argmax(speed) if start is None else np.searchsorted(time, start))
         time = time[first:]
         if len(time) < _MIN_SAMPLES:
             raise InputError(
@@ -446,9 +428,9 @@ class CoastingTest:
             trajectory_hash(trajectory),
             time - time[0],
             position,
-            velocity=(along, across),
-            span=(float(time[0]), float(time[-1])),
-            bends=bends,
+            (along, across),
+            (float(time[0]), float(time[-1])),
+            bends,
         )
 
     def data_set(self, role: Role) -> DataSet:
@@ -572,8 +554,9 @@ class _CoastingModel:
                 for residual in self._residuals(run, k, values, angles[k])
             ]
 
-        motions = [unknown for k, run in enumerate(runs) for unknown in _motion(run, k)]
-        unknowns = [*free_parameters(self.spec, _NAMES), *motions]
+        unknowns = [*free_parameters(self.spec, _NAMES)]
+        for k, run in enumerate(runs):
+            unknowns += _motion(run, k)
         return least_squares(
             residuals, unknowns, held={"spin_fraction": self.fraction}, watch=watch
         )
@@ -641,10 +624,10 @@ def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
     late = run.position[-few:].mean(axis=0)
     moved = late - run.position[2 * few : 3 * few].mean(axis=0)
     rolls = abs(moved[0]) > _MIN_TRAVEL * _NOISE_M
-    limit = _MAX_ROLL_ANGLE_RAD / 2
+    limit = _MAX_ROLL_ANGLE_RAD
     angle = 0.0
     if rolls:
-        angle = min(max(float(moved[1] / moved[0]), -limit), limit)
+        angle = float(np.clip(moved[1] / moved[0], -limit / 2, limit / 2))
     shift = late - run.position[: max(1, few // 4)].mean(axis=0)
     turned = shift @ [1.0, 1.0j] * np.exp(-1j * angle)
 
@@ -659,5 +642,5 @@ def _motion(run: CoastingTest, k: int) -> list[FreeParameter]:
         if distance > _MIN_TRAVEL * _NOISE_M:
             free(name, "m/s", guess, guess - 2.0, guess + 2.0)
     if rolls:
-        free("roll", "rad", angle, -_MAX_ROLL_ANGLE_RAD, _MAX_ROLL_ANGLE_RAD)
+        free("roll", "rad", angle, -limit, limit)
     return unknowns

@@ -120,9 +120,7 @@ class SearchOptions:
     @property
     def effective_tolerance(self) -> float:
         """Tolerance of the search, which by default is derived from `step`."""
-        if self.tolerance is None:
-            return max(1e-12, 1e-3 * self.step**2)
-        return self.tolerance
+        return self.tolerance or max(1e-12, 1e-3 * self.step**2)
 
 
 @dataclass(frozen=True)
@@ -155,10 +153,11 @@ class Search:
         self._best = SearchResult(np.zeros(0), np.inf, False)
         if not unknowns:
             raise InputError("no parameter is given; name at least one free parameter")
-        self.low = np.array([unknown.coordinate(unknown.low) for unknown in unknowns])
-        self.high = np.array([unknown.coordinate(unknown.high) for unknown in unknowns])
-        self.start = np.array(
-            [unknown.coordinate(unknown.start) for unknown in unknowns]
+        self.low, self.high, self.start = (
+            np.array(
+                [unknown.coordinate(getattr(unknown, end)) for unknown in unknowns]
+            )
+            for end in ("low", "high", "start")
         )
         weighted = self.weighted(self.start)
         if len(weighted) <= len(unknowns):
@@ -301,13 +300,14 @@ class Search:
         # the filtered residuals therefore keeps its initial value.
         count = 0 if only is None else len(start)
         prior = np.eye(count, len(start))
+        tolerance = self._options.effective_tolerance
         result = optimize.least_squares(
             lambda z: np.concatenate([self.weighted(z, only), prior @ (z - start)]),
             start,
             lambda z: np.concatenate([self.jacobian(z, step, only), prior]),
             bounds=(self.low, self.high),
-            ftol=self._options.effective_tolerance,
-            xtol=self._options.effective_tolerance,
+            ftol=tolerance,
+            xtol=tolerance,
             gtol=1e-15,
             max_nfev=_MAX_ITERATIONS,
         )
@@ -320,9 +320,7 @@ class _SearchStoppedError(Exception):
 
 def _weighted(residuals: Sequence[Residual]) -> Array:
     weighted = [residual.values / residual.scale for residual in residuals]
-    if weighted:
-        return np.concatenate(weighted)
-    return np.zeros(0)
+    return np.concatenate([np.zeros(0), *weighted])
 
 
 def select_starts(search: Search, count: int) -> list[Array]:
@@ -415,7 +413,7 @@ def _estimate(
         unknowns, z, best.converged, inside, known, bias, spread, quantile, explained
     )
     kept = [i for i, unknown in enumerate(unknowns) if not unknown.nuisance]
-    parameters = tuple(accuracy.parameter(i) for i in kept)
+    parameters = tuple(map(accuracy.parameter, kept))
     correlation = correlation_matrix(accuracy.covariance(kept), parameters)
     return FitEstimate(
         parameters,
@@ -454,7 +452,7 @@ def _count_samples(
         for residual in residuals
         if residual.role == "fit"
     ]
-    samples = sum(len(values) for values in fitted)
+    samples = sum(map(len, fitted))
     independent = samples / correlation_time(fitted, unknowns)
     return samples, independent, max(independent - unknowns, 1.0)
 

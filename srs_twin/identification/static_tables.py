@@ -305,13 +305,12 @@ def plateau_tables(
 
 def merge_tables(tables: Sequence[StaticTable]) -> StaticTable:
     """Return one table with the points of several recordings."""
-    names = ("pressure", "bend", "bend_error")
     arrays = [
-        np.concatenate([getattr(table, name) for table in tables]) for name in names
+        np.concatenate([getattr(table, name) for table in tables])
+        for name in ("pressure", "bend", "bend_error")
     ]
-    return StaticTable(
-        ", ".join(table.name for table in tables), array_hash(*arrays), *arrays
-    )
+    name = ", ".join(table.name for table in tables)
+    return StaticTable(name, array_hash(*arrays), *arrays)
 
 
 def write_static_table(table: StaticTable, path: StrPath) -> None:
@@ -349,19 +348,18 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
                 f" segments 1 to {spec.segments}",
             )
     if not any(column.name == "bend" for column in table.columns):
-        example = "pressure_plus_1,pressure_minus_1,bend_1,…"
         raise table.file.error(
-            f"the column 'bend_1' is missing; a static table has the columns {example}",
+            "the column 'bend_1' is missing; a static table has the columns"
+            " pressure_plus_1,pressure_minus_1,bend_1,…",
             1,
         )
     cells, _ = table.read(table.columns)
     values = np.zeros((len(cells), spec.segments, 4))
     values[..., 2:] = np.nan
-    for column, column_cells in zip(table.columns, cells.T, strict=True):
-        values[:, column.number - 1, names.index(column.name)] = column_cells
+    for k, column in enumerate(table.columns):
+        values[:, column.number - 1, names.index(column.name)] = cells[:, k]
     pressure = values[..., :2]
     bend = values[..., 2]
-    error = values[..., 3]
     if not (np.abs(pressure) <= _MAX_PRESSURE_PA).all():
         raise table.file.error(
             f"the pressures must be between {-_MAX_PRESSURE_PA:g} and"
@@ -372,7 +370,8 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
             f"the file must contain bends, each of at most {_MAX_BEND_RAD:.3g} rad; if"
             " the bends are in degrees, name the columns bend_1_deg, …"
         )
-    return StaticTable(table.file.name, table.file.sha256, pressure, bend, error)
+    name = table.file.name
+    return StaticTable(name, table.file.sha256, pressure, bend, values[..., 3])
 
 
 def fit_static(
@@ -472,11 +471,9 @@ def _fit_dead_zone(
         f"the residuals are {linear.rms('fit'):.3g} times the noise without a dead zone"
         f" and {best.rms('fit'):.3g} times with a dead zone"
     )
-    parameters = list(best.parameters)
-    for k, parameter in enumerate(parameters):
-        if parameter.name == _ONSET:
-            both = "; ".join(filter(None, (why, parameter.why)))
-            parameters[k] = replace(parameter, why=both)
+    onset = best[_ONSET]
+    explained = replace(onset, why="; ".join(filter(None, (why, onset.why))))
+    parameters = (explained if p is onset else p for p in best.parameters)
     return replace(best, parameters=tuple(parameters))
 
 
