@@ -323,9 +323,7 @@ class McapLink(Link):
             f"{count} × {what.removeprefix('bad: ')}"
             for what, count in self.counts.items()
         ]
-        found = "no messages at all"
-        if others or bad:
-            found = f"no messages of '{robot}'"
+        found = f"no messages of '{robot}'" if others or bad else "no messages at all"
         if others:
             names = format_names(sorted(others))
             found += f", but messages of {names} (choose one with --name)"

@@ -451,11 +451,12 @@ class Session:
     def _tick(self, now: float, since: float) -> None:
         if math.isnan(now):
             return
-        messages = self._received()
+        messages = self._receive()
         if self._commands is not None:  # Control words in journals are ignored.
             sent = [message.names[0] for message in messages if message.kind == CONTROL]
             for word in [*self._keys(), *sent]:
                 self._obey(word)
+        self._record(messages)
         if self._stopped:
             return
         # All messages of a replayed journal are processed, even if the playback is
@@ -477,13 +478,13 @@ class Session:
         if self._commands is not None:
             self._send(self._commands, now)
 
-    def _received(self) -> list[Message]:
-        """Return the received messages, which are also written to the journal."""
-        messages = [message for link in self._links for message in link.received()]
+    def _receive(self) -> list[Message]:
+        return [message for link in self._links for message in link.received()]
+
+    def _record(self, messages: Iterable[Message]) -> None:
         if self._journal is not None:
             for message in messages:
                 self._journal.write(message)
-        return messages
 
     def _send(self, link: MqttLink, now: float) -> None:
         contact = self.shadow.contact.estimate
@@ -536,7 +537,7 @@ class Session:
 
     def _close_journal(self) -> None:
         if self._journal is not None:
-            self._received()
+            self._record(self._receive())
             self._journal.close()
 
     def _summarise(self, seconds: float, error: BaseException | None) -> None:

@@ -79,9 +79,9 @@ class LabOptions:
 
         given = [name for name in context.params if _is_given(context, name)]
         values = load_setup(path, given).options()
-        return replace(
-            self, **{name: values[name] for name in values if name not in given}
-        )
+        for name in given:
+            values.pop(name, None)
+        return replace(self, **values)
 
     @property
     def topic_name(self) -> str:
