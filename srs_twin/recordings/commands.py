@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -62,7 +62,7 @@ class TableOptions:
         map: YAML file (recording map) that states what the markers and columns of the
             recording mean (see docs/recordings.md).
         units: Unit of length if the file does not state one: m, cm, mm, in or ft.
-        rate: Frame rate in Hz if the file contains no times.
+        rate_hz: Frame rate in Hz if the file contains no times.
         columns: Column names of a text file without a header, for example time,x_1,y_1.
         separator: Cell separator of a text file: a comma, a semicolon, a vertical bar
             (|), or the word tab or space. [default: detected]
@@ -71,7 +71,7 @@ class TableOptions:
 
     map: Annotated[str | None, option("--map FILE.yaml")] = None
     units: Annotated[str | None, option("--units UNIT")] = None
-    rate: Annotated[float | None, option("--rate HZ")] = None
+    rate_hz: Annotated[float | None, option("--rate HZ")] = None
     columns: Annotated[str | None, option("--columns NAMES")] = None
     separator: Annotated[str | None, option("--separator CHARACTER")] = None
     decimal: Annotated[str | None, option("--decimal CHARACTER")] = None
@@ -80,14 +80,11 @@ class TableOptions:
         """Return the map as plain data, including the values of the other options."""
         from srs_twin.recordings.recording_map import given_map
 
-        options = {
-            "units": self.units,
-            "rate_hz": self.rate,
-            "columns": self.columns,
-            "separator": self.separator,
-            "decimal": self.decimal,
-        }
-        return given_map(self.map, options, markers)
+        options = {field.name: getattr(self, field.name) for field in _TABLE_FIELDS}
+        return given_map(options.pop("map"), options, markers)
+
+
+_TABLE_FIELDS = fields(TableOptions)
 
 
 @dataclass(frozen=True)
@@ -101,7 +98,7 @@ class ReadingOptions(TableOptions):
             head_middles (see docs/recordings.md), or auto to detect the arrangement.
         head: Name of the marker at the head. [default: the marker at the end that leads
             the motion]
-        longest_gap: Maximum duration in seconds of a marker gap that is interpolated.
+        longest_gap_s: Maximum duration in seconds of a marker gap that is interpolated.
             [default: 0.2]
         marker: Position of a marker on the body, for example "tip=connector 3" or
             "m1=middle 1". Repeat the option for each marker.
@@ -110,18 +107,14 @@ class ReadingOptions(TableOptions):
     up: Annotated[str, option("--up AXIS")] = "auto"
     layout: Annotated[str, option("--layout NAME")] = "auto"
     head: Annotated[str | None, option("--head MARKER")] = None
-    longest_gap: Annotated[float | None, option("--longest-gap S")] = None
+    longest_gap_s: Annotated[float | None, option("--longest-gap S")] = None
     marker: Annotated[list[str] | None, option("--marker NAME=PLACE")] = None
 
     def given(self) -> dict[str, Any]:
         """Return the given options, keyed by attribute of `RecordingReader`."""
-        values = {
-            "up": self.up,
-            "layout": self.layout,
-            "head": self.head,
-            "longest_gap_s": self.longest_gap,
-            "map": self.map_data(self.marker or ()) or None,
-        }
+        names = ("up", "layout", "head", "longest_gap_s")
+        values = {name: getattr(self, name) for name in names}
+        values["map"] = self.map_data(self.marker or ()) or None
         return {name: value for name, value in values.items() if value is not None}
 
     def reader(self, **more: Any) -> RecordingReader:
@@ -168,20 +161,21 @@ def inspect(
     from srs_twin.recordings.recording_map import read_map
     from srs_twin.robot.file import load_robot
 
-    read_map(table.map_data())  # raises an error if the map is invalid
+    common_map = read_map(table.map_data())
     spec = None if robot is None else load_robot(robot)
     _check_outputs(picture, write_map, overwrite=overwrite)
     found = []
     failed = []
     for path in files:
         beside = Path(path).with_suffix(MAP_SUFFIX)
-        options = table
         is_mcap = Path(path).suffix.lower() == ".mcap"
-        if table.map is None and is_mcap and beside.is_file():
-            options = replace(table, map=str(beside))
-            say(f"using the recording map {beside}")
         try:
-            facts, scene = inspect_file(path, read_map(options.map_data()), spec)
+            recording_map = common_map
+            if table.map is None and is_mcap and beside.is_file():
+                say(f"using the recording map {beside}")
+                own = replace(table, map=str(beside))
+                recording_map = read_map(own.map_data())
+            facts, scene = inspect_file(path, recording_map, spec)
         except InputError as error:
             named = Path(path).name in str(error)
             failed.append(str(error) if named else f"{path}: {error}")
@@ -211,10 +205,17 @@ def _check_outputs(
     for name, target in (("--picture", picture), ("--write-map", write_map)):
         if target is not None:
             check_output_folder(Path(target).parent, (Path(target).name,), option=name)
-    if write_map is not None and os.path.lexists(write_map) and not overwrite:
+    if write_map is not None:
+        _check_new(Path(write_map), overwrite=overwrite)
+
+
+def _check_new(path: Path, *, overwrite: bool) -> None:
+    from srs_twin.io.files import display_path
+
+    if os.path.lexists(path) and not overwrite:
         raise InputError(
-            f"{write_map} already exists; replace it with --overwrite, or give another"
-            " name"
+            f"{display_path(path)} already exists; replace it with --overwrite, or give"
+            " another name"
         )
 
 
@@ -252,8 +253,8 @@ class FormatOptions:
     def chosen(self, out: str | None) -> str:
         """Return the chosen format, or the format that the suffix of `out` implies."""
         names = [name for name, chosen in vars(self).items() if chosen]
-        if not names and out and Path(out).suffix[1:] in _FORMATS:
-            return Path(out).suffix[1:]
+        if not names and out:
+            names = [name for name in _FORMATS if name == Path(out).suffix[1:]]
         if len(names) != 1:
             raise InputError(
                 f"give exactly one of the output formats --{', --'.join(_FORMATS)}"
@@ -312,29 +313,26 @@ def export(
     if kind == "mcap":
         targets += [path.with_suffix(MAP_SUFFIX), path.with_suffix(_LAYOUT_SUFFIX)]
     for target in targets:
-        if target.exists() and not overwrite:
-            raise InputError(
-                f"{display_path(target)} already exists; replace it with --overwrite,"
-                " or give another name"
-            )
+        _check_new(target, overwrite=overwrite)
     check_output_folder(path.parent, tuple(target.name for target in targets))
-    _write(path, runs, first, finished.scenario.robot.geometry)
+    from srs_twin.recordings import export as exporting
+
+    if kind == "mcap":
+        _write_mcap(path, runs, first, finished.scenario.robot.geometry)
+    elif kind == "csv":
+        exporting.write_csv(path, runs[first])
+    else:
+        exporting.write_npz(path, runs[first])
     say(f"wrote {', '.join(map(display_path, targets))}", quiet=quiet)
 
 
-def _write(
+def _write_mcap(
     path: Path, runs: Mapping[str, Trajectory], first: str, geometry: Geometry
 ) -> None:
     from srs_twin.io.documents import dump_yaml
     from srs_twin.io.files import write_text
     from srs_twin.recordings import export as exporting
 
-    if path.suffix == ".csv":
-        exporting.write_csv(path, runs[first])
-        return
-    if path.suffix == ".npz":
-        exporting.write_npz(path, runs[first])
-        return
     exporting.write_mcap(path, runs, geometry)
     recording_map = exporting.recording_map(first, runs[first])
     write_text(path.with_suffix(MAP_SUFFIX), dump_yaml(recording_map))

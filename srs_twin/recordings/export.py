@@ -21,12 +21,12 @@ shapes are in the frame ``world``. The poses of planar robots have a height of 0
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -57,15 +57,17 @@ _NUMBERED = (
 )
 
 _CHORDS = 6
+_LEVEL = np.array([0.0, 0.0, 0.0, 1.0])
+"""Quaternion (x, y, z, w) of a body without rotation."""
 
 
 def write_csv(path: Path, run: Trajectory) -> None:
     """Write the columns of a trajectory as CSV in SI units."""
-    names = list(run.columns)
+    columns = [column.tolist() for column in run.columns.values()]
     with atomic_write(path) as part, part.open("w", encoding="utf-8") as file:
-        file.write(",".join(names) + "\n")
-        for row in zip(*(run.columns[name].tolist() for name in names), strict=True):
-            file.write(",".join(map(repr, row)) + "\n")
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(run.columns)
+        writer.writerows(zip(*columns, strict=True))
 
 
 def write_npz(path: Path, run: Trajectory) -> None:
@@ -73,16 +75,13 @@ def write_npz(path: Path, run: Trajectory) -> None:
 
     The entries ``units`` and ``metadata`` are JSON strings.
     """
-    about = {
-        "units": json.dumps(dict(run.units)),
-        "metadata": json.dumps(dict(run.metadata)),
-    }
     with atomic_write(path) as part, part.open("wb") as file:
         np.savez_compressed(
             file,
             allow_pickle=False,
             **run.columns,
-            **{k: np.array(v) for k, v in about.items()},
+            units=json.dumps(dict(run.units)),
+            metadata=json.dumps(dict(run.metadata)),
         )
 
 
@@ -141,18 +140,20 @@ def recording_map(plant: str, run: Trajectory) -> dict[str, object]:
 
 def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
     """Return a Foxglove layout with a 3D view and plots of bends and pressures."""
-    bends = []
-    pressures = []
-    for plant, run in runs.items():
-        for j in range(1, run.position.shape[1]):
-            path = f'/{plant}/bends.position[:]{{name=="segment_{j}"}}'
-            bends.append(
-                {"value": path, "enabled": True, "timestampMethod": "headerStamp"}
-            )
-            value = f"/{plant}/pressure_plus_{j}.fluid_pressure"
-            pressures.append(
-                {"value": value, "enabled": True, "timestampMethod": "headerStamp"}
-            )
+
+    def series(path: str) -> list[dict[str, object]]:
+        return [
+            {
+                "value": path.format(plant=plant, segment=segment),
+                "enabled": True,
+                "timestampMethod": "headerStamp",
+            }
+            for plant, run in runs.items()
+            for segment in range(1, run.position.shape[1])
+        ]
+
+    bends = series('/{plant}/bends.position[:]{{name=="segment_{segment}"}}')
+    pressures = series("/{plant}/pressure_plus_{segment}.fluid_pressure")
     return {
         "configById": {
             "3D!snakes": {
@@ -180,7 +181,6 @@ def foxglove_layout(runs: Mapping[str, Trajectory]) -> dict[str, object]:
     }
 
 
-@dataclass(frozen=True)
 class _Motion:
     """Motion of one plant in the form that the messages need.
 
@@ -193,37 +193,21 @@ class _Motion:
             of shape (samples, segments).
     """
 
-    plant: str
-    run: Trajectory
-    geometry: Geometry
-    positions: np.ndarray
-    drawn: np.ndarray
-    rotations: np.ndarray
-    line: np.ndarray
-    rates: np.ndarray
-    columns: Mapping[str, np.ndarray]
-
-    @classmethod
-    def of(cls, plant: str, run: Trajectory, geometry: Geometry) -> Self:
+    def __init__(self, plant: str, run: Trajectory, geometry: Geometry) -> None:
+        self.plant = plant
+        self.run = run
+        self.geometry = geometry
+        height = run.stack("z") if run.has("z") else np.zeros_like(run.stack("x"))
+        self.positions = np.concatenate([run.position, height[..., None]], axis=-1)
+        self.drawn = connector_places(run, geometry)
+        self.rotations = connector_orientations(run)
         lines = spatial_centre_lines(run, geometry, _CHORDS)
+        self.line = lines.reshape(len(lines), -1, 3)
         bends = run.stack("bend")
-        rates = np.zeros_like(bends)
+        self.rates = np.zeros_like(bends)
         if len(run) > 1:
-            rates = np.gradient(bends, run.time, axis=0)
-        height = np.zeros_like(run.stack("x"))
-        if run.has("z"):
-            height = run.stack("z")
-        return cls(
-            plant,
-            run,
-            geometry,
-            np.concatenate([run.position, height[..., None]], axis=-1),
-            connector_places(run, geometry),
-            connector_orientations(run),
-            lines.reshape(len(lines), -1, 3),
-            rates,
-            {name: run.stack(name) for name in _NUMBERED if run.has(name)},
-        )
+            self.rates = np.gradient(bends, run.time, axis=0)
+        self.columns = {name: run.stack(name) for name in _NUMBERED if run.has(name)}
 
 
 class _Sample(NamedTuple):
@@ -252,7 +236,7 @@ def _messages(
     runs: Mapping[str, Trajectory], geometry: Geometry, store: Typestore
 ) -> Iterator[tuple[str, str, int, object]]:
     make = {name.rsplit("/", 1)[1]: kind for name, kind in store.types.items()}
-    motions = {plant: _Motion.of(plant, run, geometry) for plant, run in runs.items()}
+    motions = {plant: _Motion(plant, run, geometry) for plant, run in runs.items()}
     times = sorted(
         (round(time * _NS), plant, row)
         for plant, run in runs.items()
@@ -297,48 +281,38 @@ def _pose_messages(sample: _Sample) -> Iterator[_Message]:
 def _body_messages(sample: _Sample) -> Iterator[_Message]:
     motion, row, _, make = sample
     geometry = motion.geometry
-    level = np.array([0.0, 0.0, 0.0, 1.0])
     shapes = make["Marker"]
+    width = geometry.width
     line = [make["Point"](*map(float, point)) for point in motion.line[row]]
-    markers = [
-        _marker(sample, 0, shapes.LINE_STRIP, (geometry.width, 0.0, 0.0), points=line)
-    ]
+    markers = [_marker(sample, 0, shapes.LINE_STRIP, (width, 0.0, 0.0), points=line)]
     size = connector_size(geometry)
     poses = zip(motion.drawn[row], motion.rotations[row], strict=True)
     for i, (place, rotation) in enumerate(poses, start=1):
         pose = sample.pose(place, rotation)
         markers.append(_marker(sample, i, shapes.CUBE, size, pose=pose))
-    above = motion.drawn[row, 0] + np.array([0.0, 0.0, 2 * geometry.width])
+    above = sample.pose(motion.drawn[row, 0] + [0.0, 0.0, 2 * width], _LEVEL)
     markers.append(
         _marker(
             sample,
             len(markers),
             shapes.TEXT_VIEW_FACING,
-            (0.0, 0.0, geometry.width),
-            pose=sample.pose(above, level),
+            (0.0, 0.0, width),
+            pose=above,
             text=motion.plant,
         )
     )
-    yield _Message(
-        "body",
-        "visualization_msgs/msg/MarkerArray",
-        make["MarkerArray"](markers=markers),
-    )
+    message = make["MarkerArray"](markers=markers)
+    yield _Message("body", "visualization_msgs/msg/MarkerArray", message)
 
 
 def _marker(
     sample: _Sample, number: int, shape: int, size: Sequence[float], **content: Any
 ) -> Any:
     make = sample.make
-    no_time = make["Duration"](sec=0, nanosec=0)
-    no_stamp = make["Time"](sec=0, nanosec=0)
-    no_image = make["CompressedImage"](
-        header=make["Header"](stamp=no_stamp, frame_id=""),
-        format="",
-        data=np.zeros(0, dtype=np.uint8),
-    )
+    no_data = np.zeros(0, dtype=np.uint8)
+    no_header = make["Header"](stamp=make["Time"](sec=0, nanosec=0), frame_id="")
     defaults = {
-        "pose": sample.pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])),
+        "pose": sample.pose(np.zeros(3), _LEVEL),
         "points": [],
         "text": "",
     }
@@ -351,14 +325,14 @@ def _marker(
         action=make["Marker"].ADD,
         scale=make["Vector3"](*map(float, size)),
         color=make["ColorRGBA"](*color, 0.8),
-        lifetime=no_time,
+        lifetime=make["Duration"](sec=0, nanosec=0),
         frame_locked=False,
         colors=[],
         texture_resource="",
-        texture=no_image,
+        texture=make["CompressedImage"](header=no_header, format="", data=no_data),
         uv_coordinates=[],
         mesh_resource="",
-        mesh_file=make["MeshFile"](filename="", data=np.zeros(0, dtype=np.uint8)),
+        mesh_file=make["MeshFile"](filename="", data=no_data),
         mesh_use_embedded_materials=False,
         **(defaults | content),
     )
@@ -386,15 +360,14 @@ def _segment_messages(sample: _Sample) -> Iterator[_Message]:
         [sample.values(f"valve_{side}") for side in _SIDES], dtype=np.int8
     )
     if states.size:
-        by_segment = states.T
-        segments, chambers = by_segment.shape
+        chambers, segments = states.shape
         dimension = make["MultiArrayDimension"]
         layout = make["MultiArrayLayout"](
             dim=[
-                dimension(label="segments", size=segments, stride=by_segment.size),
+                dimension(label="segments", size=segments, stride=states.size),
                 dimension(label="chambers", size=chambers, stride=chambers),
             ],
             data_offset=0,
         )
-        valves = make["Int8MultiArray"](layout=layout, data=by_segment.reshape(-1))
+        valves = make["Int8MultiArray"](layout=layout, data=states.T.reshape(-1))
         yield _Message("valves", "std_msgs/msg/Int8MultiArray", valves)

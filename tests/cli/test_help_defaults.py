@@ -146,7 +146,7 @@ def values() -> dict[tuple[str, str], str]:
             **most
         ),
         **{
-            (name, "longest_gap"): gap
+            (name, "longest_gap_s"): gap
             for name in (
                 "replay",
                 "calibrate friction",
