@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -44,7 +45,7 @@ from srs_twin.plants.base import Plant
 from srs_twin.pneumatics import Pneumatics
 from srs_twin.recordings.body.trajectories import numbered_columns
 from srs_twin.recordings.recorded_pressures import RecordedPressures
-from srs_twin.recordings.recording import Recording
+from srs_twin.recordings.recording import Recording, interpolated_values
 from srs_twin.recordings.takes import NO_MARKERS
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.rollout import rollout
@@ -107,15 +108,17 @@ def measured_length(
         return None
     parameter = free_parameters(spec, requested)[0]
     count = spec.segments
-    straight_lengths = np.empty((len(marked), count))
-    for row, recording in zip(straight_lengths, marked, strict=True):
+    straight_lengths = []
+    for recording in marked:
         bends = recording.trajectory.stack("bend")
         lengths = recording.trajectory.stack("length")
-        row[:] = [
-            np.polyfit(q**2, length, 1)[1]
-            for q, length in zip(bends.T, lengths.T, strict=True)
-        ]
-    means = straight_lengths.mean(axis=0)
+        straight_lengths.append(
+            [
+                np.polyfit(q**2, length, 1)[1]
+                for q, length in zip(bends.T, lengths.T, strict=True)
+            ]
+        )
+    means = np.mean(straight_lengths, axis=0)
     value = parameter.start + float(means.mean()) - spec.geometry.segment_length
     noise = max(
         r.summary.markers.noise_m for r in marked if r.summary.markers is not None
@@ -233,18 +236,16 @@ class PlantModel:
         its signals vary monotonically.
         """
         if self.plant == "twin":
-            options = SearchOptions(
+            staged = compare_signals != "averages"
+            return SearchOptions(
                 step=3e-3,
                 coarse_step=3e-2,
                 tolerance=3e-4,
-                first_stage=lambda residual: " bend_" in residual.name,
+                first_stage=_is_bend if staged else None,
                 identifiability_step=3e-2,
                 target_rms=1e-2,
                 max_runs=MAX_TWIN_RUNS,
             )
-            if compare_signals == "averages":
-                return replace(options, first_stage=None)
-            return options
         if self.settings.get("model") == "compliant":
             return SearchOptions(
                 step=1e-2,
@@ -290,6 +291,10 @@ class PlantModel:
         return rollout(plant, run.controller, duration, record_hz=1 / plant.tick)
 
 
+def _is_bend(residual: Residual) -> bool:
+    return " bend_" in residual.name
+
+
 class _Data(NamedTuple):
     run: GaitRun
     measured: dict[str, np.ndarray]
@@ -321,28 +326,25 @@ class _Comparison:
         robot = with_values(self.spec, values)
         result: list[Residual] = []
         for run, measured, role in data:
-            try:
+            predicted = {}
+            with suppress(DivergedError):
                 simulation = self.model.simulate(run, robot)
                 predicted = signals(
                     simulation, run.trajectory, self.compare_signals, run.name
                 )
-                differences = {
-                    name: measured[name] - predicted[name] for name in measured
-                }
-            except DivergedError:
-                differences = {
-                    name: np.full_like(signal, _DIVERGED_RESIDUAL)
-                    for name, signal in measured.items()
-                }
-            for name, difference in differences.items():
+            for name, signal in measured.items():
+                difference = np.full_like(signal, _DIVERGED_RESIDUAL)
+                if predicted:
+                    difference = signal - predicted[name]
                 kind = name if name in NOISE else name.rpartition("_")[0]
                 scale, unit = NOISE[kind]
                 error_name = name.replace("bend", "bend_error")
                 error = run.trajectory.columns.get(error_name)
                 if kind == "bend" and error is not None:
                     scale = max(scale, float(np.sqrt(np.mean(error**2))))
-                signal = f"{run.name} {name}"
-                result.append(Residual(signal, unit, difference, scale, role))
+                result.append(
+                    Residual(f"{run.name} {name}", unit, difference, scale, role)
+                )
         return result
 
 
@@ -387,7 +389,6 @@ def fit_locomotion(
         for run, role in assign_roles("gait runs", runs, validation)
     ]
     fitted = data[: len(runs)]
-    kept = data[len(runs) :]
     if not unknowns and known:
         return FitEstimate(
             (), np.zeros((0, 0)), tuple(comparison.residuals(data, {}))
@@ -410,8 +411,8 @@ def fit_locomotion(
         options=options,
         starts=starts,
         watch=watch,
-        validation=partial(comparison.residuals, kept),
-        refit=None if reference is None else refit,
+        validation=partial(comparison.residuals, data[len(runs) :]),
+        refit=refit if reference else None,
     )
     return estimate.with_fixed(known)
 
@@ -449,23 +450,19 @@ def _shapes(
     clock = np.linspace(0.0, span, count)
 
     def resample(run: Trajectory, values: np.ndarray) -> np.ndarray:
-        flat = values.reshape(len(run), -1).T
-        return np.stack(
-            [np.interp(clock, run.time - run.time[0], column) for column in flat],
-            axis=1,
-        )
+        return interpolated_values(clock, run.time - run.time[0], values)
 
     path = resample(trajectory, trajectory.com)
-    heading = resample(trajectory, trajectory["heading"])[:, 0]
+    heading = resample(trajectory, trajectory["heading"])
     if is_aligned:
         # A simulated run starts at the origin, so the paths are aligned before their
         # shapes are compared.
         target = resample(measured, measured.com)
-        target_heading = resample(measured, measured["heading"])[:, 0]
+        target_heading = resample(measured, measured["heading"])
         turn = float((target_heading - heading).mean())
         c = math.cos(turn)
         s = math.sin(turn)
-        turned = (path - path.mean(axis=0)) @ np.array([[c, s], [-s, c]])
+        turned = (path - path.mean(axis=0)) @ [[c, s], [-s, c]]
         path = turned + target.mean(axis=0)
         heading = heading + turn
     shapes = {"path_x": path[:, 0], "path_y": path[:, 1], "heading": heading}

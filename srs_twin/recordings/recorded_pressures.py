@@ -19,6 +19,7 @@ from srs_twin.errors import InputError
 from srs_twin.pneumatics.base import OptionalArray, Pneumatics, Trace
 from srs_twin.pneumatics.chambers import apply_bend_law, bend_law_of, chamber_gains
 from srs_twin.pneumatics.valves import Schedule
+from srs_twin.recordings.recording import interpolated_values
 from srs_twin.robot.spec import RobotSpec
 
 
@@ -100,9 +101,7 @@ class RecordedPressures(Pneumatics):
 
     def _at(self, time: np.ndarray) -> Trace:
         trace = self._empty_trace(len(time))
-        row = np.clip(
-            np.searchsorted(self._time, time, side="right") - 1, 0, len(self._time) - 1
-        )
+        row = np.maximum(np.searchsorted(self._time, time, side="right") - 1, 0)
         since = np.maximum(time - self._time[row], 0.0)[:, None]
         drive = self._drive[row]
         derivative = self._derivative[row] * (time >= self._time[0])[:, None]
@@ -115,11 +114,7 @@ class RecordedPressures(Pneumatics):
         _fill_bends(
             (linear, speed, acceleration), self.rest_bend, self._bend_law, trace
         )
-        for j in range(trace.pressure.shape[1]):
-            for side in range(2):
-                trace.pressure[:, j, side] = np.interp(
-                    time, self._time, self._measured[:, j, side]
-                )
+        trace.pressure[:] = interpolated_values(time, self._time, self._measured)
         trace.valves[:] = -1
         trace.pneumatic_energy[:] = 0.0
         return trace

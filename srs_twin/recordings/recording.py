@@ -121,9 +121,7 @@ class ValveLog:
         """Return the values at times inside the log, shape (times, segments, 2)."""
         if self.kind == "valve" or self.holds:
             return held_values(time + 1e-9, self.time, self.values)
-        flat = self.values.reshape(len(self.time), -1)
-        columns = [np.interp(time, self.time, column) for column in flat.T]
-        return np.stack(columns, axis=-1).reshape(len(time), *self.values.shape[1:])
+        return interpolated_values(time, self.time, self.values)
 
     def breakpoints(self) -> tuple[np.ndarray, np.ndarray]:
         """Return times and pressures whose linear interpolation gives `at`.
@@ -149,9 +147,8 @@ class ValveLog:
         periods = []
         for column in opened.reshape(len(opened), -1).T:
             times = self.time[1:][column]
-            times = times[np.append(True, np.diff(times) > _CARRIER_S)[: len(times)]][
-                1:
-            ]
+            first = np.append(True, np.diff(times) > _CARRIER_S)[: len(times)]
+            times = times[first][1:]
             if len(times) < _MIN_OPENINGS:
                 return None
             gaps = np.diff(times)
@@ -173,6 +170,15 @@ def held_values(time: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.nd
     return np.asarray(
         values[np.maximum(np.searchsorted(rows, time, side="right") - 1, 0)]
     )
+
+
+def interpolated_values(
+    time: np.ndarray, rows: np.ndarray, values: np.ndarray
+) -> np.ndarray:
+    """Interpolate values of shape (rows, …) linearly between the times of the rows."""
+    flat = values.reshape(len(rows), -1)
+    columns = [np.interp(time, rows, column) for column in flat.T]
+    return np.stack(columns, axis=-1).reshape(len(time), *values.shape[1:])
 
 
 @dataclass(frozen=True)
@@ -307,12 +313,9 @@ def read_motion(
     with named_in_errors(table.name):
         table = bodies_as_pairs(recording_map.applied(table))
         frames = frame_grid(table.time, table.points)
-        given_up = up
-        if recording_map.up and up == "auto":
-            given_up = recording_map.up
-        floor = map_to_floor(
-            table.points, given_up, table.usual_up, recording_map.level
-        )
+        if up == "auto":
+            up = recording_map.up or up
+        floor = map_to_floor(table.points, up, table.usual_up, recording_map.level)
         points = at_frames(floor.points, frames)
         markers, notes = _captured_markers(
             table, spec, frames, points, layout, longest_gap_s
@@ -423,7 +426,6 @@ def _counts(
 ) -> MarkerCounts:
     table = markers.table
     time = markers.time
-    columns = markers.columns
     gaps = [
         time[end] - time[begin - 1]
         for column in markers.missing.T
@@ -441,9 +443,10 @@ def _counts(
         samples_rejected=markers.rejected,
         longest_filled_s=float(max(gaps, default=0.0)),
         moves=sum(
-            int((np.diff(column[column >= 0]) != 0).sum()) for column in columns.T
+            int((np.diff(column[column >= 0]) != 0).sum())
+            for column in markers.columns.T
         ),
-        spacing_m=tuple(float(distance) for distance in body.spacing),
+        spacing_m=tuple(body.spacing.tolist()),
         residual_m=float(np.sqrt((body.shape.residual**2).mean())),
         noise_m=body.shape.noise,
         bend_error_rad=float(np.sqrt((body.shape.bend_error**2).mean())),

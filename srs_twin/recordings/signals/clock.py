@@ -26,7 +26,7 @@ from srs_twin.errors import InputError, named_in_errors
 from srs_twin.pneumatics import LagPneumatics
 from srs_twin.pneumatics.chambers import air_bend
 from srs_twin.recordings.body.trajectories import name_of, numbered_columns
-from srs_twin.recordings.recording import Recording, ValveLog
+from srs_twin.recordings.recording import Recording, ValveLog, interpolated_values
 from srs_twin.recordings.signals.gaps import MIN_FRAMES
 from srs_twin.recordings.signals.logs import SIDES
 from srs_twin.robot.spec import RobotSpec
@@ -62,9 +62,9 @@ class Offset:
     """
 
     seconds: float
-    error: float
-    explained: float
-    estimated: bool
+    error: float = 0.0
+    explained: float = 1.0
+    estimated: bool = False
 
 
 def estimate_offset(
@@ -76,8 +76,7 @@ def estimate_offset(
     """
     step = max(_MIN_STEP, float(np.median(np.diff(time))) / 2)
     spans = (time[-1] - time[0], log_time[-1] - log_time[0])
-    if sum(spans) / step > _MAX_SAMPLES:
-        step = sum(spans) / _MAX_SAMPLES
+    step = max(step, sum(spans) / _MAX_SAMPLES)
     min_count = int(MIN_OVERLAP * min(spans) / step)
     if min_count < 8:
         raise InputError(
@@ -121,9 +120,13 @@ def estimate_offset(
     )
 
 
+def _grid(span: float, step: float) -> np.ndarray:
+    return step * np.arange(int(span / step + 1e-9) + 1)
+
+
 def _resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
-    grid = time[0] + step * np.arange(int((time[-1] - time[0]) / step + 1e-9) + 1)
-    return np.stack([np.interp(grid, time, column) for column in values.T], axis=1)
+    grid = time[0] + _grid(time[-1] - time[0], step)
+    return interpolated_values(grid, time, values)
 
 
 def _losses(
@@ -170,7 +173,6 @@ def _check_unambiguous(loss: np.ndarray, offsets: np.ndarray, best: int) -> None
     low = (loss[1:-1] <= loss[:-2]) & (loss[1:-1] <= loss[2:]) & np.isfinite(loss[1:-1])
     # If S is close to 0, the added constant accounts for noise and for the delay step.
     limit = MIN_RIVAL_RATIO * loss[best] + 1e-6
-
     others = [int(k) for k in np.flatnonzero(low) + 1 if loss[k] < limit and k != best]
     # Two minima are counted as one if no loss between them exceeds the limit.
     rivals = [k for k in others if loss[min(k, best) : max(k, best) + 1].max() > limit]
@@ -224,11 +226,12 @@ def join(
         ``pressure_plus_1…``, and its metadata contain the offset.
     """
     trajectory = recording.trajectory
-    segments = {log.values.shape[1], trajectory.stack("bend").shape[1]}
-    if segments != {spec.segments}:
+    logged = log.values.shape[1]
+    moving = trajectory.stack("bend").shape[1]
+    if {logged, moving} != {spec.segments}:
         raise InputError(
             f"{log.source}: {spec.name} has {spec.segments} segments, but the log has"
-            f" {log.values.shape[1]} and the motion {trajectory.stack('bend').shape[1]}"
+            f" {logged} and the motion {moving}"
         )
     if offset is not None and not np.isfinite(offset):
         raise InputError(f"offset {offset!r} is not allowed; it must be finite")
@@ -239,7 +242,7 @@ def join(
     values = moved.at(columns["time"])
     for k, side in enumerate(SIDES):
         columns |= numbered_columns(f"{log.kind}_{side}", values[..., k])
-    start, end = (float(columns["time"][k]) for k in (0, -1))
+    start, end = columns["time"][[0, -1]].tolist()
     metadata = {
         **trajectory.metadata,
         "duration_s": end - start,
@@ -295,14 +298,13 @@ def _find_offset(
             how = "from times since 1970 in both files"
             if offset:
                 how += f", plus {offset:g} s as given"
-            known = Offset(difference + (offset or 0.0), 0.0, 1.0, False)
-            return _FoundOffset(known, how, [])
+            return _FoundOffset(Offset(difference + (offset or 0.0)), how, [])
         notes.append(
             f"{log.source}: the times since 1970 are not used, because they differ by"
             f" {difference:.6g} s from the times of the motion"
         )
     if offset is not None:
-        return _FoundOffset(Offset(offset or 0.0, 0.0, 1.0, False), "as given", notes)
+        return _FoundOffset(Offset(offset or 0.0), "as given", notes)
     clock, driven = driven_bends(log, spec)
     with named_in_errors(log.source):
         bends = recording.trajectory.stack("bend")
@@ -320,7 +322,7 @@ def driven_bends(log: ValveLog, spec: RobotSpec) -> tuple[np.ndarray, np.ndarray
     """
     span = float(log.time[-1] - log.time[0])
     step = max(_MODEL_STEP, span / 1e6)
-    clock = step * np.arange(int(span / step + 1e-9) + 1)
+    clock = _grid(span, step)
     if log.kind == "pressure":
         # For slow signals, the lag of the bends is equivalent to a delay of τ₂.
         bends = air_bend(spec, log.at(log.time[0] + clock))
