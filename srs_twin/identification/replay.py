@@ -17,7 +17,7 @@ from srs_twin.io.files import StrPath, require_file, results_name
 from srs_twin.io.validation import load_model
 from srs_twin.plants.base import TICK_S
 from srs_twin.recordings.recording_map import read_map
-from srs_twin.recordings.takes import RecordingReader, logs_of
+from srs_twin.recordings.takes import RecordingReader, default_log
 from srs_twin.robot.file import RobotFile, load_robot_file, robot_in
 from srs_twin.scenario.expectation import ExpectationsFile
 from srs_twin.scenario.loading import parse_scenario
@@ -103,9 +103,9 @@ def _duration(
     settings = dict(recording)
     motion = settings.pop("motion")
     valves = settings.pop("valves", None)
-    (log,) = logs_of([motion], [valves] if valves else [])
     settings["map"] = read_map(settings.get("map", {}))
-    measured = RecordingReader(**settings).take(motion, log, robot.spec())
+    reader = RecordingReader(**settings)
+    measured = reader.take(motion, valves or default_log(motion), robot.spec())
     notify(f"{measured.summary.text()}\n")
     time = measured.trajectory.time
     duration = min(float(time[-1] - time[0]), _MAX_DURATION_S)

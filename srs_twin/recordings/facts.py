@@ -200,7 +200,9 @@ def facts_json_schema() -> dict[str, object]:
 def proposed_map(facts: Sequence[RecordingFacts]) -> str:
     """Return a proposed map for the files of one recording as commented YAML."""
     lines = ["# Proposed by srs-twin inspect: check it, then use it as --map."]
-    for file in (file for file in facts if file.content == "markers"):
+    for file in facts:
+        if file.content != "markers":
+            continue
         lines.append(f"# {file.file}: {file.format}, {file.rate_hz:.4g} Hz")
         if file.up is not None:
             lines.append(f"up: {json.dumps(file.up)}")
@@ -277,10 +279,10 @@ def in_words(facts: RecordingFacts) -> str:
             count = f"{facts.rows} rows, {facts.rate_hz:.4g} rows per second"
         lines.append(f"{count}, {facts.duration_s:.4g} s")
     if facts.up is not None:
-        summary = [f"up: {facts.up}", f"{facts.tracks or 0} persistent markers"]
+        summary = f"up: {facts.up}"
         if facts.noise_mm is not None:
-            summary.insert(1, f"noise {facts.noise_mm:.2g} mm")
-        lines.append("; ".join(summary))
+            summary += f"; noise {facts.noise_mm:.2g} mm"
+        lines.append(f"{summary}; {facts.tracks or 0} persistent markers")
     lines += [f"  {_marker_text(marker)}" for marker in (facts.markers or ())[:40]]
     rigid_pairs = [set(pair) for pair in facts.rigid_pairs or ()]
     for distance in facts.distances or ():
@@ -308,18 +310,17 @@ def in_words(facts: RecordingFacts) -> str:
 
 
 def _marker_text(marker: MarkerFacts) -> str:
-    parts = [
-        f"{marker.name}: seen in {100 * marker.coverage:.1f} % of the frames",
-        f"{marker.gaps} gaps up to {marker.longest_gap_s:.3g} s",
-    ]
+    text = (
+        f"{marker.name}: seen in {100 * marker.coverage:.1f} % of the frames,"
+        f" {marker.gaps} gaps up to {marker.longest_gap_s:.3g} s"
+    )
     if marker.noise_mm is None:
-        parts.append("never seen")
+        text += ", never seen"
     else:
-        parts.append(f"noise {marker.noise_mm:.2g} mm")
-        parts.append(f"{marker.height_mm:.0f} mm high")
+        text += f", noise {marker.noise_mm:.2g} mm, {marker.height_mm:.0f} mm high"
     if marker.rigid_body:
-        parts.append("rigid body")
-    return ", ".join(parts)
+        text += ", rigid body"
+    return text
 
 
 def _signal_text(signal: SignalFacts) -> str:

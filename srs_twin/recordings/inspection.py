@@ -6,6 +6,7 @@ proposes a recording map.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -108,14 +109,14 @@ class Scene:
     """Top view of the markers in a recording.
 
     Attributes:
-        places: marker positions, m, shape (frames, markers, 2 or 3).
+        places: marker positions, m, shape (frames, markers, 2).
         order: marker indices in order along the body, or an empty tuple if unknown.
     """
 
     places: np.ndarray
     names: tuple[str, ...]
-    order: tuple[int, ...]
-    rigid: tuple[tuple[int, int], ...]
+    order: tuple[int, ...] = ()
+    rigid: tuple[tuple[int, int], ...] = ()
 
 
 @checked
@@ -173,15 +174,16 @@ def _file_facts(
         if not axis_columns(file.names):
             return _table_facts(file, recording_map), None
     topics = read_topics(path)
-    if topics is not None and topics.markers is None and topics.signals:
+    table = topics and topics.markers
+    if topics and table is None and topics.signals:
         return _topics_facts(topics, kind, recording_map), None
-    if topics is None or topics.markers is None:
+    if table is None:
         table = read_markers(path, recording_map.unstated)
     else:
-        table = in_unit(topics.markers, recording_map.units)
+        table = in_unit(table, recording_map.units)
     with named_in_errors(table.name):
         facts, scene = _motion_facts(recording_map.applied(table), recording_map)
-    if topics is not None:
+    if topics:
         facts.signals = _topics_facts(topics, kind, recording_map).signals
     return facts, scene
 
@@ -231,12 +233,12 @@ def _motion_facts(
         has_rotation = np.isfinite(table.rotations).any(axis=(0, 2))
     facts.notes += floor.corrections
     facts.up = cast(Up, floor.up)
-    facts.bodies = [table.labels[k] for k in np.flatnonzero(has_rotation)]
     facts.markers = [
         _marker_facts(name, points[:, k], frames, bool(has_rotation[k]))
         for k, name in enumerate(table.labels)
     ]
-    identified = replace(table, bodies=bool(has_rotation.any()))
+    facts.bodies = [marker.name for marker in facts.markers if marker.rigid_body]
+    identified = replace(table, bodies=bool(facts.bodies))
     return facts, _body_facts(identified, points, frames, facts)
 
 
@@ -246,7 +248,10 @@ def _marker_facts(
     missing = np.isnan(position[:, 0])
     gaps = runs(missing)
     inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(position))]
-    noise = None if missing.all() else marker_noise(position[:, None, :2])
+    noise = height = None
+    if not missing.all():
+        noise = marker_noise(position[:, None, :2])
+        height = 1e3 * float(np.nanmedian(position[:, 2]))
     return MarkerFacts(
         name=name,
         rigid_body=rigid_body,
@@ -255,7 +260,7 @@ def _marker_facts(
         longest_gap_s=float(np.diff(inner, axis=1).max(initial=0)) * frames.period,
         noise_mm=None if noise is None else 1e3 * noise,
         noise_m=noise,
-        height_mm=None if missing.all() else 1e3 * float(np.nanmedian(position[:, 2])),
+        height_mm=height,
     )
 
 
@@ -280,7 +285,7 @@ def _body_facts(
     names = _marker_names(tracks.columns[:, lasting], table.labels, facts)
     facts.tracks = count
     facts.positions_of_nothing = tracks.unassigned
-    scene = Scene(places, names, (), ())
+    scene = Scene(places, names)
     complete = places[np.isfinite(places[..., 0]).all(axis=1)]
     if len(complete) < MIN_FRAMES or count < 2:
         facts.notes.append(
@@ -293,11 +298,7 @@ def _body_facts(
     median, spread = distance_statistics(complete)
     pairs = _rigid_pairs(median, spread, noise)
     facts.rigid_pairs = [[names[a], names[b]] for a, b in pairs]
-    try:
-        order = tuple(body_order(complete).tolist())
-    except InputError as error:
-        facts.notes.append(str(error))
-        order = ()
+    order = _order_along_body(complete, facts)
     facts.order = [names[k] for k in order]
     facts.distances = [
         DistanceFacts(
@@ -309,14 +310,22 @@ def _body_facts(
     ]
     heads = _heads(complete, frames.period, order, pairs, near)
     facts.head = [HeadFacts(marker=names[end], why=reason) for end, reason in heads]
-    return replace(scene, order=order, rigid=pairs)
+    return replace(scene, order=tuple(order), rigid=tuple(pairs))
+
+
+def _order_along_body(points: np.ndarray, facts: RecordingFacts) -> list[int]:
+    try:
+        order: list[int] = body_order(points).tolist()
+    except InputError as error:
+        facts.notes.append(str(error))
+        return []
+    return order
 
 
 def _neighbour_distance(points: np.ndarray) -> float:
     nearest = np.fmin.reduce(pairwise_distances(points, _DISTANCE_FRAMES), axis=2)
-    if np.isnan(nearest).all():
-        return float("nan")
-    return float(np.nanmedian(nearest))
+    known = nearest[~np.isnan(nearest)]
+    return float(np.median(known)) if known.size else math.nan
 
 
 def _possible_layouts(markers: int, *, bodies: bool) -> dict[str, int]:
@@ -331,17 +340,15 @@ def _possible_layouts(markers: int, *, bodies: bool) -> dict[str, int]:
 
 def _rigid_pairs(
     median: np.ndarray, spread: np.ndarray, noise: float
-) -> tuple[tuple[int, int], ...]:
+) -> list[tuple[int, int]]:
     closest = np.nanmin(median, axis=0)
     constant = spread < _RIGID_NOISE_RATIO * np.sqrt(2) * noise
     rigid = constant & (median <= 1.5 * np.minimum.outer(closest, closest))
     # On a body that hardly bends, many distances are nearly constant. Markers that have
     # a constant distance to several other markers are therefore excluded.
     single = rigid.sum(axis=0) == 1
-    return tuple(
-        (int(a), int(b))
-        for a, b in np.argwhere(np.triu(rigid & single & single[:, None]))
-    )
+    pairs = np.argwhere(np.triu(rigid & single & single[:, None]))
+    return [(a, b) for a, b in pairs.tolist()]
 
 
 def _marker_names(
@@ -376,11 +383,9 @@ def _heads(
     for end, second in (order[:2], order[:-3:-1]):
         if [{end, second}] == [set(pair) for pair in pairs]:
             yield end, "the only end with a second marker on a rigid part"
-    crawled = forward_distance(period, points[:, list(order)])
+    crawled = forward_distance(period, points[:, order])
     if abs(crawled) > _MIN_CRAWLED * near:
-        end = order[-1]
-        if crawled > 0:
-            end = order[0]
+        end = order[0 if crawled > 0 else -1]
         yield end, f"the body crawled {abs(crawled):.3g} m towards this end"
 
 
@@ -502,16 +507,18 @@ def _signal_facts(
     if not known.size:
         return SignalFacts(name=name, looks_like="nothing", understood=False)
     meaning = _meaning(name, recording_map)
+    different = np.unique(known)
+    high = float(different[-1])
     facts = SignalFacts(
         name=name,
         looks_like=_stated_quantity(name, known, meaning),
         understood=meaning is not None,
-        low=float(known.min()),
-        high=float(known.max()),
-        distinct=(distinct := len(np.unique(known))),
+        low=float(different[0]),
+        high=high,
+        distinct=len(different),
     )
-    if distinct <= 3 and time is not None:
-        opened = time[1:][(values[1:] == known.max()) & (values[:-1] != known.max())]
+    if len(different) <= 3 and time is not None:
+        opened = time[1:][(values[1:] == high) & (values[:-1] != high)]
         facts.openings_per_s = 0.0
         if len(opened) > 2 and np.ptp(opened) > 0:
             facts.openings_per_s = float(1 / np.median(np.diff(opened)))
@@ -545,24 +552,18 @@ def markers_view(scene: Scene) -> Figure:
     name_height = min(_CHARACTER_HEIGHT_IN * longest_name, _MAX_NAME_HEIGHT_IN)
     drawn_height = 8.0 * deep / wide + name_height
     figure, (axes,) = panels(float(np.clip(drawn_height + 1.4, 2.8, 7.0)))
-    axes.plot(
-        *places.reshape(len(places), -1, 2).transpose(2, 0, 1),
-        color="0.8",
-        linewidth=0.6,
-        zorder=1,
-    )
+    axes.plot(*places.transpose(2, 0, 1), color="0.8", linewidth=0.6, zorder=1)
     complete = np.flatnonzero(np.isfinite(places[..., 0]).all(axis=1))
     if complete.size:
-        order = list(scene.order) or list(range(places.shape[1]))
+        order = list(scene.order or range(places.shape[1]))
         frames = {
             "first frame": (complete[0], "0.55"),
             "middle frame": (complete[len(complete) // 2], "0.35"),
             "last frame": (complete[-1], "0.1"),
         }
         for label, (moment, shade) in frames.items():
-            along = places[moment, order]
             axes.plot(
-                *along.T,
+                *places[moment, order].T,
                 "o-" if scene.order else "o",
                 color=shade,
                 label=label,
@@ -587,9 +588,11 @@ def markers_view(scene: Scene) -> Figure:
         axes.autoscale_view()
         axes.legend(fontsize=7)
     axes.set_aspect("equal", adjustable="datalim")
-    title = (
-        f"{places.shape[1]} markers; lines: order along the body at the first, middle"
-        " and last frame"
+    finish(
+        axes,
+        "y (m)",
+        "x (m)",
+        title=f"{places.shape[1]} markers; lines: order along the body at the first,"
+        " middle and last frame",
     )
-    finish(axes, "y (m)", "x (m)", title=title)
     return figure

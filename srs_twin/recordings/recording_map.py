@@ -7,7 +7,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -103,31 +103,27 @@ class RecordingMap(StrictModel):
         for key, value in self.log.items():
             for problem in _log_problems(key, value):
                 yield ("log", key), problem
+        problem = "give either `connector` or `middle`, counted from the head"
         for block, places in (("markers", self.markers), ("bodies", self.bodies)):
             for name, place in places.items():
-                if place == "ignore":
-                    continue
-                if (place.connector is None) == (place.middle is None):
-                    problem = (
-                        "give either `connector` or `middle`, counted from the head"
-                    )
+                if isinstance(place, MarkerPlace) and (
+                    (place.connector is None) == (place.middle is None)
+                ):
                     yield (block, name), problem
 
     @property
     def carrier_hz(self) -> float | None:
         """Carrier frequency of duties, Hz, or None if the map does not state it."""
-        value = self.log.get("carrier_hz")
-        if isinstance(value, float):
-            return value
-        return None
+        return self._number("carrier_hz")
 
     @property
     def ambient(self) -> float:
         """Pressure that is subtracted from absolute pressures, Pa (default 0)."""
-        value = self.log.get("ambient_kpa")
-        if isinstance(value, float):
-            return 1e3 * value
-        return 0.0
+        return 1e3 * (self._number("ambient_kpa") or 0.0)
+
+    def _number(self, key: str) -> float | None:
+        value = self.log.get(key)
+        return value if isinstance(value, float) else None
 
     @property
     def dialect(self) -> Dialect:
@@ -177,22 +173,20 @@ class RecordingMap(StrictModel):
             for k, label in enumerate(table.labels)
             if (label in placed if placed else label not in named)
         ]
-        if len(chosen) == len(table.labels) and not placed:
-            return table
-        rotations = None if table.rotations is None else table.rotations[:, chosen]
-        labels = tuple(table.labels[k] for k in chosen)
         ignored = len(table.labels) - len(chosen)
-        notes = [*table.corrections]
+        if not (ignored or placed):
+            return table
+        notes = table.corrections
         if ignored:
-            notes.append(f"{ignored} markers are ignored according to the map")
-        places = tuple(placed[label] for label in labels) if placed else ()
+            notes += (f"{ignored} markers are ignored according to the map",)
+        labels = tuple(table.labels[k] for k in chosen)
         return replace(
             table,
             points=table.points[:, chosen],
             labels=labels,
-            places=places,
-            rotations=rotations,
-            corrections=tuple(notes),
+            places=tuple(placed[label] for label in labels) if placed else (),
+            rotations=None if table.rotations is None else table.rotations[:, chosen],
+            corrections=notes,
         )
 
 
@@ -237,12 +231,10 @@ def given_map(
     Options that are not None override the values in the file. A marker place has the
     form "NAME=connector 1", "NAME=middle 2", "NAME=connector 1 ahead" or "NAME=ignore".
     """
-    data: dict[str, object] = {}
-    places: dict[str, object] = {}
+    data: dict[str, Any] = {}
     if path is not None:
-        dumped = load_model(RecordingMap, Path(path)).model_dump(exclude_unset=True)
-        data.update(dumped)
-        places.update(dumped.get("markers", {}))
+        data = load_model(RecordingMap, Path(path)).model_dump(exclude_unset=True)
+    places = data.get("markers", {})
     data |= {key: value for key, value in options.items() if value is not None}
     for name, character in _SEPARATORS.items():
         if data.get("separator") == character:
@@ -254,16 +246,14 @@ def given_map(
         name, _, place = option.rpartition("=")
         match = _PLACE.fullmatch(place.strip())
         if not name or not match:
-            allowed = (
-                "NAME=connector 1, NAME=middle 1, NAME=connector 1 ahead (behind, left,"
-                " right) or NAME=ignore"
+            raise InputError(
+                f"--marker '{option}' is not allowed; use NAME=connector 1, NAME=middle"
+                " 1, NAME=connector 1 ahead (behind, left, right) or NAME=ignore"
             )
-            raise InputError(f"--marker '{option}' is not allowed; use {allowed}")
-        entry: object = "ignore"
+        places[name] = "ignore"
         if match["kind"]:
             side = {"side": match["side"]} if match["side"] else {}
-            entry = {match["kind"]: int(match["number"]), **side}
-        places[name] = entry
+            places[name] = {match["kind"]: int(match["number"]), **side}
     if places:
         data["markers"] = places
     return data
@@ -299,6 +289,4 @@ def as_map(given: RecordingMap | Mapping[str, object] | StrPath) -> RecordingMap
 def canonical_key(name: str) -> str:
     """Return the map key without a unit for a column, such as `pressure_plus_1`."""
     match = re.fullmatch(r"(.+_\d{1,3})(?:[_ ]+[a-z]+)?", bracketed(name)[0].lower())
-    if match:
-        return match[1]
-    return name.lower()
+    return match[1] if match else name.lower()

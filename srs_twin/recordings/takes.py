@@ -79,16 +79,9 @@ class RecordingReader:
         `frequency` is the gait frequency (Hz) that is used if `gait_frequency_hz` is
         None.
         """
-        return read_motion(
-            path,
-            spec,
-            up=self.up,
-            layout=self.layout,
-            head=self.head,
-            map=self.map,
-            longest_gap_s=self.longest_gap_s,
-            gait_frequency_hz=self._frequency_or(frequency),
-        )
+        settings = {**vars(self), "gait_frequency_hz": self._frequency_or(frequency)}
+        del settings["offset_s"]
+        return read_motion(path, spec, **settings)
 
     def body(
         self, path: str, spec: RobotSpec, frequency: float | None = None
@@ -96,10 +89,12 @@ class RecordingReader:
         """Read a motion from a motion capture file or a bend log."""
         if not is_bend_log(path, self.map):
             return self.motion(path, spec, frequency)
-        gap = self.longest_gap_s
-        frequency = self._frequency_or(frequency)
         return read_bends(
-            path, spec, map=self.map, longest_gap_s=gap, gait_frequency_hz=frequency
+            path,
+            spec,
+            map=self.map,
+            longest_gap_s=self.longest_gap_s,
+            gait_frequency_hz=self._frequency_or(frequency),
         )
 
     def _frequency_or(self, other: float | None) -> float | None:
@@ -141,7 +136,7 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
     the default paths.
     """
     if not given:
-        return [_log_of(Path(take)) for take in takes]
+        return [default_log(take) for take in takes]
     if len(given) != len(takes):
         wanted = f"give one for each recording, in the same order ({', '.join(takes)})"
         otherwise = f"or none if each log is beside its recording and named NAME{_LOG}"
@@ -152,7 +147,9 @@ def logs_of(takes: Sequence[str], given: Sequence[str]) -> list[str]:
     return list(given)
 
 
-def _log_of(take: Path) -> str:
+def default_log(motion: str) -> str:
+    """Return the default log path of a recording."""
+    take = Path(motion)
     if not take.name:
         return str(take)  # an empty path would mean the current folder
     beside = take.with_name(take.stem + _LOG)
@@ -273,7 +270,7 @@ class RecordingFile(ExtensionSection):
         file = loading.file
         reader = self.build()
         spec = loading.robot.spec(file.seed)
-        (path,) = logs_of([self.motion], [self.valves] if self.valves else [])
+        path = self.valves or default_log(self.motion)
         log = _read(document, "valves", lambda: read_valves(path, spec, self.map))
         frequency = log.gait_frequency() if log else None
         body = _read(
@@ -286,11 +283,10 @@ class RecordingFile(ExtensionSection):
                 ("recording", "motion"), f"{NO_MARKERS}, or set `bench: true`"
             )
             return None
-        one_file = path == self.motion
         joined = _read(
             document,
             "offset_s",
-            lambda: reader.joined(body, log, spec, one_file=one_file),
+            lambda: reader.joined(body, log, spec, one_file=path == self.motion),
         )
         if joined is None or not file.bench:
             return joined
@@ -302,11 +298,11 @@ class RecordingFile(ExtensionSection):
         time = recording.trajectory.time
         span = float(time[-1] - time[0])
         if file.duration_s > span + _ROUNDING_S:
-            text = (
+            document.report(
+                ("duration_s",),
                 f"{file.duration_s:g} s is longer than the recording, which lasts"
-                f" {span:.4g} s"
+                f" {span:.4g} s",
             )
-            document.report(("duration_s",), text)
         if recording.pressures() is not None and "pneumatics" in file.model_fields_set:
             text = "the recorded pressures replace this section; remove it"
             document.report(("pneumatics",), text, at_key=True)
@@ -334,8 +330,8 @@ def _read(document: Document, key: str, read: Callable[[], Result]) -> Result | 
 
 def _input_files(section: Mapping[str, object]) -> Iterator[str]:
     motion = str(section.get("motion"))
-    valves = section.get("valves")
-    yield from (motion, *logs_of([motion], [str(valves)] if valves else []))
+    yield motion
+    yield str(section.get("valves") or default_log(motion))
 
 
 RECORDING = SectionEntry(

@@ -31,7 +31,7 @@ preserves left and right:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -115,13 +115,14 @@ def map_to_floor(
     elif level:
         points, notes = _levelled(points, "xyz".index(up[-1]), level)
     mapped = np.stack([sign * points[..., axis] for axis, sign in MAPS[up]], axis=-1)
-    if up != "z":
+    if planar and up == "-z":
+        notes.append("y is reversed, because up is -z")
+    elif up != "z":
         x, y, _ = (("−" if sign < 0 else "") + "XYZ"[axis] for axis, sign in MAPS[up])
-        rotated = (
+        notes.append(
             f"the axes are rotated: floor x is {x} of the file, and floor y is {y} of"
             " the file"
         )
-        notes.append("y is reversed, because up is -z" if planar else rotated)
     return FloorPlane(up, mapped, tuple(notes))
 
 
@@ -135,12 +136,9 @@ def _find_floor(
             "the file has too few marker positions to determine the floor; record"
             " more frames"
         )
-    centre, (spread, axes) = (
-        np.median(visible, axis=0),
-        _principal_axes(_displacements(points)),
-    )
+    spread, axes = _principal_axes(_displacements(points))
     if not _is_plane(spread):
-        spread, axes = _principal_axes(visible - centre)
+        spread, axes = _principal_axes(visible - np.median(visible, axis=0))
     axis = int(np.argmax(np.abs(axes[:, 0])))
     if not _is_plane(spread):
         common = "xyz".index(usual)
@@ -186,13 +184,13 @@ def _levelled(
     place = points[:, seen][..., horizontal]
     height = points[:, seen, axis]
     slopes, residual = _fit_slopes(place, height)
-    directions = _spreads(place)
+    spread, axes = _horizontal_axes(place)
     lift = np.hypot(_LIFT_FRACTION * _body_extent(place), residual)
-    along = directions.axes.T @ slopes
-    certain = np.abs(along) > _CERTAIN_RATIO * lift / directions.spread
+    along = axes.T @ slopes
+    certain = np.abs(along) > _CERTAIN_RATIO * lift / spread
     if level is not None:
         certain[:] = level
-    removed = directions.axes @ np.where(certain, along, 0.0)
+    removed = axes @ np.where(certain, along, 0.0)
     suspected = float(np.degrees(np.arctan(np.linalg.norm(slopes - removed))))
     notes = []
     tilt = float(np.arctan(np.linalg.norm(removed)))
@@ -242,17 +240,13 @@ def _fit_slopes(place: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, floa
     return slopes, residual
 
 
-class _Spreads(NamedTuple):
-    spread: np.ndarray
-    axes: np.ndarray
-
-
-def _spreads(place: np.ndarray) -> _Spreads:
+def _horizontal_axes(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return ascending RMS displacements along the principal axes, and the axes."""
     moved = place - np.nanmean(place, axis=0)
     products = moved[..., :, None] * moved[..., None, :]
     covariance = np.nanmedian(np.nanmean(products, axis=0), axis=0)
     values, axes = np.linalg.eigh(covariance)
-    return _Spreads(np.sqrt(np.maximum(values, 1e-12)), axes)
+    return np.sqrt(np.maximum(values, 1e-12)), axes
 
 
 def _body_extent(place: np.ndarray) -> float:

@@ -17,6 +17,7 @@ in their order along the body.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
@@ -76,19 +77,18 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
     coordinates in m.
     """
     visible = np.isfinite(tracks[..., 0])
-    if visible.any():
-        usual = np.quantile(tracks[visible][:, 2], 0.5, method="lower")
-    else:
-        usual = 0.0
-    heights = [tracks[visible[:, k], k, 2] for k in range(tracks.shape[1])]
+    heights = {
+        int(k): tracks[visible[:, k], k, 2] for k in np.flatnonzero(visible.any(axis=0))
+    }
+    if not heights:
+        return {}
+    usual = np.quantile(tracks[visible][:, 2], 0.5, method="lower")
     different = [
         k
-        for k, height in enumerate(heights)
-        if height.size and abs(np.median(height) - usual) > _SAME_HEIGHT
+        for k, height in heights.items()
+        if abs(np.median(height) - usual) > _SAME_HEIGHT
     ]
-    robot = [
-        k for k, height in enumerate(heights) if height.size and k not in different
-    ]
+    robot = [k for k in heights if k not in different]
     height_range = {k: _range(heights[k]) for k in different}
     candidates = [k for k in different if height_range[k] <= _CONSTANT_HEIGHT]
     # The search is repeated, because a marker may move together with a newly accepted
@@ -102,11 +102,9 @@ def foreign_tracks(tracks: np.ndarray) -> dict[int, str]:
         candidates = [k for k in candidates if k not in accepted]
     reasons = {}
     for k in (k for k in different if k not in robot):
-        varies = f"its height varies by {1e3 * height_range[k]:.0f} mm"
+        reason = "it does not move with the other markers"
         if height_range[k] > _CONSTANT_HEIGHT:
-            reason = varies
-        else:
-            reason = "it does not move with the other markers"
+            reason = f"its height varies by {1e3 * height_range[k]:.0f} mm"
         reasons[k] = f"it is {1e3 * np.median(heights[k]):.0f} mm high, and {reason}"
     return reasons
 
@@ -168,10 +166,7 @@ def robot_markers(
         # Markers are counted per frame, because a marker that was hidden for a long
         # time may have two tracks.
         visible_count = visible[:, candidates].sum(axis=1)
-        if candidates.size:
-            count = int(np.quantile(visible_count, 0.95, method="lower"))
-        else:
-            count = 0
+        count = int(np.quantile(visible_count, 0.95, method="lower"))
         possible = [name for name, required in counts.items() if required == count]
     required = counts[possible[0]] if possible else -1
     if required < 0 or len(candidates) < required:
@@ -232,11 +227,11 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     # The distance between markers of different pairs may be as small and as constant as
     # within a pair. Pairs of successive markers along the body are therefore an
     # alternative.
-    try:
-        in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
-    except InputError:
-        in_order = pairs
-    pairs = min(pairs, in_order, key=lambda option: sum(score[a, b] for a, b in option))
+    with suppress(InputError):
+        in_order = body_order(points).reshape(-1, 2).tolist()
+        pairs = min(
+            pairs, in_order, key=lambda option: sum(score[a, b] for a, b in option)
+        )
     worst = max(spread[a, b] / max(median[a, b], 1e-9) for a, b in pairs)
     if len(pairs) != connectors or worst > 0.2:
         raise InputError(
@@ -264,7 +259,7 @@ def distance_statistics(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def check_scale(points: np.ndarray, spec: RobotSpec) -> None:
     """Raise an error if the marker distances do not match the size of the robot."""
     pitch = spec.geometry.pitch
-    straight = spec.segments * spec.geometry.pitch
+    straight = spec.segments * pitch
     distance = pairwise_distances(points, _DISTANCE_FRAMES)
     distance = distance[np.isfinite(distance).any(axis=(1, 2))]
     if not len(distance):
@@ -302,10 +297,7 @@ def forward_distance(period: float, points: np.ndarray) -> float:
     frame period (s), and `points` contains the marker positions along the body (m).
     """
     stride = max(1, round(0.25 / period))
-    if len(points) > stride:
-        sampled = points[::stride]
-    else:
-        sampled = points[[0, -1]]
+    sampled = points[::stride] if len(points) > stride else points[[0, -1]]
     centre = sampled.mean(axis=1)
     axis = sampled[:, 0] - sampled[:, -1]
     axis = axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-9)

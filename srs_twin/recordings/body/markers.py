@@ -140,7 +140,7 @@ def tracked_body(
                 raise
             refused.append(f"{layout}: {error}")
     if len(options) == 1:
-        chosen = options[0]
+        (chosen,) = options
     else:
         chosen = _best_fit(markers, spec, options, refused)
     shape, station, notes = _fit_body(markers, spec, chosen.places)
@@ -148,9 +148,8 @@ def tracked_body(
     # A hidden marker at the middle of a segment makes both adjacent connectors
     # uncertain.
     missing = np.zeros(shape.theta.shape, dtype=bool)
-    for k, number in enumerate(station):
-        for connector in {int(number) // 2, (int(number) + 1) // 2}:
-            missing[:, connector] |= shape.missing[:, k]
+    for number, hidden in zip(station, shape.missing.T, strict=True):
+        missing[:, [number // 2, (number + 1) // 2]] |= hidden[:, None]
     return TrackedBody(
         chosen.layout, shape, missing, spacing, chosen.head, tuple(notes)
     )
@@ -182,17 +181,16 @@ def _fit_body(
 
 
 def _undetermined(station: np.ndarray, spec: RobotSpec) -> str:
-    counts = sorted(Counter(station.tolist()).items())
+    counts = Counter(sorted(station.tolist()))
     listed = ", ".join(
-        f"{count} at {_station_name(number)}" for number, count in counts
+        f"{count} at {_station_name(number)}" for number, count in counts.items()
     )
-    if set(range(0, 2 * spec.segments + 1, 2)) <= set(station.tolist()):
+    remedy = (
+        "use one marker per connector and a second marker on the head, or two"
+        " markers per connector"
+    )
+    if counts.keys() >= set(range(0, 2 * spec.segments + 1, 2)):
         remedy = "put a second marker on the head"
-    else:
-        remedy = (
-            "use one marker per connector and a second marker on the head, or two"
-            " markers per connector"
-        )
     return (
         f"the markers ({listed}) do not determine the bends of {spec.segments}"
         f" segments; {remedy}"
@@ -205,50 +203,38 @@ def _station_name(station: int) -> str:
 
 def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list[str]:
     geometry = spec.geometry
+    pitch = geometry.pitch
     notes = []
     low, median, high = (
         np.quantile(shape.length, [0.02, 0.5, 0.98], axis=0) + geometry.rigid_gap
     )
     # A segment may stretch by more than a quarter, but not during the whole recording.
-    wrong = np.flatnonzero(
-        (low > _MAX_LENGTH_RATIO * geometry.pitch)
-        | (high < _MIN_LENGTH_RATIO * geometry.pitch)
-    )
-    if wrong.size:
-        k = int(wrong[0])
-        ratio = float(np.median(median)) / geometry.pitch
+    wrong = (low > _MAX_LENGTH_RATIO * pitch) | (high < _MIN_LENGTH_RATIO * pitch)
+    if wrong.any():
+        k = int(wrong.argmax())
+        ratio = float(np.median(median)) / pitch
         raise InputError(
             f"markers {k + 1} and {k + 2} from the head are {1e3 * median[k]:.4g} mm"
             f" apart along the body, but the connectors of {spec.name} are"
-            f" {1e3 * geometry.pitch:.4g} mm apart{unit_hint(ratio)}"
+            f" {1e3 * pitch:.4g} mm apart{unit_hint(ratio)}"
         )
-    if (
-        model is LengthModel.FIXED
-        and shape.length_std > _MAX_FIXED_STD * geometry.segment_length
-    ):
+    relative_std = shape.length_std / geometry.segment_length
+    if model is LengthModel.FIXED and relative_std > _MAX_FIXED_STD:
         raise InputError(
             "one marker per connector does not determine the bends, because the"
             f" segment lengths vary by {1e3 * shape.length_std:.2g} mm (standard"
             " deviation); put a second marker on the head"
         )
-    deviation = median - geometry.pitch
-    if np.abs(deviation).max() > _NOTED_LENGTH * geometry.pitch:
+    deviation = median - pitch
+    if np.abs(deviation).max() > _NOTED_LENGTH * pitch:
         listed = ", ".join(f"{1e3 * value:+.1f}" for value in deviation)
         notes.append(
             f"the segment lengths differ from those of {spec.name} by {listed} mm (head"
             " first); the measured lengths are used"
         )
-    low, high = (
-        (length - geometry.pitch) / geometry.segment_length for length in (low, high)
-    )
-    if (
-        model is LengthModel.FREE
-        and shape.length_std > _NOTED_STRETCH * geometry.segment_length / 4
-    ):
-        listed = ", ".join(
-            f"{100 * a:+.0f} to {100 * b:+.0f} %"
-            for a, b in zip(low, high, strict=True)
-        )
+    if model is LengthModel.FREE and relative_std > _NOTED_STRETCH / 4:
+        ends = (np.stack([low, high], axis=1) - pitch) / geometry.segment_length
+        listed = ", ".join(f"{100 * a:+.0f} to {100 * b:+.0f} %" for a, b in ends)
         notes.append(
             f"the segment lengths vary ({listed} relative to {spec.name}, head first);"
             " the measured lengths are used"
@@ -259,16 +245,13 @@ def _length_notes(shape: BodyShape, spec: RobotSpec, model: LengthModel) -> list
 def _groups_along_body(
     markers: CapturedMarkers, layout: str, spec: RobotSpec
 ) -> list[tuple[int, ...]]:
-    if layout != "pair":
-        return [(int(k),) for k in body_order(markers.points)]
-    if markers.table.bodies:
-        pairs = np.arange(len(markers.main_columns)).reshape(-1, 2)
-    else:
-        pairs = rigid_pairs(markers.points, spec.geometry.connectors)
-    return [
-        tuple(int(k) for k in pairs[j])
-        for j in body_order(markers.points[:, pairs].mean(axis=2))
-    ]
+    groups = np.arange(markers.points.shape[1])[:, None]
+    if layout == "pair" and markers.table.bodies:
+        groups = groups.reshape(-1, 2)
+    elif layout == "pair":
+        groups = rigid_pairs(markers.points, spec.geometry.connectors)
+    order = body_order(markers.points[:, groups].mean(axis=2))
+    return [tuple(group) for group in groups[order].tolist()]
 
 
 def _stations(layout: str, groups: list[tuple[int, ...]]) -> Places:

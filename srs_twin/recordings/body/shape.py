@@ -105,11 +105,6 @@ class BodyShape:
     missing: np.ndarray
 
     @property
-    def position(self) -> np.ndarray:
-        """Connector positions, shape (frames, N, 2), m."""
-        return np.stack([self.connector.real, self.connector.imag], axis=-1)
-
-    @property
     def bend(self) -> np.ndarray:
         """Bends q_j = θ_j − θ_{j+1}, shape (frames, segments), rad."""
         return np.asarray(self.theta[:, :-1] - self.theta[:, 1:])
@@ -130,22 +125,20 @@ def length_model(
     state = np.concatenate([np.zeros(3), bends, lengths])[None]
     jacobian = placement.kinematics(state).jacobian[0]
     data = (jacobian.conj().T @ jacobian).real / _TEST_NOISE**2
-    for model, std in (
-        (LengthModel.FREE, _FREE_LENGTH_STD),
-        (LengthModel.FIXED, _FIXED_LENGTH_STD),
-    ):
+    # Constant lengths of fewer than three segments may not determine the sign of ε.
+    one_per_connector = count > 2 and sorted(station) == list(
+        range(0, 2 * count + 1, 2)
+    )
+    stds = {LengthModel.FREE: _FREE_LENGTH_STD}
+    if one_per_connector:
+        stds[LengthModel.FIXED] = _FIXED_LENGTH_STD
+    for model, std in stds.items():
         prior = StatePrior(_TEST_NOISE, lengths, std * geometry.segment_length, None)
         matrix = data + prior.information()
         if np.linalg.matrix_rank(matrix, tol=1e-3, hermitian=True) < len(data):
             continue
         error = np.sqrt(np.diag(np.linalg.inv(matrix))[prior.bends])
-        # Constant lengths of fewer than three segments may not determine the sign of ε.
-        one_per_connector = count > 2 and sorted(station) == list(
-            range(0, 2 * count + 1, 2)
-        )
-        if error.max() < _MAX_BEND_STD and (
-            model is LengthModel.FREE or one_per_connector
-        ):
+        if error.max() < _MAX_BEND_STD:
             return model
     return None
 
@@ -206,10 +199,9 @@ def fit_shape(
         )
 
     chi2, freedom = fits.update(complete, fit_complete)
+    scale = 1.0
     if freedom > _MIN_REDUNDANCY * len(complete):
         scale = float(np.sqrt(chi2 / freedom))
-    else:
-        scale = 1.0
     if prior.alternating_std is not None:
         # With constant lengths, the fit has little redundancy, so a small residual must
         # not reduce the standard errors.
@@ -254,21 +246,16 @@ def _body_shape(
     body = MarkerPlacement(np.zeros(0, dtype=int), np.zeros(0), geometry).kinematics(
         fits.state
     )
-    residual = np.sqrt(
-        np.ma.masked_array(fits.distance**2, missing).mean(axis=1).filled(0.0)
-    )
-    error = fits.bend_error * scale
-    length = fits.state[:, prior.lengths]
-    noise = prior.noise * scale
+    squares = np.ma.masked_array(fits.distance**2, missing).mean(axis=1)
     return BodyShape(
         body.connector,
         body.heading,
-        error,
-        length,
-        prior.length_std,
-        noise,
-        residual,
-        missing,
+        bend_error=fits.bend_error * scale,
+        length=fits.state[:, prior.lengths],
+        length_std=prior.length_std,
+        noise=prior.noise * scale,
+        residual=np.sqrt(squares.filled(0.0)),
+        missing=missing,
     )
 
 
@@ -344,8 +331,7 @@ def _estimated_prior(
                 prior.noise = max(prior.noise * scale, _MIN_NOISE)
         # With constant lengths, a new prior may change the best ε, so the grid is
         # searched again.
+        start = fit.state
         if fixed:
             start = initial_states(measured, placement, prior)
-        else:
-            start = fit.state
     return prior

@@ -102,16 +102,13 @@ class LogSummary:
         `time` contains the times (s) of the frames in the trajectory, and `filled` is
         the number of interpolated samples.
         """
-        head = (
+        return cls(
             source.name,
             source.sha256,
             kind,
             int((frames.rows >= 0).sum()),
             1 / frames.period,
             filled,
-        )
-        return cls(
-            *head,
             len(time),
             float(time[0]),
             float(time[-1]),
@@ -209,8 +206,9 @@ _UNITS = {
     "yaw_rate": "rad/s",
     "residual": "m",
     "bend_rate_": "rad/s",
+    "bend_error_": "rad",
+    "length_": "m",
 }
-_UNITS |= {"bend_error_": "rad", "length_": "m"}
 """Units of columns that exist only in measured trajectories, keyed by name prefix."""
 
 MEASURED = "measured"
@@ -230,12 +228,13 @@ def body_trajectory(
     """
     shape = body.shape
     mass_fraction = spec.mass.array() / spec.mass.total
-    com = np.einsum("i,fij->fj", mass_fraction, shape.position)
+    position = np.stack([shape.connector.real, shape.connector.imag], axis=-1)
+    com = np.einsum("i,fij->fj", mass_fraction, position)
     heading = shape.theta.mean(axis=1)
     rates = moving_derivative(markers.time, np.column_stack([com, heading, shape.bend]))
     columns = {
         "time": markers.time,
-        **pose_columns(com @ [1, 1j], heading, shape.position @ [1, 1j], shape.theta),
+        **pose_columns(com @ [1, 1j], heading, shape.connector, shape.theta),
         **numbered_columns("bend", shape.bend),
         "com_velocity_x": rates[:, 0],
         "com_velocity_y": rates[:, 1],
@@ -257,11 +256,14 @@ def pose_columns(
     The positions `com` and `connector` are complex numbers x + iy in m. The headings
     are in rad.
     """
-    columns = {"com_x": com.real, "com_y": com.imag, "heading": heading}
-    columns |= numbered_columns("x", connector.real) | numbered_columns(
-        "y", connector.imag
-    )
-    return columns | numbered_columns("connector_heading", theta)
+    return {
+        "com_x": com.real,
+        "com_y": com.imag,
+        "heading": heading,
+        **numbered_columns("x", connector.real),
+        **numbered_columns("y", connector.imag),
+        **numbered_columns("connector_heading", theta),
+    }
 
 
 def name_of(path: str) -> str:
@@ -305,7 +307,6 @@ def measured_trajectory(
         }
     geometry = spec.geometry
     metadata = {
-        **({"bends_only": True} if counts is None else {}),
         "plant": MEASURED,
         "robot": spec.name,
         "record_hz": summary.rate_hz,
@@ -318,4 +319,6 @@ def measured_trajectory(
         "velocity_half_width": HALF_WIDTH,
         "source": source,
     }
+    if counts is None:
+        metadata["bends_only"] = True
     return Trajectory(columns, units, metadata=metadata)

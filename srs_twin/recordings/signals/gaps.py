@@ -107,8 +107,11 @@ def time_order(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, list[s
             f" row {kept[k] + 1}, so the clock was probably set back, or rows were"
             " repeated; cut the file there, or correct the rows"
         )
-    note = f"the rows were not in chronological order ({backward} steps back)"
-    return order, [*notes, f"{note} and were sorted"]
+    notes.append(
+        f"the rows were not in chronological order ({backward} steps back) and were"
+        " sorted"
+    )
+    return order, notes
 
 
 def _sent_again(time: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -147,10 +150,9 @@ def frame_grid(time: np.ndarray, values: np.ndarray) -> FrameGrid:
     order, notes = time_order(time, values)
     ordered = time[order]
     step = np.diff(ordered)
+    period = 0.0
     if (step > 0).any():
         period = float(np.median(step[step > 0]))
-    else:
-        period = 0.0
     kept = np.concatenate([[True], step > 1e-3 * period])
     if not kept.all():
         notes.append(
@@ -242,6 +244,7 @@ def _track_outliers(
     A. Therefore |a_k·r| / |a_k| has its maximum at the outlier, and |a_k·r| / |a_k|² is
     the size of the outlier.
     """
+    from scipy.ndimage import maximum_filter1d
     from scipy.sparse import csr_array
 
     middle = np.arange(2, len(frames) - 2)
@@ -264,14 +267,8 @@ def _track_outliers(
     projection = np.linalg.norm(cubics.T @ (cubics @ points), axis=1)
     size = np.sqrt((cubics**2).sum(axis=0))
     score = projection / size
-    if (score > 0).any():
-        usual = np.median(score[score > 0])
-    else:
-        usual = 0.0
-    padded = np.pad(score, 4)
-    peak = np.max(
-        [padded[shift : len(padded) - 8 + shift] for shift in range(9)], axis=0
-    )
+    usual = np.median(score[score > 0]) if (score > 0).any() else 0.0
+    peak = maximum_filter1d(score, 9, mode="constant")
     large = projection > min_jump * size**2
     outlier = large & (score > _OUTLIER_RATIO * _STD_PER_MAD * usual) & (score >= peak)
     # The first two and the last two samples cannot be tested, because they affect too

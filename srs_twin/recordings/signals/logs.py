@@ -110,18 +110,16 @@ def read_bends(
     )
     chosen = table.per_segment(["bend"], spec.name, spec.segments)
     time, bend, notes, epoch_ns = table.read_timed(clock, chosen)
-    wrong = np.argwhere(np.abs(bend) > _MAX_BEND)
-    if wrong.size:
-        row, k = (int(index) for index in wrong[0])
-        allowed = (
-            f"it must be at most {_MAX_BEND:.4g} (for degrees, use the column name"
-            " bend_1_deg)"
+    wrong = np.argwhere(np.abs(bend) > _MAX_BEND).tolist()
+    if wrong:
+        row, k = wrong[0]
+        raise table.error(
+            chosen[k],
+            f"{chosen[k].text}: a bend of {bend[row, k]:.4g} rad is not allowed; it"
+            f" must be at most {_MAX_BEND:.4g} (for degrees, use the column name"
+            " bend_1_deg)",
+            row,
         )
-        message = (
-            f"{chosen[k].text}: a bend of {bend[row, k]:.4g} rad is not allowed;"
-            f" {allowed}"
-        )
-        raise table.error(chosen[k], message, row)
     with named_in_errors(table.file.name):
         frames = frame_grid(time, bend)
     bend = at_frames(bend, frames)
@@ -133,17 +131,16 @@ def read_bends(
             " with --longest-gap"
         )
     kept_time = frames.time[kept]
-    unknown = int(np.isnan(bend[kept]).sum())
     notes += frames.corrections
     if not any(column.unit for column in chosen):
         notes.append("bends without a unit are assumed to be in rad")
     notes += not_used(table.unused)
+    unknown = int(np.isnan(bend[kept]).sum())
     summary = LogSummary.from_file(
         table.file, "bend log", frames, kept_time, unknown, notes
     )
-    columns = _clamped_body(
-        kept_time, fill_gaps(kept_time, tracks[kept], 1)[..., 0], spec
-    )
+    filled = fill_gaps(kept_time, tracks[kept], 1)[..., 0]
+    columns = _clamped_body(kept_time, filled, spec)
     trajectory = measured_trajectory(columns, spec, summary, gait_frequency_hz)
     return Recording(trajectory, summary, epoch_ns=epoch_ns)
 
@@ -152,12 +149,7 @@ def _table(
     path: StrPath, recording_map: RecordingMap, kinds: Sequence[str]
 ) -> CsvTable:
     file = laid_out(read_file(path), recording_map.dialect)
-    known = {
-        f"{kind}_{side}": QUANTITIES[kind]
-        for kind in kinds
-        for side in SIDES
-        if kind != "bend"
-    }
+    known = {f"{kind}_{side}": QUANTITIES[kind] for kind in kinds for side in SIDES}
     mapped = recording_map.meanings([*kinds, "time"])
     if kinds == ("bend",):
         known = {"bend": QUANTITIES["bend"]}
@@ -225,7 +217,6 @@ def read_valves(
     notes = list(rows.notes)
     if kind in AIR and not all(column.unit for column in chosen):
         notes.append("pressures without a unit are assumed to be in Pa")
-
     units = QUANTITIES[kind]
     named = [column.text for column in chosen if is_absolute(column.text, units)]
     if named and not recording_map.ambient:
@@ -298,6 +289,7 @@ def _checked_values(
     notes: list[str],
     error: Callable[[int, int, str], InputError],
 ) -> np.ndarray:
+    unit = ""
     if kind in AIR:
         if ambient:
             notes.append(
@@ -321,11 +313,9 @@ def _checked_values(
             "a duty must be between 0 and 1; for per cent, give the unit % in the"
             " name of the column or in a map"
         )
-        unit = ""
     else:
         allowed = np.isin(values, (-1, 0, 1))
         words = "it must be -1 (vent), 0 (hold) or 1 (fill)"
-        unit = ""
     if not allowed.all():
         row, k = np.argwhere(~allowed)[0].tolist()
         if np.isnan(values[row, k]):
