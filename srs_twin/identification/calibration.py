@@ -372,19 +372,15 @@ class _Task:
             settings["validation"] = validation
         if self.length is not None:
             settings["known"] = [self.length]
-        progress = self.given["progress"]
-        estimate = kind.fit(fitted, self.spec, watch=progress, **settings)
+        estimate = kind.fit(fitted, self.spec, watch=self.given["progress"], **settings)
         robot = self.given["robot"]
-        if isinstance(robot, RobotSpec):
-            robot = robot.name
-        plateaus = merge_tables(fitted) if kind is _PLATEAUS else None
         result = Calibration(
             estimate,
             kind.method,
             kind.title.format(spec=self.spec, **self.given),
-            os.fspath(robot),
+            robot.name if isinstance(robot, RobotSpec) else os.fspath(robot),
             tuple(data_sets(fitted, validation)),
-            plateaus,
+            merge_tables(fitted) if kind is _PLATEAUS else None,
         )
         if self.given["out"] is not None:
             path = Path(self.given["out"])
@@ -533,14 +529,9 @@ def _plant_settings(
 ) -> dict[str, str]:
     if plant == "analytical":
         return {"model": model or "compliant", "friction": friction_law or "wheel"}
-    _refuse_option(
-        model, "--model", "this option is allowed only with --plant analytical"
-    )
-    _refuse_option(
-        friction_law,
-        "--friction-law",
-        "this option is allowed only with --plant analytical",
-    )
+    why = "this option is allowed only with --plant analytical"
+    _refuse_option(model, "--model", why)
+    _refuse_option(friction_law, "--friction-law", why)
     return {}
 
 

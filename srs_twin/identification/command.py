@@ -85,14 +85,14 @@ def _fits(declaration: Callable[..., None]) -> None:
             "gait_frequency_hz": given.pop("frequency", None),
         }
         name = declaration.__name__
-        output = FitOutput.from_options(context, name, given["robot"], fit)
+        output = FitOutput(context, name, given["robot"], fit)
         from srs_twin.identification import calibration
 
         if "markers" in given:
             given["reader"] = given.pop("markers").reader(**reading)
-        if given.get("parameters") is not None:
-            given["parameters"] = parse_names(given["parameters"])
         settings = {key: value for key, value in given.items() if value is not None}
+        if "parameters" in settings:
+            settings["parameters"] = parse_names(settings["parameters"])
         output.run(getattr(calibration, f"calibrate_{name}"), files, **settings)
 
 
@@ -154,7 +154,7 @@ def design(
         ("robot file", "", *(f"{100 * width:.0f} %" for width in plan.before.values()))
     ]
     for k, experiment in enumerate(plan.chosen):
-        after = (f"{100 * row[k]:.1f} %" for row in plan.after.values())
+        after = [f"{100 * row[k]:.1f} %" for row in plan.after.values()]
         rows.append((f"after {k + 1}", f"{experiment.minutes:g}", *after))
     print_table(headings, rows, left=(0,))
     for k, experiment in enumerate(plan.chosen, start=1):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING
 
@@ -33,11 +33,9 @@ def fit_report(fit: FitFile, estimate: FitEstimate) -> str:
     The residuals in `estimate` must include those of the validation data.
     """
     quality = fit.quality
-    validated = (
-        ""
-        if quality.validation_rms is None
-        else f", of the validation data {quality.validation_rms:.3g}"
-    )
+    validated = ""
+    if quality.validation_rms is not None:
+        validated = f", of the validation data {quality.validation_rms:.3g}"
     summary = (
         f"RMS of the weighted residuals of the fit {quality.rms or 0.0:.3g}{validated}"
         " (1 if they are as large as the expected noise);"
@@ -78,11 +76,9 @@ def residual_plot(residuals: Sequence[Residual]) -> Figure:
     for axes, residual in zip(rows, shown, strict=True):
         _panel(axes, residual)
     first = shown[0]
-    total = (
-        ""
-        if len(residuals) <= len(shown)
-        else f", {len(shown)} of {len(residuals)} signals"
-    )
+    total = ""
+    if len(residuals) > len(shown):
+        total = f", {len(shown)} of {len(residuals)} signals"
     rows[0].set_title(
         f"{first.role}: {_data_name(first)}{total}", fontsize=10, loc="left"
     )
@@ -108,9 +104,7 @@ def _pictures(residuals: Sequence[Residual]) -> Iterator[Picture]:
         (residual for residual in residuals if len(residual.values)),
         key=lambda residual: residual.role,
     )
-    groups = groupby(
-        ordered, key=lambda residual: (residual.role, _data_name(residual))
-    )
+    groups = groupby(ordered, lambda residual: (residual.role, _data_name(residual)))
     for (role, name), group in groups:
         note = " (not used by the fit)" if role == "validation" else ""
         yield picture(residual_plot(list(group)), f"Residuals of {name}{note}.")
@@ -137,16 +131,20 @@ def parameter_table(parameters: Sequence[Parameter | ParameterEntry]) -> Table:
     return Table(headings, rows, numbers=[1, 2])
 
 
+def direction_text(direction: Mapping[str, float]) -> str:
+    """Return the components of an unidentifiable direction as text."""
+    return ", ".join(
+        f"{component:+.2f} {name}" for name, component in direction.items()
+    )
+
+
 def _details(fit: FitFile) -> dict[str, Table]:
     known = [
         parameter.name for parameter in fit.parameters if parameter.value is not None
     ]
     pairs = zip(known, fit.correlation, strict=True) if len(known) > 1 else ()
     correlations = [[name, *(f"{value:+.2f}" for value in row)] for name, row in pairs]
-    directions = [
-        [", ".join(f"{component:+.2f} {name}" for name, component in direction.items())]
-        for direction in fit.cancels
-    ]
+    directions = [[direction_text(direction)] for direction in fit.cancels]
     held = [[name, f"{value:.6g}"] for name, value in fit.held.items()]
     return {
         "Correlations": Table(["", *known], correlations, range(1, len(known) + 1)),

@@ -6,6 +6,7 @@ import os
 import shlex
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -131,15 +132,14 @@ def print_table(
     for row in rows:
         table.add_row(*row)
     terminal = console()
-    terminal.width = max(
-        terminal.width, _TABLE_WIDTH
-    )  # a truncated number would be misread
+    # A truncated number would be misread.
+    terminal.width = max(terminal.width, _TABLE_WIDTH)
     terminal.print(table)
 
 
 def print_estimate(estimate: FitEstimate) -> None:
     """Print the parameters, correlations and residuals of a fit."""
-    from srs_twin.identification.fit_report import parameter_table
+    from srs_twin.identification.fit_report import direction_text, parameter_table
 
     table = parameter_table((*estimate.parameters, *estimate.derived))
     print_table(table.headings[:-1], (row[:-1] for row in table.rows), left=(0, 3, 4))
@@ -150,9 +150,12 @@ def print_estimate(estimate: FitEstimate) -> None:
     terminal = console()
     for line in (
         *(f"{', '.join(names)}: {reason}" for reason, names in names_by_reason.items()),
-        *correlation_lines(estimate),
-        *direction_lines(estimate),
-        _residual_lines(estimate),
+        *_correlation_lines(estimate),
+        *(
+            f"unidentifiable direction: {direction_text(direction)}"
+            for direction in estimate.cancels
+        ),
+        *_residual_lines(estimate),
         *estimate.misfit,
     ):
         terminal.print(line, soft_wrap=True)  # line breaks would prevent copying a path
@@ -160,8 +163,7 @@ def print_estimate(estimate: FitEstimate) -> None:
         terminal.print("the search did not converge")
 
 
-def correlation_lines(estimate: FitEstimate) -> Iterator[str]:
-    """Yield one line of text for each of the strongest correlations."""
+def _correlation_lines(estimate: FitEstimate) -> Iterator[str]:
     import numpy as np
 
     matrix = np.triu(np.nan_to_num(estimate.correlation), 1)
@@ -173,17 +175,7 @@ def correlation_lines(estimate: FitEstimate) -> Iterator[str]:
         yield f"correlation {matrix[i, j]:+.2f}: {one}, {other}"
 
 
-def direction_lines(estimate: FitEstimate) -> Iterator[str]:
-    """Yield one line of text for each unidentifiable direction."""
-    for direction in estimate.cancels:
-        components = ", ".join(
-            f"{component:+.2f} {name}" for name, component in direction.items()
-        )
-        yield f"unidentifiable direction: {components}"
-
-
-def _residual_lines(estimate: FitEstimate) -> str:
-    lines = []
+def _residual_lines(estimate: FitEstimate) -> Iterator[str]:
     roles: tuple[Role, ...] = ("fit", "validation")
     for role in roles:
         total = estimate.rms(role)
@@ -194,59 +186,42 @@ def _residual_lines(estimate: FitEstimate) -> str:
             for residual in estimate.residuals
             if residual.role == role and len(residual.values)
         ]
-        lines.append(f"{role}: residuals {total:.3g} times the expected noise")
+        yield f"{role}: residuals {total:.3g} times the expected noise"
         for residual in residuals[:_MAX_SIGNALS]:
             unit = "" if residual.unit == "1" else f" {residual.unit}"
-            lines.append(f"  {residual.name}: {residual.rms:.3g}{unit} RMS")
+            yield f"  {residual.name}: {residual.rms:.3g}{unit} RMS"
         if len(residuals) > _MAX_SIGNALS:
-            lines.append(f"  and {len(residuals) - _MAX_SIGNALS} more signals")
-    return "\n".join(lines)
+            yield f"  and {len(residuals) - _MAX_SIGNALS} more signals"
 
 
 NOTHING_WRITTEN = "nothing was written"
 
 
-@dataclass(frozen=True)
 class FitOutput:
-    """Checked output settings of a fit command."""
+    """Output of a fit command."""
 
-    name: str
-    path: Path
-    robot: str
-    command: str
-    quiet: bool
-    as_json: bool
-
-    @classmethod
-    def from_options(
-        cls, context: typer.Context, method: str, robot: str, options: FitOptions
-    ) -> FitOutput:
-        """Create the settings after checking that the output files may be written."""
+    def __init__(
+        self, context: typer.Context, method: str, robot: str, options: FitOptions
+    ) -> None:
+        """Check that the output files may be written."""
         from srs_twin.identification.fit_file import check_fit_suffix
 
         out = options.out
+        unnamed = "names the fit if --name is not given"
         if options.name:
-            name = check_file_name(options.name, "--name")
+            named = options.name, "--name"
         elif out:
-            name = check_file_name(
-                Path(out).stem, "--out names the fit if --name is not given"
-            )
+            named = Path(out).stem, f"--out {unnamed}"
         else:
-            name = check_file_name(
-                f"{Path(robot).stem}_{method}",
-                "--robot names the fit if --name is not given",
-            )
-        path = Path(out or f"{FITS}/{name}.yaml")
+            named = f"{Path(robot).stem}_{method}", f"--robot {unnamed}"
+        self._name = check_file_name(*named)
+        self._path = path = Path(out or f"{FITS}/{self._name}.yaml")
         check_fit_suffix("--out", path)
-        command = command_line(context)
+        self._command = command_line(context)
         if os.path.lexists(path) and not options.overwrite:
-            _check_same_command(path, command)
+            _check_same_command(path, self._command)
         check_output_folder(path.parent, (path.name, path.with_suffix(".html").name))
-        return cls(name, path, robot, command, options.quiet, options.as_json)
-
-    def say(self, text: str) -> None:
-        """Print a message to stderr."""
-        say(text, quiet=self.quiet)
+        self._options = options
 
     def run(
         self, function: Callable[..., Calibration], files: list[str], **settings: Any
@@ -255,24 +230,26 @@ class FitOutput:
 
         If the user interrupts the search, no files are written.
         """
+        quiet = self._options.quiet
+        notify = partial(say, quiet=quiet)
         with (
             interruptible(NOTHING_WRITTEN),
-            FitProgress(self.name, quiet=self.quiet) as progress,
+            FitProgress(self._name, quiet=quiet) as progress,
         ):
-            result = function(files, notify=self.say, progress=progress, **settings)
-        fit = result.write(self.path, self.name, self.command)
-        if self.as_json:
+            result = function(files, notify=notify, progress=progress, **settings)
+        fit = result.write(self._path, self._name, self._command)
+        if self._options.as_json:
             print_json(fit.model_dump(mode="json", exclude_none=True))
-        elif not self.quiet:
+        elif not quiet:
             print_estimate(result.estimate)
-        report = display_path(self.path.with_suffix(".html"))
-        self.say(f"fit written to {display_path(self.path)}, residuals to {report}")
+        report = display_path(self._path.with_suffix(".html"))
+        notify(f"fit written to {display_path(self._path)}, residuals to {report}")
         if result.plateaus is not None:
             from srs_twin.identification.static_tables import write_static_table
 
-            table = self.path.with_suffix(".table.csv")
+            table = self._path.with_suffix(".table.csv")
             write_static_table(result.plateaus, table)
-            self.say(
+            notify(
                 f"{len(result.plateaus.bend)} plateaus written to {display_path(table)}"
             )
 
@@ -319,10 +296,8 @@ def command_line(context: typer.Context) -> str:
     return short_command(shlex.join([*words[:3], *arguments, *words[3:]]))
 
 
-def parse_names(text: str | None) -> list[str] | None:
-    """Return the names in a comma-separated list, or None if no list is given."""
-    if text is None:
-        return None
+def parse_names(text: str) -> list[str]:
+    """Return the names in a comma-separated list."""
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise InputError(
