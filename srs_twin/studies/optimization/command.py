@@ -123,6 +123,7 @@ def _print_result(result: StudyResult) -> None:
 def _print_designs(result: StudyResult, document: StudyDocument) -> None:
     from srs_twin.identification.fitting import print_table
     from srs_twin.studies.optimization.report import mark_bound
+    from srs_twin.viewing.html import cell
     from srs_twin.viewing.plots.labels import field_label, metric_label
 
     shown = document["best"][:_MAX_COLUMNS]
@@ -135,18 +136,11 @@ def _print_designs(result: StudyResult, document: StudyDocument) -> None:
         lines.append((field_label(name), "", *values))
     for name in result.metrics:
         metrics = [document["begun"], *(design["metrics"] for design in shown)]
-        texts = [_text(values[name]) for values in metrics]
-        lines.append((metric_label(name), *texts))
+        lines.append((metric_label(name), *(cell(values[name]) for values in metrics)))
     names = [f"best/{k}" for k in range(1, len(shown) + 1)]
     print_table(("", "initial scenario", *names), lines, left=(0,))
     if len(document["best"]) > _MAX_COLUMNS:
         print(f"{len(document['best'])} designs on the front; study.json has all")
-
-
-def _text(value: float | None) -> str:
-    if value is None:
-        return "–"
-    return f"{value:.4g}"
 
 
 def _design_lines(design: DesignDocument, k: int) -> Iterator[str]:

@@ -80,11 +80,9 @@ class VariableFile(Section):
 
     def fraction_of(self, value: float) -> float:
         """Return the position of a value in the range as a fraction."""
-        low = self.low
-        high = self.high
         if self.scale == "log":
-            return float(np.log(value / low) / np.log(high / low))
-        return (value - low) / (high - low)
+            return float(np.log(value / self.low) / np.log(self.high / self.low))
+        return (value - self.low) / (self.high - self.low)
 
     @model_validator(mode="after")
     def _in_order(self) -> VariableFile:
@@ -236,12 +234,10 @@ class DesignSpace:
 
     def bounds(self, fractions: np.ndarray) -> dict[str, str]:
         """Return "low" or "high" for each variable that lies on that bound."""
-        fractions_by_name = zip(
-            self.variables, self.snapped(fractions[None])[0], strict=True
-        )
+        snapped = self.fractions(self.values(fractions))
         return {
             name: "low" if fraction < ON_BOUND else "high"
-            for name, fraction in fractions_by_name
+            for name, fraction in zip(self.variables, snapped, strict=True)
             if not ON_BOUND <= fraction <= 1 - ON_BOUND
         }
 
@@ -334,7 +330,7 @@ def load_study(
         document.apply(replace(change, loc=loc))
     complete = locate_files(document)
     file = validate(StudyFile, document, document.data)
-    scenario, scenario_errors = (None, ()) if file is None else base_scenario(document)
+    scenario, scenario_errors = base_scenario(document) if file else (None, ())
     loaded = None
     if complete and file is not None and scenario is not None:
         _check_metrics(document, file)
@@ -363,17 +359,14 @@ def _study(
     base = Experiment(on_plant(scenario.document, "twin"), ("twin",)).with_fixed(
         file.fixed
     )
-    experiments = {"twin": Experiment(base, ("twin",))}
-    compliant = None
+    experiments = {}
     try:
         compliant = compliant_scenario(parse_scenario(base, name=scenario.name))
+        if compliant is not None:
+            experiments["compliant"] = Experiment(compliant, ("analytical",))
     except InputError as error:
         document.report(("fixed",), str(error))
-    if compliant is not None:
-        experiments = {
-            "compliant": Experiment(compliant, ("analytical",)),
-            **experiments,
-        }
+    experiments["twin"] = Experiment(base, ("twin",))
     space = DesignSpace(file.variables, base["robot"])
     return OptimizationStudy(name, file, scenario, space, experiments, document.data)
 
@@ -388,11 +381,9 @@ def _check_metrics(document: Document, file: StudyFile) -> None:
 
 
 def _check_conflicts(document: Document, file: StudyFile) -> None:
+    problem = "this field is also fixed, in `fixed` or with --set; remove one of them"
     for name in file.variables:
         if name in file.fixed:
-            problem = (
-                "this field is also fixed, in `fixed` or with --set; remove one of them"
-            )
             document.report(("variables", name), problem, at_key=True)
     metrics = [objective.metric for objective in file.objectives]
     if len(metrics) > len(set(metrics)):

@@ -96,8 +96,7 @@ def draw_front(
     known = [value for value in initial if value is not None]
     if len(known) == 2:
         axes.plot(
-            known[0],
-            known[1],
+            *known,
             "x",
             markersize=9,
             markeredgewidth=2,
@@ -183,25 +182,19 @@ def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
     write_table(folder / EVALUATIONS, pa.table(columns))
     written = [EVALUATIONS]
     study = result.study
-    scenario = result.study.scenario.document
     for k, design in enumerate(result.designs, start=1):
-        document = study.experiments["twin"].document(
-            study.space.changes(design.run.fractions)
-        )
+        changes = study.space.changes(design.run.fractions)
+        document = study.experiments["twin"].document(changes)
         document |= {
-            "plants": scenario["plants"],
+            "plants": study.scenario.document["plants"],
             "title": f"{study.title}: best {k}"[:200],
         }
-        (folder / "best").mkdir(parents=True, exist_ok=True)
-        (folder / f"best/{k}.yaml").write_text(dump_yaml(document), "utf-8")
-        (folder / f"best/{k}.robot.yaml").write_text(
-            dump_yaml(document["robot"]), "utf-8"
-        )
-        written += [f"best/{k}.yaml", f"best/{k}.robot.yaml"]
+        files = {f"best/{k}.yaml": document, f"best/{k}.robot.yaml": document["robot"]}
+        for name, content in files.items():
+            write_text(folder / name, dump_yaml(content))
+        written += files
     written += write_report(folder, result)
-    (folder / STUDY_RESULT).write_text(
-        json.dumps(result.document(), indent=2) + "\n", "utf-8"
-    )
+    write_text(folder / STUDY_RESULT, json.dumps(result.document(), indent=2) + "\n")
     return (*written, STUDY_RESULT)
 
 
@@ -300,9 +293,7 @@ def _best_table(result: StudyResult, document: StudyDocument) -> Table:
 def _interval_text(
     ends: list[float | None] | None, text: Callable[[float | None], str]
 ) -> str:
-    if ends is None:
-        return ""
-    return f" ({text(ends[0])} to {text(ends[1])})"
+    return f" ({' to '.join(map(text, ends))})" if ends else ""
 
 
 def bound_lines(document: StudyDocument) -> list[str]:

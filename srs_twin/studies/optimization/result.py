@@ -18,7 +18,7 @@ from srs_twin.scenario.provenance import versions
 from srs_twin.studies.optimization.loading import ObjectiveFile, OptimizationStudy
 from srs_twin.studies.optimization.runs import Run, StudyRuns, metric_of
 from srs_twin.studies.optimization.search import MAX_IMPROVEMENT, Optimum, excesses
-from srs_twin.studies.sweep.points import Changes, sobol_points
+from srs_twin.studies.sweep.points import Changes, Value, sobol_points
 from srs_twin.studies.sweep.task import Row
 
 EVALUATIONS = "evaluations.parquet"
@@ -164,16 +164,16 @@ class StudyResult:
             tuple(map(EvaluatedDesign, optimum.best, fine, samples)),
             improvement=optimum.improvement,
         )
-        if study.file.objectives[0].quantile is None:
-            return result
         return result.ranked_by_quantile()
 
     def ranked_by_quantile(self) -> StudyResult:
-        """Return a copy with the designs ranked by a quantile of the objective."""
+        """Return the result with the designs ranked by the quantile, if there is one."""
         objective = self.study.file.objectives[0]
-        fraction = objective.quantile or 0.5
+        if objective.quantile is None:
+            return self
         samples = [design.sampled(objective.metric) for design in self.designs]
-        order = np.argsort(objective.sign * np.nanquantile(samples, fraction, axis=1))
+        quantiles = np.nanquantile(samples, objective.quantile, axis=1)
+        order = np.argsort(objective.sign * quantiles)
         return replace(self, designs=tuple(self.designs[k] for k in order))
 
     def document(self) -> StudyDocument:
@@ -203,14 +203,11 @@ class StudyResult:
 
     def _count_without_value(self, part: str) -> int:
         """Return the number of runs that failed or lack a metric."""
-        values = np.array(
-            [
-                [run.metric(name) for name in self.metrics]
-                for run in self.runs
-                if run.part == part
-            ]
+        return sum(
+            any(math.isnan(run.metric(name)) for name in self.metrics)
+            for run in self.runs
+            if run.part == part
         )
-        return int(np.isnan(values).any(axis=-1).sum())
 
     @property
     def warning(self) -> str | None:
@@ -229,7 +226,6 @@ class StudyResult:
         design = self.designs[k]
         objectives = [objective.metric for objective in study.file.objectives]
         changes = {name: design.refinement_change(name) for name in names}
-        known = [changes[name] for name in objectives]
         values = study.space.values(design.run.fractions)
         intervals = None
         if design.samples:
@@ -243,8 +239,9 @@ class StudyResult:
             "on_bound": self._on_bound(design),
             "refined": changes,
             "survives": all(
-                fraction is not None and fraction <= _MAX_REFINEMENT_CHANGE
-                for fraction in known
+                (change := changes[name]) is not None
+                and change <= _MAX_REFINEMENT_CHANGE
+                for name in objectives
             ),
             "intervals": intervals,
             "beats_next": self._beats_next(k),
@@ -252,13 +249,15 @@ class StudyResult:
         }
 
     def _on_bound(self, design: EvaluatedDesign) -> dict[str, Bound]:
-        on_bound: dict[str, Bound] = {}
-        for name, bound in self.study.space.bounds(design.run.fractions).items():
-            variable = self.study.file.variables[name]
-            value = getattr(variable, bound)
-            source = variable.bounds_source
-            on_bound[name] = {"bound": bound, "value": value, "source": source}
-        return on_bound
+        variables = self.study.space.variables
+        return {
+            name: {
+                "bound": bound,
+                "value": getattr(variables[name], bound),
+                "source": variables[name].bounds_source,
+            }
+            for name, bound in self.study.space.bounds(design.run.fractions).items()
+        }
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -281,8 +280,9 @@ class StudyResult:
         fraction = design.run.metric(name) / self.initial.run.metric(name) - 1
         interval = None
         if design.samples:
-            ratios = design.sampled(name) / self.initial.sampled(name) - 1
-            interval = _interval_95(ratios)
+            interval = _interval_95(
+                design.sampled(name) / self.initial.sampled(name) - 1
+            )
         return {"fraction": _number(fraction), "interval_95": interval}
 
     def _fidelity_correlation(
@@ -334,7 +334,7 @@ def _in_groups(rows: list[Row], size: int, count: int) -> list[tuple[Row, ...]]:
     return [tuple(rows[k * size : (k + 1) * size]) for k in range(count)]
 
 
-def _draw_robots(study: OptimizationStudy, count: int) -> list[Changes]:
+def _draw_robots(study: OptimizationStudy, count: int) -> list[dict[str, Value]]:
     if not count:
         return []
     robot = RobotFile.model_validate(study.experiments["twin"].base["robot"])
@@ -344,15 +344,11 @@ def _draw_robots(study: OptimizationStudy, count: int) -> list[Changes]:
     priors = Priors.from_robot(robot, exclude=chosen)
     values = priors.quantile(sobol_points(len(priors.paths), count, study.file.seed))
     names = [f"robot.{path}" for path in priors.paths]
-    robots: list[Changes] = [
-        dict(zip(names, row, strict=True)) for row in values.tolist()
-    ]
+    robots = [dict(zip(names, row, strict=True)) for row in values.tolist()]
     if (name := "robot.bending.damping_time_s") in names:
         step = float(study.experiments["twin"].base["plants"]["twin"]["timestep_s"])
-        robots = [
-            {**each, "plants.twin.timestep_s": stable_step(step, float(each[name]))}
-            for each in robots
-        ]
+        for each in robots:
+            each["plants.twin.timestep_s"] = stable_step(step, float(each[name]))
     return robots
 
 

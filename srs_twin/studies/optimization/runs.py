@@ -6,6 +6,7 @@ search requests the same designs and finds their stored results.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
@@ -49,17 +50,11 @@ class Run:
 def metric_of(row: Row, part: str, name: str) -> float:
     """Return a metric of a result row, or NaN if the metric has no value."""
     value = row.values.get(f"{PLANTS[part]}.{name}")
-    if value is None or row.status != DONE:
-        return float("nan")
-    return value
+    return math.nan if value is None or row.status != DONE else value
 
 
 class StudyRuns(AbstractContextManager["StudyRuns"]):
-    """Runs of a study in a locked folder.
-
-    Attributes:
-        requested: distinct runs in the order in which they were first requested.
-    """
+    """Runs of a study in a locked folder."""
 
     def __init__(
         self,
@@ -73,9 +68,8 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
         self._study = study
         self._engine = engine
         self._on_row = on_row
-        self.requested: list[Run] = []
         self._rows: dict[str, Row] = {}
-        self._requested_by_key: dict[str, Run] = {}
+        self._requested: dict[str, Run] = {}
         check_output_folder(folder, (STUDY_RESULT,), marks=STUDY_MARKS)
         with ExitStack() as opened:
             self._stores = {
@@ -90,6 +84,11 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
     def __exit__(self, *error: object) -> None:
         self._opened.close()
 
+    @property
+    def requested(self) -> list[Run]:
+        """Distinct runs in the order in which they were first requested."""
+        return list(self._requested.values())
+
     def run(self, part: str, fractions: np.ndarray) -> list[Run]:
         """Return the runs of designs at one fidelity, and simulate missing runs.
 
@@ -97,16 +96,11 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
             part: fidelity ("compliant" or "twin").
             fractions: designs as fractions of the ranges, shape (designs, d).
         """
-        runs = []
-        rows = self.rows(
-            part, [self._study.space.changes(design) for design in fractions]
-        )
+        changes = [self._study.space.changes(design) for design in fractions]
+        rows = self.rows(part, changes)
         for row, design in zip(rows, fractions, strict=True):
-            if row.key not in self._requested_by_key:
-                self._requested_by_key[row.key] = Run(part, design, row)
-                self.requested.append(self._requested_by_key[row.key])
-            runs.append(self._requested_by_key[row.key])
-        return runs
+            self._requested.setdefault(row.key, Run(part, design, row))
+        return [self._requested[row.key] for row in rows]
 
     def rows(self, part: str, changes: Sequence[Changes]) -> list[Row]:
         """Return one result row per changed scenario, and compute missing rows."""
@@ -128,8 +122,7 @@ class StudyRuns(AbstractContextManager["StudyRuns"]):
 
     def reset(self) -> None:
         """Clear the list of requested runs, but keep the stored results."""
-        self.requested = []
-        self._requested_by_key = {}
+        self._requested = {}
 
     def _provenance(self, part: str) -> Provenance:
         experiment = self._study.experiments[part]

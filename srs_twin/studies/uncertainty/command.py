@@ -191,9 +191,8 @@ def _print_plant(result: Propagation, plant: str) -> bool:
 
     uncertainties = result.plants[plant]
     rows = []
-    usual_count = ""
-    if result.target[1] in uncertainties:
-        usual_count = _count_text(uncertainties[result.target[1]])
+    usual = uncertainties.get(result.target[1])
+    usual_count = _count_text(usual) if usual else ""
     for metric, uncertainty in uncertainties.items():
         if metric not in metric_units():
             continue
