@@ -147,12 +147,14 @@ class HangingBody:
     def segment(self, spec: RobotSpec, encloses_air: bool) -> HangingSegment:
         """Return the first segment of a robot with this body attached to its end."""
         g = spec.geometry
+        plus, minus = chamber_gains(spec)[0].tolist()
         return HangingSegment(
             g.segment_length,
             g.rigid_gap,
             self.mass,
             self.inertia,
-            *chamber_gains(spec)[0].tolist(),
+            plus,
+            minus,
             bend_law_of(spec),
             spec.chamber.dead_volume,
             spec.chamber.displacement,

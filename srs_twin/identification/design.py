@@ -286,7 +286,7 @@ def calibrate_design(
     """
     file = load_robot_file(robot)
     fractions = (np.arange(64) + 0.5) / 64
-    known = {}
+    known: dict[str, tuple[float, float]] = {}
     if any(record.uncertain for record in file.records().values()):
         known = {
             prior.path: (prior.value, float(prior.quantile(fractions).std()))

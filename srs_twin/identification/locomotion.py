@@ -326,7 +326,7 @@ class _Comparison:
         robot = with_values(self.spec, values)
         result: list[Residual] = []
         for run, measured, role in data:
-            predicted = {}
+            predicted: dict[str, np.ndarray] = {}
             with suppress(DivergedError):
                 simulation = self.model.simulate(run, robot)
                 predicted = signals(

@@ -174,8 +174,8 @@ def _file_facts(
         if not axis_columns(file.names):
             return _table_facts(file, recording_map), None
     topics = read_topics(path)
-    table = topics and topics.markers
-    if topics and table is None and topics.signals:
+    table = None if topics is None else topics.markers
+    if topics is not None and table is None and topics.signals:
         return _topics_facts(topics, kind, recording_map), None
     if table is None:
         table = read_markers(path, recording_map.unstated)
@@ -183,7 +183,7 @@ def _file_facts(
         table = in_unit(table, recording_map.units)
     with named_in_errors(table.name):
         facts, scene = _motion_facts(recording_map.applied(table), recording_map)
-    if topics:
+    if topics is not None:
         facts.signals = _topics_facts(topics, kind, recording_map).signals
     return facts, scene
 
