@@ -195,6 +195,17 @@ def on_interrupt(handler: Any) -> Iterator[None]:
 
 
 @pytest.fixture
+def broker(tmp_path: Path) -> Iterator[Any]:
+    """Yield a running MQTT broker."""
+    from brokers import MOSQUITTO, Broker
+
+    if MOSQUITTO is None:
+        pytest.skip("mosquitto is not installed")
+    with Broker(tmp_path) as running:
+        yield running
+
+
+@pytest.fixture
 def interruptible() -> Iterator[None]:
     """Allow SIGINT for the test and its children, even if pytest ignores it."""
     with on_interrupt(signal.default_int_handler):

@@ -24,7 +24,8 @@ from pathlib import Path
 import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
-from firmware_rig import HOLD_S, WATCHDOG_S, Cause, Rig, Vent, until
+from brokers import wait
+from firmware_rig import HOLD_S, WATCHDOG_S, Cause, Rig, Vent
 
 BOUND_S = 0.2
 KILLS = ("controller", "broker", "interpreter", "hang", "error")
@@ -111,12 +112,12 @@ def study(folder: Path, *, kills: int, losses: int, seed: int) -> Study:
     draw.shuffle(events)
     with Rig(folder) as rig:
         for event in events:
-            until(lambda: rig.robot.filling, 30)
+            wait(lambda: rig.robot.filling, 30)
             time.sleep(draw.uniform(0.0, 0.7))
             happen(rig, event, draw)
-        until(lambda: rig.robot.filling, 30)
+        wait(lambda: rig.robot.filling, 30)
         rig.controller.kill()
-        until(lambda: not rig.robot.filling)
+        wait(lambda: not rig.robot.filling)
         time.sleep(0.1)
         return Study(Counter(events), rig.vents(), len(rig.robot.resets), rig.oldest())
 
@@ -143,7 +144,7 @@ def happen(rig: Rig, event: str, draw: random.Random) -> None:
         rig.robot.fault(event)
     if event in ("interpreter", "hang", "error"):
         resets = len(rig.robot.resets)
-        until(lambda: len(rig.robot.resets) > resets)
+        wait(lambda: len(rig.robot.resets) > resets)
 
 
 def main() -> int:

@@ -25,9 +25,9 @@ from pathlib import Path
 
 import paho.mqtt.client as mqtt
 
-sys.path.append(str(Path(__file__).parents[1] / "tests/live"))
+sys.path.append(str(Path(__file__).parents[1] / "tests/helpers"))
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
-from brokers import broker, free_port
+from brokers import Broker, free_port
 from common.grid import table
 
 from srs_twin import Gait, load_robot
@@ -59,18 +59,16 @@ def walk(client: mqtt.Client, ended: threading.Event) -> None:
 @contextlib.contextmanager
 def walking_robot(folder: Path) -> Iterator[tuple[mqtt.Client, list[str]]]:
     """Run a broker and an emulated robot under a gait; yield a client and the options of a live twin."""
-    broker_port = free_port()
-    natnet_port = free_port()
-    options = [
-        "--mqtt",
-        f"127.0.0.1:{broker_port}",
-        "--natnet",
-        f"127.0.0.1:{natnet_port}",
-    ]
-    with broker(folder, broker_port):
+    with Broker(folder) as broker:
+        options = [
+            "--mqtt",
+            f"127.0.0.1:{broker.port}",
+            "--natnet",
+            f"127.0.0.1:{free_port()}",
+        ]
         emulator = subprocess.Popen([SRS_TWIN, "emulate", ROBOT, *options, "--quiet"])
         client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
-        client.connect("127.0.0.1", broker_port)
+        client.connect("127.0.0.1", broker.port)
         client.loop_start()
         ended = threading.Event()
         walker = threading.Thread(target=walk, args=(client, ended))

@@ -25,6 +25,7 @@ from enum import Enum
 from pathlib import Path
 
 import numpy as np
+from brokers import Broker
 
 from srs_twin.live.links import BrokerAccess, MqttLink
 from srs_twin.live.messages import COMMAND
@@ -40,7 +41,6 @@ PATTERNS = 255
 PERIOD_S = 0.02  # unless CONTROLLER_PERIOD_S is set
 _VALVES = tuple(range(2, 10))  # pins of board.py
 _POLL_S = 0.005
-MOSQUITTO = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin")
 
 
 def micropython() -> list[str] | None:
@@ -228,36 +228,6 @@ class Robot:
         self._follow()
 
 
-class Broker:
-    """Mosquitto on a port of the loopback address."""
-
-    def __init__(self, folder: Path, port: int) -> None:
-        self._conf = folder / "rig_broker.conf"
-        lines = (
-            f"listener {port} 127.0.0.1",
-            "persistence false",
-            "user root",
-            "log_dest none",
-        )
-        self._conf.write_text(
-            "\n".join((*lines, "allow_anonymous true", "set_tcp_nodelay true", "")),
-            "utf-8",
-        )
-        self._port = port
-        self.start()
-
-    def start(self) -> None:
-        """Start it and wait until it listens."""
-        assert MOSQUITTO is not None
-        self.process = subprocess.Popen([MOSQUITTO, "-c", str(self._conf)])
-        until(lambda: _listens(self._port))
-
-    def kill(self) -> None:
-        """End it at once."""
-        self.process.kill()
-        self.process.wait()
-
-
 class Wire:
     """TCP link of the robot to the broker that can stall and break.
 
@@ -349,20 +319,14 @@ class Controller:
 
 
 class Rig:
-    """Robot, link, broker and controller.
-
-    Attributes:
-        port: of the broker.
-    """
+    """Robot, link, broker and controller."""
 
     def __init__(self, folder: Path) -> None:
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port: int = free.getsockname()[1]
-        self.broker = Broker(folder, self.port)
-        self.wire = Wire(self.port)
+        self.broker = Broker(folder)
+        self.wire = Wire(self.broker.port)
         lay(folder, self.wire.port)
         self.robot = Robot(folder)
-        self.controller = Controller(folder, self.port)
+        self.controller = Controller(folder, self.broker.port)
 
     def __enter__(self) -> Rig:
         return self
@@ -396,25 +360,6 @@ class Rig:
 def latest(sent: list[tuple[int, float]], bits: int, before: float) -> float:
     """Return when the latest command of a pattern before a time was sent, s."""
     return max(at for item, at in sent if item == bits and at <= before)
-
-
-def _listens(port: int) -> bool:
-    with socket.socket() as own:
-        own.settimeout(0.2)
-        return own.connect_ex(("127.0.0.1", port)) == 0
-
-
-def until(condition, seconds: float = 20.0) -> None:
-    """Wait until a condition holds.
-
-    Raises:
-        TimeoutError: it does not hold in time.
-    """
-    end = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError(f"not within {seconds} s")
-        time.sleep(0.005)
 
 
 def command(port: int, log: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import socket
 import subprocess
@@ -14,7 +15,7 @@ import firmware_rig
 import numpy as np
 import pytest
 from benchmark_runs import run_script
-from brokers import needs_broker
+from brokers import needs_broker, wait
 from firmware_rig import (
     FIRMWARE,
     HOLD_S,
@@ -25,10 +26,9 @@ from firmware_rig import (
     Rig,
     lay,
     micropython,
-    until,
 )
 
-from srs_twin.live.links import LOST, BrokerAccess, MqttLink
+from srs_twin.live.links import LOST, MqttLink
 from srs_twin.live.messages import (
     BENDS,
     COMMAND,
@@ -97,40 +97,38 @@ def test_commands_of_the_shadow_are_decoded_exactly(tmp_path):
         assert [plus, minus] == fractions[k % 2]
 
 
+VALID = {"t": 1, "plus": [1, 1], "minus": [1, 1]}
 BAD = (
     "",
-    "x",
     "[]",
-    "null",
     "3",
-    "{}",
-    '{"t": 1}',
-    '{"t": 1, "plus": [1, 1]}',
     "[" * 2000,
     "{" * 50,
-    '{"t": NaN, "plus": [1, 1], "minus": [1, 1]}',
-    '{"t": Infinity, "plus": [1, 1], "minus": [1, 1]}',
+    *(json.dumps(VALID | {"t": wrong}) for wrong in (math.nan, math.inf, True, "1")),
+    *(
+        json.dumps(VALID | {"plus": wrong})
+        for wrong in (
+            [1],
+            [1, 1, 1],
+            [1, math.nan],
+            [1, "1"],
+            [1, True],
+            [1, None],
+            [1, 2],
+            "11",
+            {"0": 1, "1": 1},
+        )
+    ),
     '{"t": 1e400, "plus": [1, 1], "minus": [1, 1]}',
-    '{"t": true, "plus": [1, 1], "minus": [1, 1]}',
-    '{"t": "1", "plus": [1, 1], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1, NaN], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1, 1, 1], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1, "1"], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1, true], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1, null], "minus": [1, 1]}',
-    '{"t": 1, "plus": [1, 2], "minus": [1, 1]}',
-    '{"t": 1, "plus": "11", "minus": [1, 1]}',
-    '{"t": 1, "plus": {"0": 1, "1": 1}, "minus": [1, 1]}',
-    '{"a": {"t": 5}, "t": 6, "plus": [1, 1], "minus": [1, 1]}',
+    '{"t": 1, "plus": [1, 1]}',
     '{"t": 1, "plus": [1, 1], "minus": [1, 1e999]}',
+    '{"a": {"t": 5}, "t": 6, "plus": [1, 1], "minus": [1, 1]}',
 )
 
 
 def test_payloads_that_are_no_commands_are_refused_with_a_reason(tmp_path):
-    assert [
-        each for each in evaluate(DECODE, BAD, tmp_path) if not isinstance(each, str)
-    ] == []
+    found = evaluate(DECODE, BAD, tmp_path)
+    assert [each for each in found if not isinstance(each, str)] == []
 
 
 def test_uptime_passes_the_wrap_around_of_ticks(tmp_path):
@@ -335,11 +333,7 @@ def test_the_client_never_waits_for_a_link_that_takes_nothing(tmp_path):
     assert found["longest_s"] < 0.1
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize(
-    "greeting",
-    [b"\x20\x02\x00\x05", b"\xff\xff\xff\xff\xff\xff", b"HTTP/1.1 400 Bad", b""],
-)
+@pytest.mark.parametrize("greeting", [b"\x20\x02\x00\x05", b"HTTP/1.1 400 Bad", b""])
 def test_the_client_tries_again_where_it_is_refused(tmp_path, greeting):
     greeted = []
 
@@ -356,17 +350,17 @@ def test_the_client_tries_again_where_it_is_refused(tmp_path, greeting):
 def rig(tmp_path):
     """Robot that obeys a controller."""
     with Rig(tmp_path) as found:
-        until(lambda: found.robot.filling)
+        wait(lambda: found.robot.filling)
         yield found
 
 
 def vented(rig, count):
-    until(lambda: len(rig.robot.closings) >= count)
+    wait(lambda: len(rig.robot.closings) >= count)
     return rig.vents()[count - 1]
 
 
 def obeys(rig):
-    until(lambda: rig.robot.filling)
+    wait(lambda: rig.robot.filling)
 
 
 @pytest.mark.slow
@@ -408,7 +402,7 @@ def test_chambers_vent_in_time_after_kills_and_a_stall_of_the_link(rig):
 def test_chambers_vent_within_the_watchdog_period_after_a_hang_and_at_once_after_an_error(
     rig, how
 ):
-    with MqttLink(NAME, SEGMENTS, BrokerAccess(port=rig.port), kinds=(STATUS,)) as link:
+    with MqttLink(NAME, SEGMENTS, rig.broker.access, kinds=(STATUS,)) as link:
         time.sleep(0.3)
         if how == "kill":
             rig.robot.kill()
@@ -432,10 +426,10 @@ def test_the_shadow_reads_its_messages_and_garbage_does_not_stop_it(rig):
     from paho.mqtt import client as mqtt
 
     other = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
-    other.connect("127.0.0.1", rig.port)
+    other.connect("127.0.0.1", rig.broker.port)
     other.loop_start()
     kinds = (VALVES, BENDS, STATUS)
-    with MqttLink(NAME, SEGMENTS, BrokerAccess(port=rig.port), kinds=kinds) as link:
+    with MqttLink(NAME, SEGMENTS, rig.broker.access, kinds=kinds) as link:
         for k in range(200):
             payload = (
                 b"{" * 50,
@@ -469,7 +463,7 @@ def test_the_newest_of_many_commands_is_obeyed(tmp_path, monkeypatch):
     """Four commands per tick leave no backlog."""
     monkeypatch.setenv("CONTROLLER_PERIOD_S", "0.005")
     with Rig(tmp_path) as rig:
-        until(lambda: rig.robot.filling)
+        wait(lambda: rig.robot.filling)
         time.sleep(1.5)
         feeds = rig.robot.feeds[-50:]
         sent = rig.controller.sent()
@@ -485,23 +479,3 @@ def test_chambers_vent_in_time_after_sixty_kills_and_twenty_losses():
     )
     print(done.stdout)
     assert done.returncode == 0, done.stderr
-
-
-@needs_broker
-@pytest.mark.slow
-def test_a_shadow_runs_with_the_firmware(rig, srs_twin, tmp_path):
-    words = (
-        "shadow",
-        "gen4",
-        "--mqtt",
-        f"127.0.0.1:{rig.port}",
-        "--name",
-        NAME,
-        "--out",
-        "lab",
-    )
-    done = srs_twin(*words, "--duration", "4", "--json", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    messages = json.loads(done.stdout)["messages"]
-    assert messages[BENDS] > 60 and messages[VALVES] > 60 and messages[COMMAND] > 60
-    assert not [what for what in messages if what.startswith("bad")]

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from brokers import broker, free_port, needs_broker, wait
+from brokers import Broker, free_port, wait
 from subsets import first_by_default
 
 from srs_twin.live.emulate_command import interruption
 from srs_twin.live.journal import journal_messages
-from srs_twin.live.links import BrokerAccess, MqttLink
+from srs_twin.live.links import MqttLink
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, POSES, STATUS
 from srs_twin.trajectory import Trajectory
 
@@ -35,22 +35,33 @@ def start(*words: str, cwd: Path) -> subprocess.Popen[str]:
     )
 
 
-def emulator(port: int, capture: int, cwd: Path, *more: str) -> subprocess.Popen[str]:
-    return start(
-        "emulate",
-        "gen4",
-        "--mqtt",
-        f"127.0.0.1:{port}",
-        "--natnet",
-        f"127.0.0.1:{capture}",
-        *more,
-        cwd=cwd,
-    )
+class Lab:
+    """A broker, and processes of a robot, its camera and its shadow."""
+
+    def __init__(self, broker: Broker, folder: Path) -> None:
+        self.broker = broker
+        self.folder = folder
+        capture = f"127.0.0.1:{free_port()}"
+        self._where = ("--mqtt", f"127.0.0.1:{broker.port}", "--natnet", capture)
+
+    def robot(self, *more: str) -> subprocess.Popen[str]:
+        return start("emulate", "gen4", *self._where, *more, cwd=self.folder)
+
+    def shadow(self, *more: str) -> subprocess.Popen[str]:
+        words = ("shadow", "gen4", *self._where, "--out", "lab", *more)
+        return start(*words, cwd=self.folder)
 
 
-def shadow(port: int, capture: int, cwd: Path, *more: str) -> subprocess.Popen[str]:
-    where = ("--mqtt", f"127.0.0.1:{port}", "--natnet", f"127.0.0.1:{capture}")
-    return start("shadow", "gen4", *where, "--out", "lab", *more, cwd=cwd)
+@pytest.fixture
+def lab(broker, tmp_path):
+    return Lab(broker, tmp_path)
+
+
+def command(link: MqttLink, positive: bool) -> None:
+    """Command one of two shapes."""
+    shape = np.tile([[1.0, -1.0], [-1.0, 1.0]], (2, 1))
+    link.send(COMMAND, shape if positive else -shape)
+    time.sleep(0.02)
 
 
 def ended(process: subprocess.Popen[str]) -> None:
@@ -64,51 +75,34 @@ def ended(process: subprocess.Popen[str]) -> None:
 
 
 @pytest.mark.slow
-@needs_broker
-def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
-    port = free_port()
-    capture = free_port()
-    with (
-        broker(tmp_path, port),
-        MqttLink("gen4", 4, BrokerAccess(port=port), kinds=(BENDS,)) as link,
-    ):
-        robot = emulator(port, capture, tmp_path, "--fault", "lost_marker:5@0")
+def test_it_runs_beside_a_robot_and_keeps_what_it_heard(lab, tmp_path, srs_twin):
+    with MqttLink("gen4", 4, lab.broker.access, kinds=(BENDS,)) as link:
+        robot = lab.robot("--fault", "lost_marker:5@0")
         try:
-            wait(lambda: any(m.kind == BENDS for m in link.received()), 60)
-            twin = shadow(port, capture, tmp_path, "--duration", "5", "--json")
+            wait(link.received, 60)
+            twin = lab.shadow("--duration", "5", "--json")
             for k in range(10_000):
                 if twin.poll() is not None:
                     break
-                link.send(
-                    COMMAND,
-                    np.tile([[1.0, -1.0], [-1.0, 1.0]], (2, 1)) * (-1) ** (k // 17),
-                )
-                time.sleep(0.02)
+                command(link, k // 17 % 2 == 0)
             said, error = twin.communicate(timeout=30)
             assert twin.returncode == 0, error
         finally:
             ended(robot)
     told = json.loads(said)
     assert told["messages"][BENDS] > 100 and told["messages"][POSES] > 100
-    lab = tmp_path / "lab"
-    kinds = [m.kind for m in journal_messages(lab / "journal-1.mcap", "gen4", 4)]
+    out = tmp_path / "lab"
+    kinds = [m.kind for m in journal_messages(out / "journal-1.mcap", "gen4", 4)]
     assert kinds.count(BENDS) >= told["messages"][BENDS]
-    estimate = Trajectory.from_parquet(lab / "estimate.parquet")
+    estimate = Trajectory.from_parquet(out / "estimate.parquet")
     assert estimate.stack("bend").shape[1] == 4
     # On a busy machine everything may pause for a second, also at the end.
     assert (estimate["lost"] == 0).mean() > 0.5
-    assert json.loads((lab / "shadow.json").read_text()) == told
+    assert json.loads((out / "shadow.json").read_text()) == told
     # Four times slower than the robot was, so that a busy machine keeps up.
-    words = (
-        "--mcap",
-        "lab/journal-1.mcap",
-        "--speed",
-        "0.25",
-        "--out",
-        "again",
-        "--json",
-    )
-    played = json.loads(srs_twin("shadow", "gen4", *words, cwd=tmp_path).stdout)
+    words = ("--mcap", "lab/journal-1.mcap", "--speed", "0.25", "--out", "again")
+    done = srs_twin("shadow", "gen4", *words, "--json", cwd=tmp_path)
+    played = json.loads(done.stdout)
     # A busy machine ends before it has taken all that is in its journal.
     then = Trajectory.from_parquet(tmp_path / "again" / "estimate.parquet")
     poses = np.column_stack([then[name] for name in ("com_x", "com_y", "heading")])
@@ -120,40 +114,23 @@ def test_it_runs_beside_a_robot_and_keeps_what_it_heard(tmp_path, srs_twin):
 
 
 def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
-    port = free_port()
     for more, why in (
-        ((), f"no broker answers at 127.0.0.1:{port}"),
         (("--mcap", "no.mcap"), "--mcap replays a recorded journal"),
-        (("--body", "head=9"), "write BODY=CONNECTOR"),
         (("--follow", "gen2_straight"), "the scenario follows no planned path"),
     ):
-        done = srs_twin(
-            "shadow", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path
-        )
+        done = srs_twin("shadow", "gen4", "--mqtt", "lab", *more, cwd=tmp_path)
         assert done.returncode == 2, done.stderr
         assert why in " ".join(done.stderr.split())
 
 
-@needs_broker
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["SIGINT", "SIGTERM", "SIGHUP", "SIGKILL", "stop"])
 def test_the_end_of_a_process_that_steers_is_reported_and_the_robot_vented(
-    tmp_path, how
+    broker, tmp_path, how
 ):
-    port = free_port()
-    words = (
-        "--mqtt",
-        f"127.0.0.1:{port}",
-        "--follow",
-        "follow_orifice",
-        "--out",
-        "lab",
-    )
-    with (
-        broker(tmp_path, port),
-        MqttLink("gen2", 4, BrokerAccess(port=port), kinds=(COMMAND, STATUS)) as robot,
-    ):
-        twin = start("shadow", "gen2", *words, cwd=tmp_path)
+    words = ("--mqtt", f"127.0.0.1:{broker.port}", "--follow", "follow_orifice")
+    with MqttLink("gen2", 4, broker.access, kinds=(COMMAND, STATUS)) as robot:
+        twin = start("shadow", "gen2", *words, "--out", "lab", cwd=tmp_path)
         heard = []
 
         def said(kind: str) -> list:
@@ -203,11 +180,11 @@ def test_a_signal_that_the_caller_ignores_ends_nothing(ignored):
             signal.signal(number, handler)
 
 
-def hears(lab: Path, known: set[Path]) -> bool:
+def hears(folder: Path, known: set[Path]) -> bool:
     """Return whether the journal of a new session has a reading of the robot."""
     new = [
         each
-        for each in set(lab.glob("journal-*.mcap")) - known
+        for each in set(folder.glob("journal-*.mcap")) - known
         if each.stat().st_size > 100
     ]
     return any(
@@ -215,63 +192,48 @@ def hears(lab: Path, known: set[Path]) -> bool:
     )
 
 
-@needs_broker
 @pytest.mark.slow
 @pytest.mark.parametrize("kills", first_by_default(1, [5, 20]))
-def test_a_session_survives_kills(tmp_path, kills):
-    port = free_port()
-    capture = free_port()
+def test_a_session_survives_kills(lab, tmp_path, kills):
+    out = tmp_path / "lab"
     draw = random.Random(4)
     told = []
     known = set()
-    alive = broker(tmp_path, port)
-    alive.__enter__()
-    robot = emulator(port, capture, tmp_path)
-    twin = shadow(port, capture, tmp_path)
-    gait = MqttLink("gen4", 4, BrokerAccess(port=port), kinds=(BENDS,))
-    try:
-        for k in range(kills):
-            end = time.monotonic() + 3.0
-            while time.monotonic() < end:
-                gait.send(
-                    COMMAND,
-                    np.tile([[1.0, -1.0], [-1.0, 1.0]], (2, 1))
-                    * (-1) ** int(3 * time.monotonic()),
-                )
-                time.sleep(0.02)
-            victim = draw.choice(("robot", "twin", "broker"))
-            told.append(victim)
-            if victim == "robot":
-                robot.kill()
-                robot.wait()
-                robot = emulator(port, capture, tmp_path, "--seed", str(k))
-            elif victim == "twin":
-                twin.kill()
-                twin.wait()
-                known = set((tmp_path / "lab").glob("journal-*.mcap"))
-                twin = shadow(port, capture, tmp_path)
-            else:
-                alive.__exit__(None, None, None)
-                alive = broker(tmp_path, port)
-                alive.__enter__()
-        wait(gait.received, 30)
-        wait(
-            lambda: hears(tmp_path / "lab", known), 60
-        )  # on a busy machine a start takes long
-        time.sleep(5.0)
-        ended(twin)
-        found = json.loads((tmp_path / "lab" / "shadow.json").read_text())
-    finally:
-        gait.close()
-        ended(twin)
-        ended(robot)
-        alive.__exit__(None, None, None)
+    robot = lab.robot()
+    twin = lab.shadow()
+    with MqttLink("gen4", 4, lab.broker.access, kinds=(BENDS,)) as gait:
+        try:
+            for k in range(kills):
+                end = time.monotonic() + 3.0
+                while time.monotonic() < end:
+                    command(gait, int(3 * time.monotonic()) % 2 == 0)
+                victim = draw.choice(("robot", "twin", "broker"))
+                told.append(victim)
+                if victim == "robot":
+                    robot.kill()
+                    robot.wait()
+                    robot = lab.robot("--seed", str(k))
+                elif victim == "twin":
+                    twin.kill()
+                    twin.wait()
+                    known = set(out.glob("journal-*.mcap"))
+                    twin = lab.shadow()
+                else:
+                    lab.broker.kill()
+                    lab.broker.start()
+            wait(gait.received, 30)
+            # On a busy machine a start takes long.
+            wait(lambda: hears(out, known), 60)
+            time.sleep(5.0)
+        finally:
+            ended(twin)
+            ended(robot)
+    found = json.loads((out / "shadow.json").read_text())
     assert {"robot", "twin", "broker"} <= set(told)
     assert found["resumed"] and found["estimate"]["lost"] == ""
     assert found["messages"][BENDS] > 0
-    journals = sorted((tmp_path / "lab").glob("journal-*.mcap"))
+    journals = sorted(out.glob("journal-*.mcap"))
     # On a busy machine one may be killed before it is there.
     assert 2 <= len(journals) <= 1 + told.count("twin")
     for each in journals:
-        for message in journal_messages(each, "gen4", 4):
-            assert message.kind
+        assert all(message.kind for message in journal_messages(each, "gen4", 4))

@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import jsonschema
 import pytest
 import yaml
-from brokers import broker, free_port, needs_broker
 
 from srs_twin import InputError
 from srs_twin.live.links import typed_words
@@ -108,8 +107,12 @@ def test_mistakes_are_shown_where_they_are(tmp_path, srs_twin, text, words):
 
 
 def asked_for(srs_twin, tmp_path, monkeypatch, *words: str) -> SimpleNamespace:
-    """Return the arguments with which the command connects to the broker."""
+    """Return the arguments with which the command connects to the broker and makes a shadow."""
     found = SimpleNamespace()
+
+    def shadow(spec, **settings):
+        found.shadow = settings
+        return SimpleNamespace(spec=spec)
 
     def broker_link(name, segments, address, user, ca, *, speaks):
         found.name = name
@@ -119,6 +122,7 @@ def asked_for(srs_twin, tmp_path, monkeypatch, *words: str) -> SimpleNamespace:
         raise InputError("far enough")
 
     monkeypatch.setattr("srs_twin.live.session.warm_up", lambda _: None)
+    monkeypatch.setattr("srs_twin.live.shadow.Shadow", shadow)
     monkeypatch.setattr("srs_twin.live.shadow_command.broker_link", broker_link)
     done = srs_twin("shadow", *words, cwd=tmp_path)
     assert done.returncode == 2 and "far enough" in done.stderr, done.stderr
@@ -129,24 +133,12 @@ def test_options_override_the_setup_file(srs_twin, tmp_path, monkeypatch):
     (tmp_path / "lab.yaml").write_text(LAB)
     (tmp_path / "ca.pem").touch()
     found = asked_for(srs_twin, tmp_path, monkeypatch, "--setup", "lab.yaml")
-    assert (found.name, found.broker, found.user, found.ca) == (
-        "snake",
-        "10.0.0.2:1884",
-        "lab",
-        Path("ca.pem"),
-    )
-    found = asked_for(
-        srs_twin,
-        tmp_path,
-        monkeypatch,
-        "gen2",
-        "--setup",
-        "lab.yaml",
-        "--name",
-        "other",
-        "--mqtt",
-        "1.2.3.4",
-    )
+    expected = ("snake", "10.0.0.2:1884", "lab", Path("ca.pem"))
+    assert (found.name, found.broker, found.user, found.ca) == expected
+    words = ("gen2", "--setup", "lab.yaml", "--name", "other", "--mqtt", "1.2.3.4")
+    defaults = {"supply_pa": 50e3, "members": 32, "seed": 0}
+    assert found.shadow == defaults | {"frames": {"head": 1, "a=b": 2}}
+    found = asked_for(srs_twin, tmp_path, monkeypatch, *words)
     assert (found.name, found.broker, found.user) == ("other", "1.2.3.4", "lab")
 
 
@@ -155,27 +147,18 @@ def test_without_a_robot_the_command_asks_for_one(srs_twin, tmp_path):
     assert done.returncode == 2 and "no robot is given; give ROBOT" in done.stderr
 
 
-@needs_broker
-def test_a_session_that_hears_nothing_says_so_with_exit_code_2(srs_twin, tmp_path):
-    port = free_port()
+def test_a_session_that_hears_nothing_says_so_with_exit_code_2(
+    srs_twin, tmp_path, broker
+):
+    address = f"127.0.0.1:{broker.port}"
     (tmp_path / "lab.yaml").write_text(
-        f"robot: gen4\nbroker: {{address: '127.0.0.1:{port}'}}\n"
+        f"robot: gen4\nbroker: {{address: '{address}'}}\n"
     )
-    with broker(tmp_path, port):
-        done = srs_twin(
-            "shadow",
-            "--setup",
-            "lab.yaml",
-            "--duration",
-            "0.3",
-            "--out",
-            "lab",
-            cwd=tmp_path,
-        )
+    options = ("--setup", "lab.yaml", "--duration", "0.3", "--out", "lab")
+    done = srs_twin("shadow", *options, cwd=tmp_path)
     assert done.returncode == 2
     assert (
-        f"no messages of the robot 'gen4' arrived from 127.0.0.1:{port} in 0 s"
-        in done.stderr
+        f"no messages of the robot 'gen4' arrived from {address} in 0 s" in done.stderr
     )
     assert "None" not in done.stderr and "Traceback" not in done.stderr
     assert "estimate" not in json.loads((tmp_path / "lab/shadow.json").read_text())
