@@ -10,7 +10,7 @@ import hostile_messages as hostile
 import numpy as np
 import pytest
 from test_emulator import Bench
-from test_safe_exits import Steering, Wire
+from test_safe_exits import Steering, Wire, simulated_machine
 
 from srs_twin import load_robot
 from srs_twin.live import emulator
@@ -66,15 +66,12 @@ def named(link) -> int:
     return sum(reasons.values())
 
 
-counts = pytest.mark.parametrize(
-    "count", [200, pytest.param(2000, marks=pytest.mark.slow)]
-)
+COUNT = 200
 
 
-@counts
-def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, count):
-    draw = Random(count)
-    wire = Wire(SEGMENTS)
+def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch):
+    draw = Random(COUNT)
+    simulated_machine(monkeypatch)
     monkeypatch.setattr(NatNetLink, "_start", lambda _: None)
     with NatNetServer({}) as server, NatNetLink(port=server.port) as eyes:
         sender = "127.0.0.1", server.port
@@ -82,6 +79,7 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
         eyes._arrived(hostile.natnet.write_server(), sender)
         warm_up(load_robot("gen4"))
         shadow = Shadow(load_robot("gen4"), members=8)
+        wire = Wire(SEGMENTS)
         session = Session(
             shadow, [wire, link, eyes], steering=Steering(), commands=link
         )
@@ -91,7 +89,7 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
             """Deliver twenty of each between two ticks; at the end a stop, and nothing after it."""
             if len(session.ticks) < 10 or told["stop"]:
                 return False
-            if told["messages"] >= count:
+            if told["messages"] >= COUNT:
                 deliver(link, CONTROL, b"stop")
                 told["stop"] = clock()
                 return False
@@ -107,13 +105,10 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
             return False
 
         found = session.run(60.0, stop)
-    assert named(link) == told["messages"] >= count
+    assert named(link) == told["messages"] >= COUNT
     assert named(eyes) == told["packets"]
     assert found["dropped"]["bends off its clock"] == told["times"]
-    # A busy machine may fall behind; hostile messages cause no other problem.
-    assert found["error"] is None and all(
-        "this machine is too slow" in each for each in found["problems"]
-    )
+    assert found["error"] is None and found["problems"] == []
     assert found["seconds"] < 59 and not found["estimate"]["lost"]
     assert np.abs(found["estimate"]["bend_rad"]).max() < 0.05
     after = [
@@ -126,24 +121,23 @@ def test_a_session_ignores_hostile_messages_and_obeys_a_stop(link, monkeypatch, 
     )
 
 
-@counts
 def test_a_robot_ignores_hostile_messages_and_obeys_a_command_within_one_tick(
-    link, monkeypatch, count
+    link, monkeypatch
 ):
-    draw = Random(count)
+    draw = Random(COUNT)
     bench = Bench(monkeypatch)
     whole = bench._sleep
 
     def sleep(seconds: float) -> None:
         whole(seconds)
         if bench.now > 101.0 and not named(link):
-            for _ in range(count):
+            for _ in range(COUNT):
                 deliver(link, *hostile.message(draw, SEGMENTS))
             monkeypatch.setattr("srs_twin.live.links.clock", lambda: bench.now)
             deliver(link, COMMAND, encode(COMMAND, 1.0, np.ones((SEGMENTS, 2))))
 
     monkeypatch.setattr(emulator, "time", SimpleNamespace(sleep=sleep))
     emulator.emulate(bench, link, None, duration=2.0)
-    assert named(link) == count
+    assert named(link) == COUNT
     first = next(at for at, obeys in bench.obeyed if obeys)
     assert 101.0 < first < 101.0 + 2 * bench.tick
