@@ -176,5 +176,10 @@ def test_estimates_begin_after_the_noise_has_been_measured(period):
 
 def test_missing_samples_do_not_shift_the_phase():
     results = observed(0.6, 2.0, lost=0.1)
-    assert not any(result.touched for result in results[:-22] if result is not None)
-    assert [result for result in results if result is not None][-1].touched
+    *free, last = [result for result in results if result is not None]
+    assert not any(result.touched for result in free[:-21])
+    assert last.touched
+    assert last.force == pytest.approx(0.6, rel=0.2)
+    assert last.place == pytest.approx(2 * PITCH, abs=0.3 * PITCH)
+    assert last.force_interval[0] <= 0.6 <= last.force_interval[1]
+    assert last.place_interval[0] <= 2 * PITCH <= last.place_interval[1]

@@ -7,7 +7,8 @@ import pytest
 from snakes import robot
 
 from srs_twin.live.fault_detector import FaultDetector
-from srs_twin.pneumatics import LagPneumatics
+from srs_twin.pneumatics import LagPneumatics, OrificePneumatics
+from srs_twin.pneumatics.valves import StuckValve
 
 TICK = 0.02
 HALF = 17
@@ -17,26 +18,58 @@ OFFSET, SCALE, DRIFT = np.array(
 )
 
 
-def walked(seconds, fault=lambda time, readings: readings, supply=lambda time: 1.0):
-    """Return a detector after a walk without pressures, the last readings of poor sensors and the bends."""
+def walked(
+    seconds,
+    fault=lambda time, readings: readings,
+    supply=lambda time: 1.0,
+    stuck=None,
+):
+    """Return a detector after a walk, the last readings of poor sensors and the bends.
+
+    If a valve sticks, pressures of compressible air are measured as well.
+    """
     spec = robot("gen4")
     rng = np.random.default_rng(2)
-    chambers = LagPneumatics(spec, supply_pa=spec.supply.nominal)
+    kind = LagPneumatics if stuck is None else OrificePneumatics
+    chambers = kind(spec, supply_pa=spec.supply.nominal)
+    chambers.stuck = (stuck,) if stuck is not None else ()
     detector = FaultDetector(spec, supply_pa=spec.supply.nominal)
     for k in range(round(seconds / TICK)):
         way = 1 if k // HALF % 2 == 0 else -1
         states = np.tile([way, -way], (spec.segments, 1))
         chambers.set_supply_pressure(supply(k * TICK) * spec.supply.nominal)
-        bend = chambers.advance(chambers.schedule(states, TICK), np.array([TICK])).bend[
-            -1
-        ]
+        trace = chambers.advance(chambers.schedule(states, TICK), np.array([TICK]))
+        bend = trace.bend[-1]
         detector.predict((states + 1) / 2, TICK)
         error = OFFSET + DRIFT * k * TICK + NOISE * rng.normal(size=bend.shape)
         readings = fault(k * TICK, (1 + SCALE) * bend + error)
         detector.update(readings)
+        if stuck is not None:
+            detector.update(pressures=trace.pressure[-1])
         if k % 2 == 0:
             detector.update(markers=bend + NOISE * rng.normal(size=bend.shape))
     return detector, readings, bend
+
+
+def silent(time, readings):
+    return np.where(np.arange(4) == 2, np.nan, readings) if time > 2.5 else readings
+
+
+def frozen(time, readings):
+    return np.where(np.arange(4) == 2, 0.2, readings) if time > 2.5 else readings
+
+
+@pytest.mark.parametrize(
+    ("sensor", "side", "state", "named"),
+    [
+        (silent, 0, -1, {1: "stuck_valve +=closed", 3: "dead_sensor"}),
+        (frozen, 1, 1, {1: "stuck_valve -=open", 3: "dead_sensor frozen"}),
+    ],
+)
+def test_a_dead_sensor_and_a_stuck_valve_are_told_apart(sensor, side, state, named):
+    detector, *_ = walked(4.5, sensor, stuck=StuckValve(1, side, state, 2.5))
+    assert detector.detected_faults == named
+    assert detector.probability[[1, 3], 0].min() > 0.9
 
 
 @pytest.mark.slow
@@ -55,8 +88,11 @@ def test_drift_of_a_poor_sensor_is_a_fault():
     def drifting(time, readings):
         return readings + np.array([0.0, 0.1, 0.0, 0.0]) * max(time - 6.0, 0.0)
 
-    detector, *_ = walked(8.5, drifting)
+    detector, readings, bend = walked(8.5, drifting)
     assert detector.detected_faults == {2: "drifting_sensor"}
+    corrected, sd = detector.corrected(readings)
+    allowed = 5 * np.hypot(sd, NOISE)
+    assert (np.abs(corrected - bend) < allowed)[[0, 2, 3]].all()
 
 
 @pytest.mark.slow

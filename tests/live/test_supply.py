@@ -10,44 +10,30 @@ from live_runs import (
     Run,
     alarms,
     conditioned,
-    isolated,
     shadowed,
     steered,
 )
 from subsets import first_by_default
 
 from srs_twin.live.air_balance import LARGEST_SD, PRIOR_SD, WALK, SupplyFilter
-from srs_twin.live.messages import SUPPLY, BadMessageError, decode, encode
 
 NOMINAL = 60e3
 TICK = 0.02
-
-
-def chambers(supply, rng, sd=0.03, count=4):
-    """Return residuals' ingredients of chambers that fill: pressures, responses, standard deviations."""
-    response = rng.uniform(0.3, 0.95, count)
-    return (
-        response * supply + sd * NOMINAL * rng.normal(size=count),
-        response,
-        np.full(count, sd * NOMINAL),
-    )
+SD = 0.03 * NOMINAL
 
 
 def followed(supplies, seed=1, outlier=0.0, repeats=1.0):
+    """Return estimates and standard deviations from the pressures of four chambers that fill."""
     rng = np.random.default_rng(seed)
     supply = SupplyFilter(NOMINAL)
     estimates = []
     for true in supplies:
         supply.predict(TICK)
-        pressure, response, sd = chambers(true, rng)
+        response = rng.uniform(0.3, 0.95, 4)
+        pressure = response * true + SD * rng.normal(size=4)
         pressure[0] *= 1 - outlier
-        supply.update(
-            pressure - response * supply.pressure,
-            response,
-            sd,
-            np.ones(len(sd)),
-            repeats,
-        )
+        residual = pressure - response * supply.pressure
+        supply.update(residual, response, np.full(4, SD), np.ones(4), repeats)
         estimates.append((supply.pressure, supply.sd))
     return np.array(estimates)
 
@@ -87,31 +73,10 @@ def test_measurement_corrects_and_variance_grows_up_to_its_limit():
     assert supply.fraction == pytest.approx(0.9, abs=0.002)
 
 
-def test_supply_message_keeps_its_pressure():
-    message = decode(
-        SUPPLY,
-        encode(SUPPLY, 3.0, np.array(47.5e3)),
-        source="r",
-        arrived=1.0,
-        segments=4,
-    )
-    assert message.values == pytest.approx(47.5e3) and message.sent == 3.0
-    for wrong in (b'{"t": 1}', b'{"t": 1, "kpa": -5}', b'{"t": 1, "kpa": "much"}'):
-        with pytest.raises(BadMessageError, match="kpa"):
-            decode(SUPPLY, wrong, source="r", arrived=1.0, segments=4)
-
-
 def test_sudden_loss_is_followed_by_one_message():
     found = followed(np.where(np.arange(50) < 25, NOMINAL, 0.5 * NOMINAL), repeats=16.0)
     assert found[25, 0] == pytest.approx(0.5 * NOMINAL, abs=0.05 * NOMINAL)
     assert found[25, 1] < 0.06 * NOMINAL
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [6006, 6007])
-def test_loss_of_the_supply_is_not_a_leak(seed):
-    (done,) = isolated((seed, "nominal", ("low_supply_pressure=half",)))
-    assert done["in_time"] and not done["others"], done
 
 
 @pytest.mark.slow
@@ -149,20 +114,16 @@ def test_a_measurement_is_weighted_with_student_t():
     """At two standard deviations and four degrees of freedom, the weight is 5/8."""
     supply = SupplyFilter(NOMINAL)
     prior = supply.variance
-    sd = 0.03 * NOMINAL
-    residual = -2 * np.sqrt(sd**2 + prior)
-    supply.update(*(np.array([value]) for value in (residual, 1.0, sd, 1.0)))
-    information = 5 / 8 / sd**2
+    residual = -2 * np.sqrt(SD**2 + prior)
+    supply.update(*(np.array([value]) for value in (residual, 1.0, SD, 1.0)))
+    information = 5 / 8 / SD**2
     assert supply.variance == pytest.approx(1 / (1 / prior + information))
     change = supply.variance * information * residual
     assert supply.pressure == pytest.approx(NOMINAL + change)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [7, 18])
-def test_first_strokes_of_compressible_chambers_are_not_a_loss_of_the_supply(seed):
+def test_first_strokes_of_compressible_chambers_are_not_a_loss_of_the_supply():
     """Chambers that deviate from the first-order model are not a loss of the supply."""
-    run = Run(
-        seed, 4.0, robot="gen2", frequency=2.0, cameras_s=4.0, pneumatics="orifice"
-    )
+    run = Run(7, 4.0, robot="gen2", frequency=2.0, cameras_s=4.0, pneumatics="orifice")
     assert steered((run, "follow_orifice"))["faults"] == {}
