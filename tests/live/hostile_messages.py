@@ -36,10 +36,7 @@ def not_json(draw: Random, text: bytes) -> bytes:
             b"[" * draw.randrange(1, 60_000),
             b"\xff\xfe" + text,
             text.replace(b'"t"', b"t"),
-            b"{" * 50,
-            b'{"t": 1e',
             b'{"t": 0x10}',
-            b"nan",
             text.replace(b":", b"=", 1),
         ]
     )
@@ -52,11 +49,8 @@ def no_object(draw: Random) -> bytes:
             [
                 None,
                 True,
-                draw.random(),
                 "stop it",
                 [],
-                [1, 2],
-                [[[]]],
                 [{"t": 1}],
                 10**400,
             ]
@@ -70,15 +64,9 @@ def wrong_value(draw: Random) -> Any:
         [
             math.nan,
             math.inf,
-            -math.inf,
             1e300,
-            -1e300,
-            10**40,
             "1",
-            "",
-            [],
             [0.0],
-            {},
             {"t": 1},
             True,
             1e11,

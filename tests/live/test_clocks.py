@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
@@ -45,7 +43,7 @@ def test_a_drift_is_followed_and_a_clock_that_is_set_begins_anew():
     assert clock.uncertainty == 0.0  # no transport takes a minute
 
 
-STEPS = (-10.0, -5.0, -1.5, -0.9, -0.3, -0.1, 0.1, 0.3, 0.9, 1.5, 5.0, 10.0)
+steps = pytest.mark.parametrize("step", [-10.0, -0.9, -0.1, 0.1, 0.9, 10.0])
 
 
 def stepped(step, at, *, once, rate=50.0, seed=0):
@@ -66,8 +64,7 @@ def stepped(step, at, *, once, rate=50.0, seed=0):
     return buffer, np.array(used)
 
 
-@pytest.mark.default_cases(3)
-@pytest.mark.parametrize("step", STEPS)
+@steps
 def test_a_single_wrong_stamp_is_ignored(step):
     buffer, used = stepped(step, 8.0, once=True)
     assert np.diff(used[:, 0]).max() < 0.1
@@ -75,9 +72,9 @@ def test_a_single_wrong_stamp_is_ignored(step):
     assert np.abs(used[:, 1] - used[:, 2]).max() < 0.06
 
 
-@pytest.mark.default_cases(at=[0, 14, 35])
-@pytest.mark.parametrize("step", STEPS)
-@pytest.mark.parametrize("rate", [10.0, 50.0, 200.0])
+@pytest.mark.default_cases(at=[0, 5, 6, 11])
+@steps
+@pytest.mark.parametrize("rate", [10.0, 200.0])
 def test_a_clock_that_is_set_is_followed_within_half_a_second(step, rate):
     buffer, used = stepped(step, 8.0, once=False, rate=rate, seed=3)
     assert np.diff(used[:, 0]).max() < 0.5 + 1 / rate
@@ -149,19 +146,14 @@ def test_hold_follows_the_jitter_up_to_a_tenth_of_a_second(jitter, longest, late
     assert buffer.counts["robot", BENDS, "late"] <= late * len(delay)
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize(
-    "kinds", list(itertools.permutations([VALVES, BENDS, PRESSURES]))
-)
-def test_what_was_sent_at_once_comes_as_it_is_needed(kinds):
+def test_what_was_sent_at_once_comes_as_it_is_needed():
     buffer = ReorderBuffer()
-    for kind in kinds:
+    for kind in (PRESSURES, BENDS, VALVES, VALVES):
         buffer.push(message(1.0, 2.0, kind))
-    assert [each.kind for _, each in buffer.pop_until(10.0)] == [
-        VALVES,
-        BENDS,
-        PRESSURES,
-    ]
+    found = [each.kind for _, each in buffer.pop_until(10.0)]
+    assert found == [VALVES, BENDS, PRESSURES]
+    counts = [buffer.counts["robot", VALVES, what] for what in ("taken", "duplicate")]
+    assert counts == [1, 1]
 
 
 def test_messages_with_wrong_times_are_refused_until_three_agree():

@@ -42,19 +42,19 @@ def test_square_wave_gets_estimates_after_learning_although_a_shorter_period_fit
     assert not contact.estimate.touched
 
 
-def test_score_that_is_no_number_is_null():
-    assert (
-        json.loads(encode_contact(1.5, ContactEstimate(touched=False, score=np.nan)))[
-            "score"
-        ]
-        is None
-    )
-
-
 def test_message_has_null_for_force_and_place_without_a_contact():
-    free = json.loads(encode_contact(1.5, ContactEstimate(touched=False, score=2.0)))
-    assert free == {"t": 1.5, "touched": False, "score": 2.0} | dict.fromkeys(
-        ["n", "n_interval", "m", "m_interval"]
-    )
-    held = ContactEstimate(True, 9.0, 0.7, (0.5, 0.9), 0.11, (0.1, 0.12))
-    assert json.loads(encode_contact(1.5, held))["n"] == pytest.approx(0.7)
+    def sent(*values):
+        return json.loads(encode_contact(1.5, ContactEstimate(*values)))
+
+    nothing = dict.fromkeys(["n", "n_interval", "m", "m_interval"])
+    assert sent(False, 2.0) == {"t": 1.5, "touched": False, "score": 2.0} | nothing
+    assert sent(False, np.nan)["score"] is None
+    assert sent(True, 9.0, 0.7, (0.5, 0.9), 0.11, (0.1, 0.12)) == {
+        "t": 1.5,
+        "touched": True,
+        "score": 9.0,
+        "n": 0.7,
+        "n_interval": [0.5, 0.9],
+        "m": 0.11,
+        "m_interval": [0.1, 0.12],
+    }

@@ -12,6 +12,29 @@ from srs_twin.live.member_dynamics import ValveInput
 EXACT = ModelError(disturbance=0.0, pressure=0.0, position=0.0)
 
 
+def air(plus: float, segments: int = 4) -> ValveInput:
+    """Return an input whose + chambers fill for a share of the time; the − chambers vent."""
+    duties = np.zeros((1, segments, 2))
+    duties[..., 0] = plus
+    return ValveInput(duties, np.full(segments, 48e3), np.zeros((segments, 2)))
+
+
+def corrected(
+    members: np.ndarray, measured: float, variance: float
+) -> tuple[np.ndarray, float]:
+    """Return members that a measurement of the first variable has corrected, and its residual."""
+    result = members.copy()
+    off = measurement_update(
+        result,
+        members[:, :1].copy(),
+        np.array([measured]),
+        np.array([variance]),
+        np.ones((1, members.shape[1])),
+        False,
+    )
+    return result, off[0]
+
+
 def test_one_measurement_corrects_as_in_a_kalman_filter():
     rng = np.random.default_rng(3)
     members = rng.multivariate_normal(
@@ -22,12 +45,8 @@ def test_one_measurement_corrects_as_in_a_kalman_filter():
     noise = 0.02
     measured = 0.5
     gain = covariance[:, 0] / (covariance[0, 0] + noise)
-    predicted = members[:, :1].copy()
-    kept = members.copy()
-    off = measurement_update(
-        kept, predicted, np.array([measured]), np.array([noise]), np.ones((1, 2)), False
-    )
-    assert off[0] == pytest.approx(
+    kept, residual = corrected(members, measured, noise)
+    assert residual == pytest.approx(
         (measured - mean[0]) / np.sqrt(covariance[0, 0] + noise)
     )
     assert kept.mean(axis=0) == pytest.approx(
@@ -43,33 +62,15 @@ def test_chance_correlations_correct_little():
     moved = []
     for _ in range(200):
         members = rng.normal(size=(32, 2))
-        before = members.copy()
-        measurement_update(
-            members,
-            before[:, :1].copy(),
-            np.array([1.0]),
-            np.array([0.1]),
-            np.ones((1, 2)),
-            False,
-        )
-        moved.append(np.abs(members - before).mean(axis=0))
+        after, _ = corrected(members, 1.0, 0.1)
+        moved.append(np.abs(after - members).mean(axis=0))
     own, other = np.mean(moved, axis=0)
     assert other < 0.1 * own
 
 
 def test_outliers_count_less():
     members = np.random.default_rng(5).normal(size=(200, 1))
-    near = members.copy()
-    far = members.copy()
-    for copy, measured in ((near, 3.0), (far, 300.0)):
-        measurement_update(
-            copy,
-            copy.copy(),
-            np.array([measured]),
-            np.array([0.1]),
-            np.ones((1, 1)),
-            False,
-        )
+    near, far = (corrected(members, measured, 0.1)[0] for measured in (3.0, 300.0))
     assert far.mean() < 20 * near.mean()
 
 
@@ -105,13 +106,8 @@ def test_pressures_may_be_below_ambient():
     spec = load_robot("gen2")
     ensemble = EnsembleFilter(spec, members=32)
     measured = np.full((spec.segments, 2), -12e3)
-    air = ValveInput(
-        np.zeros((1, spec.segments, 2)),
-        np.full(spec.segments, 48e3),
-        np.zeros((spec.segments, 2)),
-    )
     for _ in range(10):
-        ensemble.predict(air, 0.02)
+        ensemble.predict(air(0.0), 0.02)
         ensemble.update_pressures(measured)
     assert ensemble.mean("pressure") == pytest.approx(measured.ravel(), abs=1e3)
 
@@ -142,9 +138,7 @@ def test_first_frame_places_the_members():
 @pytest.mark.parametrize("turn", [np.pi, -np.pi, 3 * np.pi])
 def test_members_are_placed_on_the_same_turn(turn):
     ensemble = EnsembleFilter(load_robot("gen4"), members=32)
-    ensemble.predict(
-        ValveInput(np.zeros((1, 4, 2)), np.full(4, 48e3), np.zeros((4, 2))), 0.2
-    )
+    ensemble.predict(air(0.0), 0.2)
     seen = ensemble.poses().mean(axis=0)
     seen = np.column_stack([-seen[:, :2], seen[:, 2] + turn])
     seen[1:] = (
@@ -159,14 +153,12 @@ def test_diverged_members_restart():
     ensemble = EnsembleFilter(load_robot("gen4"), members=8)
     ensemble.placed = True
     ensemble.members[:, ensemble.columns["motion"]] = np.nan
-    n = ensemble.spec.segments
-    air = ValveInput(np.zeros((1, n, 2)), np.full(n, 48e3), np.zeros((n, 2)))
     for _ in range(3):
-        ensemble.predict(air, 0.02)
+        ensemble.predict(air(0.0), 0.02)
     assert np.isfinite(ensemble.members).all()
     assert not ensemble.placed
     ensemble.members[:, ensemble.columns["motion"]] = np.nan
-    assert np.isfinite(ensemble.copy(3).forecast([air], 0.02)).all()
+    assert np.isfinite(ensemble.copy(3).forecast([air(0.0)], 0.02)).all()
 
 
 @pytest.mark.parametrize("robot", ["gen2", "gen4"])
@@ -210,13 +202,10 @@ def test_corrected_bends_do_not_move_the_body():
     """A model error and its correction enclose no area of bends."""
     spec = load_robot("gen4")
     ensemble = EnsembleFilter(spec, members=32, error=EXACT)
-    air = ValveInput(
-        np.ones((1, 4, 2)) * [1.0, 0.0], np.full(4, 48e3), np.zeros((4, 2))
-    )
     bend = ensemble.columns["bend"]
     begun = ensemble.members.copy()
     for segments in ([0, 1], [2, 3]):
-        ensemble.predict(air, 0.02)
+        ensemble.predict(air(1.0), 0.02)
         assert np.abs(ensemble.members[:, bend] - begun[:, bend]).max() > 1e-3
         ensemble.members[:, bend][:, segments] = begun[:, bend][:, segments]
     ensemble.members[:, bend] = begun[:, bend]
@@ -228,12 +217,9 @@ def test_repeated_odometry_changes_nothing():
     """A second call without a change of the bends has no effect."""
     spec = load_robot("gen4")
     once, twice = (EnsembleFilter(spec, members=32, error=EXACT) for _ in range(2))
-    air = ValveInput(
-        np.ones((1, 4, 2)) * [1.0, 0.0], np.full(4, 48e3), np.zeros((4, 2))
-    )
     for ensemble in (once, twice):
         ensemble.odometry._draws[:] = 0.0
-        ensemble.predict(air, 0.02)
+        ensemble.predict(air(1.0), 0.02)
         ensemble.members[:, ensemble.columns["bend"]] += [0.1, 0.0, -0.1, 0.0]
     twice.apply_odometry()
     went = twice.odometry.twist.copy()

@@ -132,15 +132,10 @@ POSE = b'{"t": 1, "poses": [[0, 0, 0, 0]], "names": ["a"]}'
 SECOND = 10**9
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("records", "words"),
     [
         ([], "has no messages at all"),
-        (
-            [("srs/other/bends", BEND, 1), ("srs/natnet/poses", POSE, 2)],
-            "has no messages of 'r', but messages of other \\(choose one with --name\\)",
-        ),
         (
             [("/imu/data", b"{}", 1)],
             "unreadable messages: 1 × the message is not in the srs-twin format:"
@@ -152,16 +147,15 @@ SECOND = 10**9
         ),
     ],
 )
-def test_a_journal_without_a_message_of_the_robot_is_refused(
-    tmp_path, srs_twin, records, words
-):
+def test_a_journal_without_a_message_of_the_robot_is_refused(tmp_path, records, words):
     foreign(tmp_path / "a.mcap", records)
     with pytest.raises(InputError, match=f"a.mcap: .*{words}"):
         McapLink(tmp_path / "a.mcap", "r", 2)
 
 
 def test_the_command_refuses_a_journal_of_another_robot(tmp_path, srs_twin):
-    foreign(tmp_path / "a.mcap", [("srs/other/bends", BEND, 1)])
+    records = [("srs/other/bends", BEND, 1), ("srs/natnet/poses", POSE, 2)]
+    foreign(tmp_path / "a.mcap", records)
     done = srs_twin("shadow", "gen2", "--mcap", "a.mcap", "--name", "r", cwd=tmp_path)
     assert done.returncode == 2
     assert (
@@ -177,11 +171,9 @@ def test_frames_alone_are_played(tmp_path):
         assert [each.kind for each in link.received()] == [POSES]
 
 
-@pytest.mark.default_cases(2)
 @pytest.mark.parametrize(
     ("times", "played"),
     [
-        ([1, 2, 2**64 - 1, 3], [1, 2, 3]),
         ([1, 2**64 - 1, 2, 3], [2, 3]),
         ([2**64 - 1, 1, 2], [1, 2]),
         ([100, 101, 0, 102], [100, 101, 102]),

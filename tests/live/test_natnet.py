@@ -129,21 +129,6 @@ def test_what_is_not_ours_is_passed_over(version):
     assert found.bodies[3].place == (1, 2, 3)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_bodies_with_any_number_not_finite_are_not_seen(bad):
-    def with_one_bad(numbers: tuple[float, ...]) -> list[tuple[float, ...]]:
-        return [(*numbers[:k], bad, *numbers[k + 1 :]) for k in range(len(numbers))]
-
-    places = with_one_bad((1.0, 2.0, 3.0))
-    turns = with_one_bad((0.0, 0.0, 0.0, 1.0))
-    bodies = [RigidBody(each) for each in places] + [
-        RigidBody((1.0, 2.0, 3.0), each) for each in turns
-    ]
-    frame = Frame(1, 0.0, dict(enumerate(bodies)))
-    found = read(natnet.write_frame(frame), (4, 1))
-    assert [each.tracked for each in found.bodies.values()] == [False] * 7
-
-
 @settings(max_examples=300)
 @given(version=st.sampled_from(VERSIONS), data=st.data())
 def test_no_packet_does_more_than_be_refused(version, data):
@@ -176,11 +161,8 @@ def test_axes_and_headings(up):
     assert natnet.rotate(body, up) == pytest.approx([1.0, 2.0, 0.1, angle])
 
 
-@pytest.mark.parametrize(
-    "version",
-    [(4, 1), *(pytest.param(old, marks=pytest.mark.slow) for old in ((3, 1), (2, 10)))],
-)
-def test_frames_arrive_and_come_back_after_a_silence(version, monkeypatch):
+def test_frames_arrive_and_come_back_after_a_silence(monkeypatch):
+    version = (2, 10)
     monkeypatch.setattr(natnet, "write_server", lambda: packets.write_server(version))
     monkeypatch.setattr(
         natnet, "write_models", lambda names: packets.write_models(names, version)
@@ -239,7 +221,7 @@ def test_a_group_is_joined(monkeypatch):
 
         try:
             wait(streamed, 5)
-        except (AssertionError, OSError):
+        except OSError:
             pytest.skip("no multicast on loopback here")
 
 
@@ -248,25 +230,6 @@ def test_an_address_of_others_is_refused():
         NatNetServer({}, host="192.0.2.1")
     with pytest.raises(InputError, match=r"frames cannot be received at 192\.0\.2\.1"):
         NatNetLink(local="192.0.2.1")
-
-
-def test_garbage_on_the_port_is_counted():
-    import socket
-
-    with NatNetServer({1: "one"}) as server, NatNetLink(port=server.port) as link:
-        wait(lambda: link.version is not None)
-        at = link._sockets[0].getsockname()
-        rng = np.random.default_rng(0)
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-            for size in range(1, 300):
-                other.sendto(rng.bytes(size), at)
-        wait(
-            lambda: (
-                sum(n for what, n in link.counts.items() if what.startswith("bad"))
-                > 100
-            )
-        )
-        assert all(each.is_alive() for each in link._threads)
 
 
 def test_a_server_given_by_its_name_is_heard():
@@ -292,37 +255,39 @@ def test_a_name_that_no_host_has_is_refused(monkeypatch, given):
         NatNetLink(**given)
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize(
-    ("turn", "heading"),
-    [
-        ((0.0, 0.0, 0.0, 0.0), None),
-        ((0.0, math.nan, 0.0, 1.0), None),
-        ((0.0, math.sqrt(2), 0.0, math.sqrt(2)), None),
-        ((0.0, 0.5 * math.sqrt(0.5), 0.0, 0.5 * math.sqrt(0.5)), None),
-        ((0.0, 1.05 * math.sqrt(0.5), 0.0, 1.05 * math.sqrt(0.5)), math.pi / 2),
-    ],
-)
-def test_quaternions_near_length_1_are_normalised_and_others_refused(turn, heading):
-    body = RigidBody((1.0, 2.0, 3.0), turn)
+HERE = (1.0, 2.0, 3.0)
+WEST = (0.0, math.sqrt(0.5), 0.0, math.sqrt(0.5))
+"""Quaternion of a body that looks to the left, where y is up."""
+
+
+def stretched(quaternion: tuple[float, ...], length: float) -> tuple[float, ...]:
+    return tuple(length * each for each in quaternion)
+
+
+UNUSABLE = [
+    RigidBody((math.nan, 2.0, 3.0)),
+    RigidBody((1.0, math.inf, 3.0)),
+    RigidBody((1.0, 2.0, -1000.1)),
+    *(RigidBody(HERE, stretched(WEST, length)) for length in (0.0, 0.89, 1.11)),
+    RigidBody(HERE, (0.0, 0.0, math.nan, 1.0)),
+]
+
+
+def test_bodies_at_impossible_places_or_turns_are_not_seen():
+    found = read(natnet.write_frame(Frame(1, 0.0, dict(enumerate(UNUSABLE)))), (4, 1))
+    assert [each.tracked for each in found.bodies.values()] == [False] * 7
+    assert np.isnan(natnet.rotate(UNUSABLE[-1], "y")).all()
+
+
+@pytest.mark.parametrize("length", [0.91, 1.09])
+def test_quaternions_near_length_1_are_normalised(length):
+    body = RigidBody((999.0, 2.0, -1000.0), stretched(WEST, length))
     found = read(natnet.write_frame(Frame(1, 0.0, {1: body})), (4, 1)).bodies[1]
-    assert found.tracked == (heading is not None)
-    if heading is None:
-        assert np.isnan(natnet.rotate(body, "y")).all()
-    else:
-        assert natnet.rotate(found, "y")[3] == pytest.approx(heading)
+    assert found.tracked
+    assert natnet.rotate(found, "y")[3] == pytest.approx(math.pi / 2)
 
 
-def test_places_beyond_a_kilometre_are_not_seen():
-    frame = Frame(
-        1, 0.0, {1: RigidBody((1e30, 0.0, 0.0)), 2: RigidBody((999.0, 0.0, 0.0))}
-    )
-    found = read(natnet.write_frame(frame), (4, 1))
-    assert [each.tracked for each in found.bodies.values()] == [False, True]
-
-
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize("time", [1e11, -1e11, 1e300, math.nan])
+@pytest.mark.parametrize("time", [1.1e10, -1.1e10, math.nan])
 def test_frames_with_an_impossible_time_are_refused(time):
     with pytest.raises(BadMessageError, match="the time of the frame"):
         read(natnet.write_frame(Frame(1, time, {})), (4, 1))
@@ -365,10 +330,8 @@ def test_reordered_frames_are_not_lost(fed):
     feed(natnet.write_server(), 0.0)
     for k, number in enumerate((10, 12, 11, 13, 15, 14, 16, 16, 19)):
         feed(packet_of(number, 1), 0.01 * k)
-    counts = (
-        link.counts[f"frames {what}"] for what in ("lost", "reordered", "repeated")
-    )
-    assert tuple(counts) == (2, 2, 1)
+    kinds = ("lost", "reordered", "repeated")
+    assert [link.counts[f"frames {kind}"] for kind in kinds] == [2, 2, 1]
     feed(packet_of(2**31 - 1, 1), 0.2)
     feed(packet_of(3, 1), 0.3)
     assert link.counts["frames lost"] == 2, (
@@ -394,6 +357,17 @@ def test_models_are_asked_for_again_when_an_unknown_body_appears_and_now_and_the
     feed(natnet.write_models({1: "nose", 2: "tail"}), 20.1)
     feed(packet_of(5, 1, 2), 20.2)
     assert link.received()[-1].names == ("nose", "tail")
+
+
+def test_bodies_without_a_usable_pose_are_counted_and_left_out(fed):
+    link, feed, _ = fed
+    feed(natnet.write_server(), 0.0)
+    frame = Frame(1, 0.5, dict(enumerate([*UNUSABLE, RigidBody(HERE, tracked=False)])))
+    feed(natnet.write_frame(frame), 0.1)
+    (message,) = link.received()
+    assert message.values.shape == (0, 4)
+    assert (message.sent, message.arrived) == (0.5, 100.1)
+    assert link.counts["bodies without a usable pose"] == len(UNUSABLE)
 
 
 @pytest.mark.parametrize("group", ["10.0.0.1", "0.0.0.0", "255.255.255.255"])
