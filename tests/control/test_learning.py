@@ -16,9 +16,6 @@ from snakes import chain
 from srs_twin import AnalyticalSnake, Gait, InputError, load_robot, rollout
 from srs_twin.control.learning import ILC, STEERINGS
 from srs_twin.errors import UnknownNameError
-from srs_twin.pneumatics import Schedule
-from srs_twin.pneumatics.lag import LagPneumatics
-from srs_twin.sensing import Sensor
 
 gains = arrays(float, (SEGMENTS, 2), elements=st.floats(0.8, 1.5))
 offsets = st.floats(-0.3, 0.3)
@@ -65,9 +62,12 @@ def test_the_smallest_amplitude_becomes_the_target(gain):
 def test_the_largest_error_is_reported_once_per_period():
     run = Run(ILC(1.0, target=0.7), 1.2).go(12)
     assert len(run.event_texts("ilc_update")) == 9
-    assert run.event_texts("ilc_update")[0].startswith(
+    first, *_, last = run.event_texts("ilc_update")
+    assert first.startswith(
         "after period 3: largest amplitude error -0.5 rad (segment "
     )
+    assert first.endswith(" chamber), duties now 0.85 to 0.85")
+    assert last.startswith("after period 11: ")
     assert run.event_texts("converged") == [
         "all amplitudes are within 5 % of their targets"
     ]
@@ -235,10 +235,13 @@ def test_a_saturated_duty_leaves_its_bound_immediately(periods):
 # -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("target", ["smallest", 0.7])
-@pytest.mark.parametrize("how", ["open", "shut"])
-@pytest.mark.parametrize(("segment", "side"), [(0, 0), (2, 1), (3, 0)])
+@pytest.mark.parametrize(
+    ("segment", "side", "how", "target"),
+    [
+        (0, 0, "open", "smallest"),
+        (2, 1, "shut", 0.7),
+    ],
+)
 def test_a_stuck_valve_is_detected_and_the_other_segments_converge(
     segment, side, how, target
 ):
@@ -265,15 +268,11 @@ def test_a_valve_that_sticks_during_learning_is_detected():
     assert run.event_texts("fault") == ["segment 2: valve of the − chamber stuck open"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("from_period", [0, 9])
 @pytest.mark.parametrize(
-    ("says", "what"),
+    ("says", "what", "from_period"),
     [
-        (0.0, "readings stay within 0.02 rad"),
-        (0.31, "readings stay within 0.02 rad"),
-        (math.nan, "all readings of a period are lost"),
-        (1e9, "all readings of a period are lost"),
+        (0.31, "readings stay within 0.02 rad", 0),
+        (math.nan, "all readings of a period are lost", 9),
     ],
 )
 def test_a_dead_sensor_is_detected(says, what, from_period):
@@ -325,57 +324,6 @@ def test_option_stop_ends_the_run_at_a_detected_fault():
 # --------------------------------------------------------------------------------
 
 
-class StuckValve(LagPneumatics):
-    """Valve that keeps its state for any command."""
-
-    def effective_schedule(self, schedule: Schedule) -> Schedule:
-        states = schedule.states.copy()
-        states[:, 2, 0] = self.stays
-        return Schedule(schedule.span, schedule.starts, states)
-
-    stays = 1
-
-
-class DeadSensor(Sensor):
-    """Sensor whose reading of the second segment is always 0.2 rad."""
-
-    kind = "dead"
-
-    def read(self, bend: np.ndarray, time: np.ndarray | float, seed: int) -> np.ndarray:
-        said = np.array(bend, dtype=float)
-        said[..., 1] = 0.2
-        return said
-
-
-def snake(**changes: Any) -> AnalyticalSnake:
-    return AnalyticalSnake(load_robot("gen4"), supply_pa=131_000, **changes)
-
-
-@pytest.mark.parametrize(("stays", "how"), [(1, "open"), (-1, "shut")])
-def test_a_stuck_valve_of_the_plant_is_detected(stays, how):
-    chambers = StuckValve(load_robot("gen4"), supply_pa=131_000, layout="3/2")
-    chambers.stays = stays
-    run = rollout(
-        snake(pneumatics=chambers), ILC(1.0, target=0.7, on_fault="stop"), 12.0
-    )
-    assert run.metadata["control"]["faults"] == [
-        f"segment 3: valve of the + chamber stuck {how}"
-    ]
-    assert (
-        run.metadata["ended_by"] == "controller" and run.metadata["duration_s"] == 12.0
-    )
-    assert run.time[-1] < 8.0 and run.events[-1].kind == "fault"
-
-
-def test_the_plant_continues_without_a_module_with_a_dead_sensor():
-    run = rollout(snake(sensor=DeadSensor()), ILC(1.0), 12.0)
-    assert run.metadata["control"]["faults"] == [
-        "segment 2: sensor dead, readings stay within 0.02 rad"
-    ]
-    assert run.metadata["ended_by"] is None and run.time[-1] == pytest.approx(12.0)
-    assert np.isfinite(run.com).all()
-
-
 @pytest.mark.parametrize("frequency", [1.0, 1.7])
 def test_full_duties_equal_the_open_loop_gait(frequency):
     """An unreachable target keeps all duties at 1, and the runs are equal to the last bit."""
@@ -393,8 +341,7 @@ def test_full_duties_equal_the_open_loop_gait(frequency):
 # ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.default_cases(3)
-@pytest.mark.parametrize("offset", [0.31, -0.4, math.nan, math.inf])
+@pytest.mark.parametrize("offset", [0.31, -0.31, math.nan])
 def test_offsets_without_targets_are_refused(offset):
     words = "ilc offset .* is not allowed; it must be between -0.3 and 0.3"
     with pytest.raises(InputError, match=words):
@@ -405,7 +352,6 @@ def test_offsets_without_targets_are_refused(offset):
     assert controller.offset == 0.1
 
 
-@pytest.mark.default_cases(at=[0, 1, 3, 5, 6, 7, 10])
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -414,7 +360,6 @@ def test_offsets_without_targets_are_refused(offset):
             {"target": 0.0},
             "ilc target 0.0 is not allowed; it must be finite and above 0",
         ),
-        ({"target": math.nan}, "ilc target nan is not allowed"),
         ({"target": "largest"}, "target 'largest'"),
         ({"k": -0.3}, "ilc k -0.3 is not allowed"),
         ({"carrier_hz": math.inf}, "ilc carrier_hz inf is not allowed"),

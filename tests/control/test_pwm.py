@@ -28,56 +28,30 @@ def played(
     return states == 1
 
 
-def openings(filling: np.ndarray) -> np.ndarray:
-    """Return the number of openings of each valve, which is closed before the first slot."""
-    closed_before = np.concatenate([np.zeros_like(filling[:1]), filling[:-1]])
-    return (filling & ~closed_before).sum(axis=0)
-
-
-@pytest.mark.slow
 @some
 @given(
     arrays(float, (20, 2), elements=duties),
-    st.sampled_from([13.0, 50.0, 60.0, 61.7, 240.0]),
+    st.sampled_from([13.0, 33.3, 50.0, 61.7, 240.0]),
 )
-def test_duty_is_exact_over_many_periods(duty, carrier):
-    filling = played(duty, 1.0, carrier=carrier)
-    # The error of a pulse is at most one slot, and the last period may be incomplete.
-    assert np.abs(filling.mean(axis=0) - duty).max() <= carrier * SLOT + 1 / carrier
-    if carrier in (
-        50.0,
-        60.0,
-    ):  # three periods are a whole number of slots, so that nothing is unfinished
-        whole = filling[: round(30 * 1e4 / carrier)]
-        assert np.abs(whole.mean(axis=0) - duty).max() <= carrier * SLOT
-
-
-@some
-@given(arrays(float, (20, 2), elements=duties))
-def test_pulse_length_is_exact_within_a_slot(duty):
-    filling = played(duty, 0.5)
-    edges = np.ceil(np.arange(31) * 1e4 / 60 - 0.5).astype(int)
-    lengths = np.add.reduceat(filling, edges[:-1], axis=0)[:-1]
-    assert np.abs(lengths - duty * 1e4 / 60).max() <= 1.0 + 1e-9
-
-
-@pytest.mark.slow
-@some
-@given(arrays(float, (20, 2), elements=duties), st.sampled_from([33.3, 60.0, 100.0]))
-def test_a_valve_opens_at_most_once_per_period_and_not_at_0_and_1(duty, carrier):
-    filling = played(duty, 1.0, carrier=carrier)
-    counted = openings(filling)
-    assert (counted <= math.ceil(carrier)).all()
-    assert (counted[duty == 0.0] == 0).all() and (counted[duty == 1.0] == 1).all()
+def test_pulse_length_is_exact_within_a_slot(duty, carrier):
+    filling = played(duty, 0.5, carrier=carrier)
+    length = 1e4 / carrier
+    begins = np.ceil(np.arange(0.5 * carrier) * length - 0.5).astype(int)
+    pulses = np.split(filling, begins[1:])[:-1]
+    sums = np.array([pulse.sum(axis=0) for pulse in pulses])
+    assert np.abs(sums - duty * length).max() <= 1.0 + 1e-9
+    # A chamber fills in one piece: a + chamber first, a − chamber last.
+    for pulse in pulses:
+        assert (np.diff(pulse[..., 0].astype(int), axis=0) <= 0).all()
+        assert (np.diff(pulse[..., 1].astype(int), axis=0) >= 0).all()
 
 
 @some
 @given(arrays(float, (50,), elements=duties))
 def test_duties_with_sum_1_make_opposite_valves(plus):
     filling = played(np.stack([plus, 1 - plus], axis=-1), 0.2)
-    assert (
-        filling[..., 0] != filling[..., 1]
-    ).mean() > 0.999  # 1 − (1 − d) may miss d by rounding
+    # 1 − (1 − d) may miss d by rounding.
+    assert (filling[..., 0] != filling[..., 1]).mean() > 0.999
 
 
 @some
@@ -111,8 +85,7 @@ def test_a_new_duty_does_not_change_the_current_period():
     assert first.sum() in (41, 42) and rest.all()
 
 
-@pytest.mark.default_cases(3)
-@pytest.mark.parametrize("bad", [-1e-9, 1 + 1e-9, math.nan, math.inf])
+@pytest.mark.parametrize("bad", [-1e-9, 1 + 1e-9, math.nan])
 def test_duties_outside_0_to_1_are_refused(bad):
     with pytest.raises(
         InputError, match=r"duty .* is not allowed; it must be between 0 and 1"
@@ -128,8 +101,7 @@ def test_duties_of_another_shape_are_refused():
         PulseWidthModulator(60.0, 1e-3, 1).step(np.zeros((2, 2)))
 
 
-@pytest.mark.default_cases(3)
-@pytest.mark.parametrize("carrier", [0.0, -60.0, math.nan, math.inf])
+@pytest.mark.parametrize("carrier", [0.0, -60.0, math.inf])
 def test_invalid_carrier_frequencies_are_refused(carrier):
     with pytest.raises(InputError, match="carrier_hz"):
         PulseWidthModulator(carrier, 1e-3, 1)

@@ -78,21 +78,6 @@ def test_a_steered_snake_with_unequal_modules_has_a_constant_curvature(plant):
     assert -0.6 < found["path_radius_m"] < -0.35
 
 
-@pytest.mark.slow
-@both
-def test_curvature_error_is_that_of_the_drifted_sensors(plant):
-    """Amplitudes converge for the sensor readings, and the error of the sensors curves the path."""
-    found = plant_metrics(
-        run(
-            plant,
-            modules={"gain_spread": 0.0, "sensor_bias_rad": [0.05, 0.05, 0.05, 0.05]},
-        )
-    )
-    assert found["periods_to_converge"] <= 12
-    # Bends are 0.05 rad to the right of their readings: 0.2 rad over a body of 0.3 m.
-    assert -1.0 < found["path_curvature_per_m"] < -0.2
-
-
 @both
 @pytest.mark.parametrize(
     ("fault", "named"),
@@ -130,17 +115,3 @@ def test_a_fault_ends_the_run_with_option_stop(plant):
     found = run(plant, faults=(fault,), control={"on_fault": "stop"})
     assert found.metadata["ended_by"] == "controller" and found.time[-1] < 7
     assert found.events[-1].kind == "fault" and "segment 3" in found.events[-1].text
-
-
-@pytest.mark.slow
-@both
-def test_a_weak_module_saturates_and_the_others_converge(plant):
-    weak = [[1.0, 1.0], [0.25, 1.0], [1.0, 1.0], [1.0, 1.0]]
-    found = run(plant, modules={"gain": weak, "gain_spread": 0.0}, seconds=14)
-    metrics = plant_metrics(found)
-    errors = np.array(metrics["amplitude_error_rad"])[-1]
-    duties = np.array(metrics["duty"])[-1]
-    assert duties[1, 0] == 1.0 and 0 < errors[1, 0] < 0.6
-    rest = np.ones((4, 2), dtype=bool)
-    rest[1, 0] = False
-    assert (np.abs(errors[rest]) < 0.05 * 0.7).all() and (duties[rest] < 1).all()
