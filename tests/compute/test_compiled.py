@@ -218,20 +218,7 @@ def test_missing_cache_folder_is_warned_about_once(tmp_path):
     )
     assert (done.returncode, done.stdout) == (0, "[1, 2, 3]\n"), done.stderr
     assert done.stderr.count(WARNING) == 1 and "Error" not in done.stderr
-
-
-@pytest.mark.slow
-def test_command_continues_without_a_cache_folder(tmp_path, srs_twin_process):
-    """The command fails before it compiles all kernels, which would take half a minute."""
-    done = srs_twin_process(
-        "sweep", "fig41", "-q", "--out", "/dev/null/x", cwd=tmp_path, **NO_FOLDER
-    )
-    first, second = done.stderr.splitlines()
-    assert first.startswith(
-        f"warning: {WARNING} (no writable cache folder exists); set the environment"
-        " variable NUMBA_CACHE_DIR to"
-    )
-    assert (done.returncode, second.partition(" (")[0]) == (
-        2,
-        "/dev/null/x: cannot write there",
+    assert (
+        "(no writable cache folder exists); set the environment variable"
+        " NUMBA_CACHE_DIR to" in done.stderr
     )

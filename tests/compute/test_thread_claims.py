@@ -219,17 +219,6 @@ def test_plant_that_overrides_methods_by_a_mixin_is_claimed():
         plant.step(VALVES)
 
 
-def test_several_threads_may_use_a_plant_one_after_the_other():
-    plant = TwinSnake(SPEC)
-    gait = Gait(2.0)
-    runs = [elsewhere(lambda: rollout(plant, gait, 0.2)) for _ in range(2)] + [
-        rollout(plant, gait, 0.2)
-    ]
-    assert (runs[0]["com_x"] == runs[1]["com_x"]).all() and (
-        runs[0]["com_x"] == runs[2]["com_x"]
-    ).all()
-
-
 def test_observers_and_controllers_may_use_the_plant_of_their_own_rollout():
     class Reader(Gait):
         def step(self, state):

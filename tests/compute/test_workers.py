@@ -19,7 +19,6 @@ from srs_twin.compute.workers import START_METHOD, Workers, run_tasks
 from srs_twin.errors import (
     DivergedError,
     InputError,
-    SrsError,
     TaskFailedError,
     WorkerDiedError,
 )
@@ -60,11 +59,6 @@ def kill_server_once(folder, x):
         return square(x)
     os.kill(os.getppid(), signal.SIGKILL)
     return time.sleep(600)
-
-
-def count_and_die(folder, _):
-    (folder / str(os.getpid())).touch()
-    kill_self()
 
 
 def loaded(module, _):
@@ -138,11 +132,11 @@ def test_there_are_at_most_as_many_workers_as_tasks():
     assert list(run_tasks(pid, [], workers=8)) == []
 
 
-@pytest.mark.parametrize("options", [{"workers": 0}, {"workers": -1}, {"attempts": 0}])
+@pytest.mark.parametrize("options", [{"workers": 0}, {"attempts": 0}])
 def test_fewer_than_one_worker_or_attempt_is_rejected(options):
     with pytest.raises(
         InputError,
-        match=r"`(workers|attempts)` -?\d is not allowed; it must be 1 or more",
+        match=r"`(workers|attempts)` 0 is not allowed; it must be 1 or more",
     ):
         run_tasks(square, [1], **options)
 
@@ -169,18 +163,6 @@ def test_task_that_kills_every_worker_fails_alone(how, words):
     assert f"killed by {words}, 2 times in a row" in str(done[7].error)
     del done[7]
     assert all(d.result == n * n and d.error is None for n, d in done.items())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("attempts", [1, 2])
-def test_task_that_kills_its_workers_is_repeated_as_often_as_allowed(
-    attempts, tmp_path
-):
-    (done,) = run_tasks(
-        partial(count_and_die, tmp_path), [0], workers=1, attempts=attempts
-    )
-    assert isinstance(done.error, WorkerDiedError)
-    assert len(list(tmp_path.iterdir())) == attempts
 
 
 def test_task_that_exits_counts_as_a_death():
@@ -369,12 +351,6 @@ def test_closing_the_generator_ends_the_workers():
     assert len(active_children()) == 2
     done.close()
     assert active_children() == []
-
-
-def test_errors_of_workers_are_srs_errors():
-    assert issubclass(WorkerDiedError, SrsError)
-    assert issubclass(TaskFailedError, SrsError)
-    assert (WorkerDiedError.exit_code, TaskFailedError.exit_code) == (4, 4)
 
 
 def test_a_failed_task_cancels_only_the_tasks_after_it():

@@ -47,9 +47,8 @@ def test_observed_posts_are_the_nearest_ones():
     assert not any(name.startswith("obstacle") for name in values)
 
 
-@pytest.mark.slow
 def test_posts_leave_room_for_the_snake_at_the_start():
-    for seed in range(20):
+    for seed in range(4):
         episode = make_task("Pegs", limit_s=0.1).begin(np.random.default_rng(seed))
         assert not np.any(episode.state.obstacle_force)
         half = episode.twin.spec.geometry.width / 2
@@ -91,21 +90,6 @@ def test_baseline_succeeds_and_resting_does_not(name, ending):
         )
         assert rest.ending == "time_up" and abs(rest.reward) < 1e-3
         assert score.time > HELD_S and 1.2 < score.reward < 1.6
-
-
-@pytest.mark.slow
-def test_pushing_the_object_away_is_no_success(monkeypatch):
-    # The object stands beside the tail.
-    monkeypatch.setattr("srs_twin.envs.contact._AHEAD_M", (-0.16, -0.12))
-    task = make_task("Grasp", limit_s=3.0)
-    for seed in range(2):
-        episode = task.begin(np.random.default_rng(seed))
-        total = 0.0
-        grip = math.copysign(1.0, episode._item.y)
-        while not episode.ending:
-            result = episode.step(task.from_physical([grip, 0.0, 0.0, 1.2]))
-            total += result.reward
-        assert episode.ending in ("object_lost", "time_up") and total < 0.1
 
 
 def test_a_grip_needs_forces_on_opposite_sides():
@@ -179,21 +163,7 @@ def test_an_object_is_held_after_two_seconds_at_rest():
     assert episode._is_held()
 
 
-@pytest.mark.slow
-def test_grip_fills_the_chambers_of_one_side_of_the_tail():
-    env = SnakeEnv("Grasp")
-    for sign in (1, -1):
-        env.reset(seed=1)
-        for _ in range(3):
-            env.step(env.task.from_physical([0.6 * sign, 0.0, 0.0, 1.2]))
-        pressure = np.asarray(env.episode.state.pressure)
-        full, empty = (pressure[-HOLD:, k] for k in ((0, 1) if sign > 0 else (1, 0)))
-        assert (full > 1e4).all() and (empty < 1.0).all()
-        assert (pressure[:-HOLD] < 1.0).all()
-
-
-@pytest.mark.slow
-def test_object_is_observed_at_its_place_and_lost_when_far():
+def test_object_is_observed_at_its_place():
     env = SnakeEnv("Grasp")
     observation, info = env.reset(seed=2)
     values = named(env, observation)
@@ -206,25 +176,19 @@ def test_object_is_observed_at_its_place_and_lost_when_far():
         values["object_left_m"] + info["com_y_m"],
     )
     assert seen == pytest.approx((item.x, item.y), abs=0.006)
-    for _ in range(60):
-        *_, info = env.step(
-            env.task.from_physical([0.0, 1.0, 0.0, 1.2])
-        )  # crawls away without a grip
-        if info["ending"]:
-            break
-    assert info["ending"] == "object_lost" and info["reward_object_lost"] == -1
+    assert values["object_radius_m"] == pytest.approx(item.size[0])
+    assert info["object_moved_m"] == pytest.approx(0.0, abs=1e-4) and not info["held"]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_short_waves_pass_an_object_that_long_waves_push(seed, monkeypatch):
+def test_short_waves_pass_an_object_that_long_waves_push(monkeypatch):
     # The object stands near the head, so the whole body passes it.
     monkeypatch.setattr("srs_twin.envs.contact._AHEAD_M", (0.2, 0.3))
     task = make_task("Grasp")
 
     def distance_after_passing(phase_lag: float) -> float:
         """Return the distance by which a snake moves the object that it crawls past."""
-        episode = task.begin(np.random.default_rng(seed))
+        episode = task.begin(np.random.default_rng(1))
         action = task.from_physical([0.0, 1.0, 0.0, phase_lag])
         while not episode.ending:
             episode.step(action)
@@ -242,10 +206,14 @@ def test_phase_lag_of_the_action_sets_the_wave():
         time = episode._driven
         gait = Gait(GRASP_FREQUENCY_HZ, phase_step=phase_lag)
         gait.reset(twin.spec, twin.tick)
-        valves = episode._valves([0.0, 1.0, 0.0, phase_lag])
+        valves = episode._valves([-0.6, 1.0, 0.0, phase_lag])
         expected = gait.valves_at(time)
         assert (valves[:, :-HOLD] == expected[:, :-HOLD]).all()
-        assert (valves[:, -HOLD:] == -1).all()
+        # A negative grip bends to the right.
+        assert (valves[:, -HOLD:, 0] == -1).all()
+        assert (valves[:, -HOLD:, 1] == 1).mean() == pytest.approx(0.6)
+    assert episode._driven == pytest.approx(0.2)
+    assert (episode._valves([0.0, 0.5, 0.0, 1.2]) == -1).all()
 
 
 @given(st.floats(-1, 1), st.sampled_from([1, 2, 5]), st.integers(1, 4))

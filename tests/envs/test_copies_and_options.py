@@ -42,25 +42,21 @@ def sample_actions(env: Any, count: int) -> list[np.ndarray]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("task", MARKED_TASKS)
-@pytest.mark.parametrize("when", ["before the first reset", "during an episode"])
-def test_copies_of_gymnasium_environments_give_the_same_episodes(task, when):
+def test_copies_of_gymnasium_environments_give_the_same_episodes(task):
     env = gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0", **SHORT)
-    env.reset(seed=3)
-    actions = sample_actions(env, 2)
-    if when == "before the first reset":
-        env = gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0", **SHORT)
-    else:
-        env.step(actions[0])
     others = {name: copy_method(env) for name, copy_method in COPY_METHODS.items()}
-    if when == "before the first reset":
-        for environment in (*others.values(), env):
-            environment.reset(seed=3)
+    actions = sample_actions(env, 2)
+    for environment in (env, *others.values()):
+        environment.reset(seed=3)
+        environment.step(actions[0])
+    for name, copy_method in COPY_METHODS.items():
+        others[f"{name} during an episode"] = copy_method(env)
     # The copies move first, so that any state shared with the original is visible in
     # its results.
     of_copies = {name: play(other, actions) for name, other in others.items()}
     of_original = play(env, actions)
-    for name in COPY_METHODS:
-        assert equal_bits(of_copies[name], of_original), name
+    for name, of_copy in of_copies.items():
+        assert equal_bits(of_copy, of_original), name
 
 
 def test_deep_copies_of_wrapped_environments_give_the_same_episodes():
@@ -115,17 +111,12 @@ OPTIONS = {
         "the reset options 1 are not allowed; give a dict with keys from state, snake,"
         " yaw_rate, goal",
     ),
-    "list": (
-        [],
-        r"the reset options \[\] are not allowed; give a dict with keys from",
-    ),
     "unknown": ({"stat": 1}, r"unknown option of reset 'stat'; did you mean state\?"),
     "number": ({1: 1}, r"unknown option of reset '1'"),
     "state": (
-        {"state": 1},
-        r"the option `state` 1 is not allowed; give a SavedState, which episode",
+        {"state": None},
+        r"the option `state` None is not allowed; give a SavedState, which episode",
     ),
-    "none": ({"state": None}, r"the option `state` None is not allowed"),
     "other": (
         {"state": EMPTY_STATE},
         r"episode of GoTo: the saved state has other settings",
@@ -138,10 +129,6 @@ OPTIONS = {
         {"yaw_rate": 0.1},
         r"the option `yaw_rate` needs the option `snake`; give both",
     ),
-    "yaw nan alone": (
-        {"yaw_rate": float("nan")},
-        r"the option `yaw_rate` needs the option `snake`; give both",
-    ),
 }
 SNAKE_STATES = {
     "yaw nan": (
@@ -149,9 +136,7 @@ SNAKE_STATES = {
         float("nan"),
         r"yaw_rate nan is not allowed; it must be a finite number",
     ),
-    "yaw infinite": ({}, np.inf, r"yaw_rate inf is not allowed"),
     "yaw text": ({}, "fast", r"yaw_rate 'fast' is not allowed"),
-    "yaw list": ({}, [0.1], r"yaw_rate \[0.1\] is not allowed"),
     "yaw none": ({}, None, r"yaw_rate None is not allowed"),
     "bend nan": (
         {"bend": np.full(4, np.nan)},
@@ -254,10 +239,9 @@ def test_the_goal_of_an_episode_can_be_given():
     assert np.hypot(*seen) == pytest.approx(distance, abs=0.01), (
         "the camera has 1 mm of noise"
     )
-    *_, after = env.step(np.array([0.1, 0.5, 0.8]))
-    assert after["reward_progress_m"] == pytest.approx(
-        distance - after["goal_distance_m"]
-    )
+    _, reward, *_, after = env.step(np.array([0.1, 0.5, 0.8]))
+    progress = pytest.approx(distance - after["goal_distance_m"])
+    assert reward == after["reward_progress_m"] == progress
     _, info = env.reset()
     assert info["goal_x_m"] != 0.3
 
@@ -277,15 +261,10 @@ def test_a_given_goal_is_kept_by_saved_and_placed_states():
     assert info["goal_distance_m"] == pytest.approx(np.hypot(0.2, 0.4), abs=1e-6)
 
 
-@pytest.mark.default_cases(at=[0, 2, 3, 4, 5])
 @pytest.mark.parametrize(
     ("task", "goal", "message"),
     [
-        (
-            "GoTo",
-            (1.0,),
-            r"the option `goal` \(1\.0,\) is not allowed; give x and y in m",
-        ),
+        ("GoTo", (1.0,), r"the option `goal` \(1\.0,\) is not allowed; give x and y"),
         ("GoTo", (1.0, np.nan), "is not allowed; give x and y in m"),
         ("GoTo", "here", "the option `goal` 'here' is not allowed"),
         (
@@ -320,30 +299,15 @@ def test_the_removed_range_of_actions_is_named():
 
 
 def test_unknown_settings_list_those_of_the_task():
-    settings = [
-        "fit",
-        "limit_s",
-        "observations",
-        "ranges",
-        "rewards",
-        "robot",
-    ]
-    twin = [
-        "contact",
-        "hinges_per_segment",
-        "layout",
-        "numerics",
-        "pneumatics",
-        "sensor",
-        "timestep",
-    ]
+    settings = ["fit", "limit_s", "observations", "ranges", "rewards", "robot"]
+    twin = ["contact", "hinges_per_segment", "layout", "numerics", "pneumatics"]
     for task, more in (("Module", []), ("GoTo", ["camera"]), ("Pegs", ["camera"])):
         with pytest.raises(
             InputError, match="unknown setting of the task or its twin 'foo'"
         ) as refused:
             SnakeEnv(task, foo=1)
         listed = str(refused.value).partition("available: ")[2].rstrip(")").split(", ")
-        assert listed == sorted(settings + twin + more)
+        assert listed == sorted([*settings, *twin, "sensor", "timestep", *more])
     with pytest.raises(InputError, match="'limit'; did you mean limit_s"):
         SnakeEnv("GoTo", limit=3)
 
@@ -365,18 +329,13 @@ def test_refused_reset_leaves_all_environments_of_a_vector_unchanged():
 
 ACTIONS = {
     "nan": [0.0, np.nan, 45.0],
-    "infinite": [np.inf, 1.5, 45.0],
     "minus infinite": np.array([0.0, 1.5, -np.inf], dtype=np.float32),
     "short": [0.0, 1.0],
     "column": np.zeros((3, 1)),
-    "number": 1.0,
     "nothing": None,
-    "with nothing": [0.0, None, 45.0],
-    "text": "left",
     "texts": ["0.1", "1.5", "45"],
     "complex": np.array([0.1, 1.5, 45.0 + 1j]),
     "ragged": [[0.1], [1.5, 2.0], 45.0],
-    "dict": {"offset": 0.1},
     "large": np.full((100, 100), np.nan),
 }
 
