@@ -53,14 +53,6 @@ def test_the_offset_changes_at_its_time_in_every_run():
     assert found.metadata["control"]["changes"] == [[0.3, 0.1], [0.603, 0.4]]
 
 
-def test_the_runs_are_equal_until_the_change():
-    straight = run(ScheduledOffset(Gait(2.0), []))
-    turning = run(ScheduledOffset(Gait(2.0), [(0.5, 0.4)]))
-    before = straight.time <= 0.5
-    assert np.array_equal(straight["heading"][before], turning["heading"][before])
-    assert straight["heading"][-1] != turning["heading"][-1]
-
-
 @pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     "times", [(0.0,), (-1.0,), (0.5, 0.5), (0.5, 0.2), (float("nan"),)]

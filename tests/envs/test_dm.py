@@ -10,7 +10,6 @@ from test_gymnasium import MARKED_TASKS
 from test_pictures import can_render
 
 from srs_twin import InputError
-from srs_twin.envs import TASKS
 from srs_twin.envs.gymnasium import SnakeEnv
 
 dm = dm_environments()
@@ -31,31 +30,8 @@ class TestGoTo(_Mixin, absltest.TestCase):
     task = "GoTo"
 
 
-class TestObstacles(_Mixin, absltest.TestCase):
-    task = "Obstacles"
-
-
 class TestModule(_Mixin, absltest.TestCase):
     task = "Module"
-
-
-@pytest.mark.slow
-class TestCrawl3D(_Mixin, absltest.TestCase):
-    task = "Crawl3D"
-
-
-@pytest.mark.slow
-class TestPegs(_Mixin, absltest.TestCase):
-    task = "Pegs"
-
-
-@pytest.mark.slow
-class TestGrasp(_Mixin, absltest.TestCase):
-    task = "Grasp"
-
-
-def test_every_task_is_tested_by_the_mixin():
-    assert {case.task for case in _Mixin.__subclasses__()} == set(TASKS)
 
 
 @pytest.mark.parametrize("task", MARKED_TASKS)

@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from srs_twin.live.messages import (
     BENDS,
@@ -163,27 +162,3 @@ def test_a_control_is_json_or_the_plain_word(word):
     ):
         with pytest.raises(BadMessageError):
             decode(CONTROL, payload, source="x", arrived=2.0, segments=SEGMENTS)
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
-    lambda inner: (
-        st.lists(inner, max_size=5)
-        | st.dictionaries(st.sampled_from(["t", "plus", "minus", "rad", "text"]), inner)
-    ),
-    max_leaves=12,
-)
-
-
-@settings(max_examples=400)
-@given(kind=st.sampled_from([*KINDS, "other"]), said=st.binary(max_size=60) | JSON)
-def test_whatever_arrives_is_a_message_or_refused(kind, said):
-    payload = said if isinstance(said, bytes) else json.dumps(said).encode()
-    try:
-        found = decode(kind, payload, source="x", arrived=0.0, segments=2)
-    except BadMessageError as error:
-        assert str(error)
-    else:
-        assert np.isfinite(found.sent) and (
-            kind == BENDS or np.isfinite(found.values).all()
-        )
