@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from srs_twin.envs import make_task
+from srs_twin.envs.gymnasium import SnakeEnv
 from srs_twin.envs.policy import PathFollowing, ProportionalIntegral, play_episode
 
 
@@ -79,3 +80,15 @@ def test_pi_control_tracks_better_than_constant_duties():
     )
     assert tracked.ending == resting.ending == "time_up"
     assert 3 * abs(tracked.reward) < abs(resting.reward)
+
+
+def test_reward_and_signals_of_a_module_are_those_of_its_state():
+    env = SnakeEnv("Module")
+    first, before = env.reset(seed=0)
+    seen, reward, *_, after = env.step(env.task.from_physical([1.0, 0.25]))
+    error = abs(before["reference_rad"] - after["bend_rad"])
+    assert error > 0.01 and reward == pytest.approx(-0.05 * error)
+    _, before, reference, *command = seen.tolist()
+    assert before == first[0] and command == [1.0, 0.25]
+    assert reference == pytest.approx(after["reference_rad"])
+    assert after["pressure_plus_pa"] > 2 * after["pressure_minus_pa"] > 100.0

@@ -84,23 +84,17 @@ class Wire(Link):
         self._due = clock()
 
     def received(self) -> list[Message]:
-        while self._due <= clock() + 1e-9:
-            self._tell_of_rest(self._due)
-            self._due += 0.02
-        return super().received()
-
-    def _tell_of_rest(self, now: float) -> None:
         rows = np.zeros((self._segments + 1, 4))
         rows[:, 0] = -GEN4.geometry.pitch * np.arange(self._segments + 1)
         names = tuple(f"connector_{i}" for i in range(1, self._segments + 2))
-        self.tell(Message(BENDS, "robot", now, now, np.zeros(self._segments)))
-        self.tell(Message(POSES, "natnet", now, now, rows, names))
-
-    def tell(self, message: Message) -> None:
-        self._take(message)
+        while (sent := self._due) <= clock() + 1e-9:
+            self._take(Message(BENDS, "robot", sent, sent, np.zeros(self._segments)))
+            self._take(Message(POSES, "natnet", sent, sent, rows, names))
+            self._due += 0.02
+        return super().received()
 
     def say(self, word: str) -> None:
-        self.tell(Message(CONTROL, "robot", clock(), clock(), names=(word,)))
+        self._take(Message(CONTROL, "robot", clock(), clock(), names=(word,)))
 
     def send(self, kind, values, *, at=None, wait_s=0.0) -> None:
         self.sent.append((clock(), kind, values))
