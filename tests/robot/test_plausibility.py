@@ -40,12 +40,6 @@ MISTAKES = [
         ),
     ),
     ({"geometry.segment_length_m": 0.37}, False, "a tenth of it would be 0.037 m"),
-    ({"geometry.rigid_gap_m": 1.8}, False, "1.8 cm would be 0.018 m"),
-    ({"geometry.half_track_m": 1.5}, False, "1.5 cm would be 0.015 m"),
-    ({"geometry.wheel_radius_m": 0.8}, False, "0.8 cm would be 0.008 m"),
-    ({"geometry.wheel_radius_m": 8.0}, True, "8 mm would be 0.008 m"),
-    ({"geometry.com_height_m": 1.5}, False, "1.5 cm would be 0.015 m"),
-    ({"geometry.width_m": 0.4}, False, "a tenth of it would be 0.04 m"),
     (
         {"geometry.segment_length_m": 3.7, "geometry.rigid_gap_m": 1.8},
         False,
@@ -59,11 +53,6 @@ MISTAKES = [
             " 0.04 m, because the density would be 3.4e+05 kg/m³; 30 g would be 0.03"
             " kg"
         ),
-    ),
-    (
-        {"mass.wheel_kg": 1.5},
-        True,
-        "two wheels of 1.5 kg are too heavy for the lightest connector (0.03 kg)",
     ),
     (
         {"supply.nominal_kpa": 0.483},
@@ -87,7 +76,6 @@ MISTAKES = [
             " s; 60 ms would be 0.06 s"
         ),
     ),
-    ({"actuator.tau_mode_s": 2.14}, False, "2.14 ms would be 0.00214 s"),
     (
         {"bending.stiffness_nm_per_rad": 440.0},
         False,
@@ -96,11 +84,6 @@ MISTAKES = [
             " weight times body length, 0.4047 N*m/rad; 440 mN*m/rad would be 0.44"
             " N*m/rad"
         ),
-    ),
-    (
-        {"bending.pitch_stiffness_nm_per_rad": 100.0},
-        False,
-        "100 mN*m/rad would be 0.1 N*m/rad",
     ),
     (
         {"actuator.bend_rad": 90.0},
@@ -125,7 +108,6 @@ def write(tmp_path, robot):
     return path
 
 
-@pytest.mark.default_cases(at=[0, 10, 11, 14, 19])
 @pytest.mark.parametrize(("numbers", "is_error", "words"), MISTAKES)
 def test_number_in_another_unit_is_reported_with_its_line(
     tmp_path, monkeypatch, numbers, is_error, words

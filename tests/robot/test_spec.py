@@ -74,14 +74,6 @@ def test_the_robot_of_a_resolved_scenario_is_a_robot_file(tmp_path):
 
 
 @pytest.mark.default_cases(3)
-@pytest.mark.parametrize("name", ROBOTS)
-def test_published_robots_load(name):
-    robot = load_robot(name)
-    assert robot.name == name
-    assert robot.geometry.connectors == 5 == len(robot.mass.connectors)
-
-
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("name", "length", "psi_for", "bend", "limit_psi"),
     [
@@ -108,21 +100,6 @@ def test_gen4_actuator_has_the_published_coefficients():
     assert 1 / (fill * mode) == pytest.approx(4221.8, rel=1e-3)
     assert 1 / fill + 1 / mode == pytest.approx(476.4912, rel=1e-3)
     assert 0.8366 / (fill * mode) == pytest.approx(3532.2, rel=1e-3)
-
-
-@pytest.mark.default_cases(3)
-@pytest.mark.parametrize(
-    ("name", "pressure", "volume"),
-    [
-        ("gen1", 4.5 * PSI, 15e-6),
-        ("gen2", 7 * PSI, 45e-6),
-        ("gen3", 7 * PSI, 45e-6),
-        ("gen4", 9 * PSI, 70e-6),
-    ],
-)
-def test_stiffness_is_half_of_its_energy_bound(name, pressure, volume):
-    bound = pressure * volume / (math.pi / 2) ** 2
-    assert load_robot(name).bending.stiffness == pytest.approx(bound / 2, rel=0.02)
 
 
 def test_gen3_has_its_compressor_in_the_tail():
@@ -250,7 +227,6 @@ def test_number_of_connectors_is_free(write, count):
     assert robot.segments == count - 1 == len(robot.mass.connectors) - 1
 
 
-@pytest.mark.default_cases(at=[0, 3, 4, 6])
 @pytest.mark.parametrize(
     ("part", "changes", "words"),
     [
@@ -266,16 +242,10 @@ def test_number_of_connectors_is_free(write, count):
             "mu_n: -1.0 is not allowed; it must be finite and at least 0",
         ),
         ("bending", {"stiffness": math.inf}, "it must be finite and above 0"),
-        ("mass", {"wheel": 0.02}, "two wheels of 0.02 kg are too heavy"),
         (
             "mass",
             {"connectors": (0.03, -0.03, 0.03, 0.03, 0.03)},
             "mass of connector 2: -0.03 is not allowed",
-        ),
-        (
-            "mass",
-            {"connectors": (0.03, 0.03)},
-            "2 masses are given for 5 connectors; give 5 masses",
         ),
     ],
 )
