@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from srs_twin.reproduction import report as module
 from srs_twin.reproduction.claims import load_claims
-from srs_twin.reproduction.report import FACTORS, UNVALIDATED, scorecard
+from srs_twin.reproduction.report import FACTORS, UNVALIDATED, Grade, scorecard
 from srs_twin.reproduction.verdicts import Baseline, load_baseline
 
 
@@ -70,6 +71,20 @@ def test_validation_depends_only_on_headline_predictions(verdict, grade):
     changed = scorecard(claims, with_verdict(baseline, headline, verdict))
     for name in ("crawling, generation 2", "crawling, generation 3"):
         assert changed[name]["validation"].grade == grade, name
+
+
+@pytest.mark.parametrize(("measured", "grade"), [(3, 1), (4, 2), (7, 2), (8, 3)])
+def test_input_pedigree_follows_the_fraction_of_measured_parameters(
+    monkeypatch, measured, grade
+):
+    statuses = ["measured"] * measured + ["estimated"] * (10 - measured)
+    records = {k: SimpleNamespace(status=status) for k, status in enumerate(statuses)}
+    robot = SimpleNamespace(records=lambda: records)
+    monkeypatch.setattr(module, "load_robot_file", lambda name: robot)
+    found = scorecard(load_claims(), load_baseline())["crawling, generation 3"]
+    assert found["input pedigree"] == Grade(
+        grade, f"{measured} of 10 parameters measured"
+    )
 
 
 def test_predictions_of_other_groups_are_listed_separately():

@@ -52,7 +52,9 @@ class FakeStore:
         self.run_names = []
 
     def jobs(self, runs):
-        return (ReproductionJob(" ".join([runs.name, *map(str, runs.set.items())])),)
+        changes = map(str, runs.set.items())
+        words = [" ".join([name, *changes]) for name in runs.name.split("+")]
+        return tuple(map(ReproductionJob, words))
 
     def run(self, jobs, **_):
         self.run_names += dict.fromkeys(job.key for job in jobs)
@@ -83,6 +85,23 @@ def test_plants_are_judged_separately_and_bounds_are_allowed():
         "missed",
     )
     assert outcomes["twin"].error == pytest.approx(-0.11)
+
+
+@pytest.mark.parametrize(
+    ("take", "size", "value"),
+    [
+        ("most", False, 2),
+        ("most", True, 3),
+        ("least", True, 2),
+        ("mean", True, 2.5),
+        ("spread", False, 10),
+        (None, False, math.nan),
+    ],
+)
+def test_values_of_a_sweep_are_aggregated(take, size, value):
+    measure = Measure(sweep="a+b", metric="m", take=take, size=size)
+    outcomes, _ = judge_values(claim(measure=measure), {"a": (0, -3), "b": (0, 2)})
+    assert outcomes["twin"].value == pytest.approx(value, nan_ok=True)
 
 
 def test_a_row_without_a_value_is_missed_with_the_reason():
