@@ -167,15 +167,6 @@ def test_stored_trajectories_equal_those_of_the_runs(tmp_path):
     assert plant_metrics(run)["com_speed_m_s"] == table["analytical.com_speed_m_s"][0]
 
 
-def test_a_second_sweep_in_the_same_folder_is_refused(sweep, tmp_path):
-    with (
-        open_sweep(sweep, tmp_path / "out"),
-        pytest.raises(InputError, match="another sweep uses this folder"),
-        open_sweep(sweep, tmp_path / "out"),
-    ):
-        pass
-
-
 def test_both_plants_are_compared(tmp_path):
     text = (
         SMALL.replace("plants: [analytical]\n", "")

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from conftest import ROOT
 from small import SMALL, write
-from subsets import first_by_default
 
 from srs_twin.errors import InputError
 from srs_twin.io.files import shipped_names
@@ -31,7 +29,7 @@ def test_a_grid_makes_documents_with_the_varied_fields(tmp_path):
 
 
 @pytest.mark.default_cases(2)
-@pytest.mark.parametrize("name", first_by_default(5, shipped_names("sweep")))
+@pytest.mark.parametrize("name", shipped_names("sweep"))
 def test_shipped_sweeps_load(name):
     assert len(load_sweep(name).points) > 1
 
@@ -136,9 +134,6 @@ def test_an_element_of_a_list_is_varied(tmp_path):
     ] == [2, 3]
 
 
-@pytest.mark.default_cases(
-    at=[0, 3, 4, 5, 9, 10, 12, 13, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28]
-)
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -146,12 +141,6 @@ def test_an_element_of_a_list_is_varied(tmp_path):
             "gen2_straight",
             "gen2_strait",
             "1:11: scenario: unknown scenario 'gen2_strait'; did you mean gen2",
-        ),
-        ("gen2_straight", "''", "1:11: scenario: must be text of 1 to 4096 characters"),
-        (
-            "frequency_hz",
-            "frequency",
-            "5:3: vary.controller.frequency: unknown key; did you mean frequency_",
         ),
         (
             "controller.frequency_hz",
@@ -171,8 +160,6 @@ def test_an_element_of_a_list_is_varied(tmp_path):
             "[]",
             "5:28: vary.controller.frequency_hz: must have at least 1 entry, not 0",
         ),
-        ("[2, 2.5]", "2", "5:28: vary.controller.frequency_hz: must be a list"),
-        ("[2, 2.5]", "[[2]]", "5:29: vary.controller.frequency_hz[0]: must be"),
         (
             "to: 55",
             "to: 99",
@@ -193,29 +180,9 @@ def test_an_element_of_a_list_is_varied(tmp_path):
             ),
         ),
         (
-            "count: 4",
-            "count: 4, scale: log, form: 2",
-            "6:65: vary.supply.pressure_kpa.form: unknown key",
-        ),
-        (
             "plants: [analytical]",
             "plants: [twins]",
             "2:10: plants[0]: must be one of analytical, twin, not",
-        ),
-        (
-            "plants: [analytical]",
-            "plants: []",
-            "2:9: plants: no plant is named and the scenario has no planner",
-        ),
-        (
-            "duration_s: 2",
-            "duration: 2",
-            "3:9: fixed.duration: unknown key; did you mean duration_s?",
-        ),
-        (
-            "duration_s: 2",
-            "duration_s: x",
-            "3:21: fixed.duration_s: must be a number from 0.001 to 3600, no",
         ),
         (
             "duration_s: 2",
@@ -322,35 +289,3 @@ def test_errors_of_the_scenario_name_its_file(tmp_path, monkeypatch):
         InputError, match=r"^bad.yaml:3:40: controller.frequency_hz: must be a number"
     ):
         load_sweep(write(tmp_path, SMALL.replace("gen2_straight", "bad.yaml")))
-
-
-@pytest.mark.slow
-def test_keys_of_a_replay_depend_on_the_content_of_the_recording(tmp_path, monkeypatch):
-    """Equal paths with other contents give other keys, so rows of an old recording are not reused."""
-    monkeypatch.chdir(tmp_path)
-    recorded = {}
-    for end in (".csv", ".valves.csv"):
-        recorded[end] = (
-            ROOT / f"calibration/examples/my_snake/walk_check{end}"
-        ).read_bytes()
-        (tmp_path / f"walk{end}").write_bytes(recorded[end])
-    replay = (
-        "controller: {kind: replay}\nrecording: {motion: walk.csv, longest_gap_s:"
-        " 0.3}\n"
-    )
-    write(tmp_path, f"robot: gen2\nduration_s: 2\n{replay}", "replay.yaml")
-    text = (
-        "scenario: replay.yaml\nplants: [analytical]\nvary: {robot.friction.mu_n: [0.5,"
-        " 0.6]}\n"
-    )
-
-    def keys() -> set[str]:
-        return {point.key for point in load_sweep(write(tmp_path, text)).points}
-
-    first = keys()
-    for end, content in recorded.items():
-        path = tmp_path / f"walk{end}"
-        path.write_bytes(content.rsplit(b"\n", 2)[0] + b"\n")
-        assert not first & keys(), end
-        path.write_bytes(content)
-        assert keys() == first, end

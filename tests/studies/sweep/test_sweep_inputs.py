@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import functools
-import os
-import sys
-import sysconfig
-from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import ROOT
 from PIL import Image
 from small import write
-from subsets import first_by_default
 
-from srs_twin.scenario.provenance import file_digests
 from srs_twin.studies.sweep.loading import load_sweep
-from srs_twin.studies.sweep.task import DONE, run_point
 from srs_twin.trajectory import Trajectory
 
 WALK = """\
@@ -155,8 +148,8 @@ def keys(sweep):
     return {point.key for point in sweep.points}
 
 
-@pytest.mark.default_cases(at=[0, 3, 5])
-@pytest.mark.parametrize(("case", "name", "old", "new"), first_by_default(6, EDITS))
+@pytest.mark.default_cases(at=[0, 1, 3, 5, 11, 14, 15, 17])
+@pytest.mark.parametrize(("case", "name", "old", "new"), EDITS)
 def test_a_changed_byte_of_any_input_changes_the_keys(
     project, tmp_path, case, name, old, new
 ):
@@ -171,49 +164,3 @@ def test_a_changed_byte_of_any_input_changes_the_keys(
     assert not before & keys(project(case))
     path.write_bytes(content)
     assert before == keys(project(case))
-
-
-@pytest.mark.default_cases(at=[0, 4, 5, 9])
-@pytest.mark.parametrize("case", CASES)
-def test_every_opened_file_is_in_the_key(project, tmp_path, case):
-    """Detects new kinds of input; the robot file is part of the resolved scenario."""
-    sweep = project(case)
-    opened: set[str] = set()
-    watching = [True]
-
-    def note(event, arguments):
-        if watching and event == "open" and isinstance(arguments[0], str):
-            opened.add(
-                os.path.abspath(arguments[0])
-            )  # numba names sources by relative paths
-
-    sys.addaudithook(note)  # stays for good, deaf afterwards
-    try:
-        row = run_point(sweep.experiment, sweep.points[0])
-    finally:
-        watching.clear()
-    assert row.status == DONE, row.reason
-    document = sweep.experiment.document(sweep.points[0].changes)
-    known = {
-        str(Path(file_digest).absolute()) for file_digest in file_digests(document)
-    }
-    programs = [
-        *map(str, sysconfig.get_paths().values()),
-        sys.base_prefix,
-        str(ROOT / "srs_twin"),
-        "/proc",
-    ]
-    data = {
-        path
-        for path in opened
-        if not path.startswith(tuple(programs)) and Path(path).is_file()
-    }
-    assert data <= known
-    named = {str(tmp_path / name) for edit, name, *_ in EDITS if edit == case}
-    assert (
-        named - {str(tmp_path / "scenario.yaml"), str(tmp_path / "mine.yaml")} <= known
-    )
-
-
-def test_the_cases_cover_all_kinds_of_input():
-    assert {case for case, *_ in EDITS} == CASES.keys()

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import gc
-import os
-import shutil
-import subprocess
 import sys
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 from conftest import ROOT
-from small import SMALL, execute, write
-from subsets import first_by_default
+from small import execute, write
 
 import srs_twin
 from srs_twin.errors import InputError
@@ -21,7 +17,6 @@ from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.provenance import (
     file_digests,
     run_provenance,
-    run_sources,
     source_digests,
 )
 from srs_twin.studies.sweep.execution import open_sweep
@@ -99,74 +94,8 @@ def test_an_edited_footprint_repeats_only_its_rows(tmp_path, monkeypatch):
     assert moved == {("one.yaml", 0), ("one.yaml", 1)}
 
 
-def test_an_edited_robot_file_repeats_only_its_rows(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    shipped = (ROOT / "calibration/robots/gen2.yaml").read_text()
-    (tmp_path / "mine.yaml").write_text(shipped)
-    (tmp_path / "other.yaml").write_text(shipped.replace("value: 0.57", "value: 0.5"))
-    text = SMALL.replace(
-        "controller.frequency_hz: [2, 2.5]", "robot: [mine.yaml, other.yaml]"
-    )
-    sweep = write(tmp_path, text)
-    before = {point.key: point.changes["robot"] for point in load_sweep(sweep).points}
-    (tmp_path / "mine.yaml").write_text(shipped.replace("value: 0.57", "value: 0.47"))
-    after = {point.key for point in load_sweep(sweep).points}
-    assert {before[key] for key in before.keys() & after} == {"other.yaml"}
-    assert len(before.keys() & after) == 4
-
-
-@pytest.mark.slow
-def test_an_edited_source_is_reported_and_its_rows_are_repeated(tmp_path):
-    """Speeds computed before a gait was reversed in the source must not be reused."""
-    package = tmp_path / "there/srs_twin"
-    shutil.copytree(ROOT / "srs_twin", package)  # with what is compiled
-    for folder in ("calibration", "models", "scenarios"):
-        (tmp_path / "there" / folder).symlink_to(ROOT / folder)
-    sweep = write(
-        tmp_path, SMALL.replace("[2, 2.5]", "[2]").replace("count: 4", "count: 2")
-    )
-
-    def run(*options: str) -> subprocess.CompletedProcess[str]:
-        code = "from srs_twin.cli import main; main()"
-        arguments = ["sweep", str(sweep), "--out", "out", "--workers", "1", *options]
-        return subprocess.run(
-            [sys.executable, "-P", "-c", code, *arguments],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-            env={**os.environ, "PYTHONPATH": str(package.parent)},
-        )
-
-    def speeds() -> list[float]:
-        return pq.read_table(tmp_path / "out/results.parquet")[
-            "analytical.com_speed_m_s"
-        ].to_pylist()
-
-    assert run().returncode == 0
-    forward = speeds()
-    gait = package / "control/gait.py"
-    reversed_wave = gait.read_text().replace(
-        "step = spec.phase_step if", "step = -spec.phase_step if"
-    )
-    gait.write_text(reversed_wave)
-    refused = run()
-    assert (
-        refused.returncode == 2
-        and "srs_twin.control.gait changed; points changed)" in refused.stderr
-    )
-    assert speeds() == forward
-    assert run("--changed").returncode == 0
-    assert min(forward) > 0.1 and max(speeds()) < -0.1
-    (package / "viewing/html/report.py").write_text(
-        (package / "viewing/html/report.py").read_text() + "\n# another\n"
-    )
-    again = run()
-    assert again.returncode == 0 and "2 of 2 rows exist already" in again.stderr
-
-
 @pytest.mark.default_cases(1)
-@pytest.mark.parametrize("name", first_by_default(2, READ_BY_A_RUN))
+@pytest.mark.parametrize("name", READ_BY_A_RUN)
 def test_all_files_and_sources_of_a_run_are_in_its_key(name):
     """Opened files and sources of called functions are observed during the run."""
     document = {
@@ -218,7 +147,8 @@ def test_all_files_and_sources_of_a_run_are_in_its_key(name):
     modules = {module.removesuffix(".__init__") for module in modules}
     assert (
         len(modules) > 10
-        and modules - {"srs_twin"} <= run_sources(document, RUNNER).keys()
+        and modules - {"srs_twin"}
+        <= run_provenance(document, plants, RUNNER).sources.keys()
     )
 
 

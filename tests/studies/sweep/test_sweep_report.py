@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import json
 from html.parser import HTMLParser
 from itertools import product
 
@@ -240,14 +239,3 @@ def test_wide_tables_are_truncated():
         sorted(h for result in tables for h in result.headings[1:])[0]
         == "CoM speed (m/s), analytical"
     )
-
-
-def test_the_command_prints_the_report_path(srs_twin, tmp_path):
-    write(tmp_path)
-    run = srs_twin("sweep", "small.yaml", cwd=tmp_path)
-    assert run.returncode == 0, run.stderr
-    report = tmp_path / "runs" / "sweeps" / "small" / "report.html"
-    assert f"report {report.relative_to(tmp_path)}\n" in run.stdout
-    page = Page(report.read_text("utf-8"))
-    about = json.loads((report.parent / "sweep.json").read_text())
-    assert any(about["results_sha256"] in line for line in page.tables[-1])
