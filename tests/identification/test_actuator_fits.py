@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 from recorded import RATE, SPEC, motion, recorded, valve_csv
-from scipy import stats
 from synthetic_takes import Take
 
-from srs_twin import AnalyticalSnake, Controller, Trajectory, load_robot, rollout
+from srs_twin import load_robot
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.identification.actuator import (
     Response,
@@ -23,13 +21,11 @@ from srs_twin.identification.fit_file import (
     array_hash,
     data_sets,
     fit_file,
-    trajectory_hash,
     write_fit,
 )
 from srs_twin.identification.fitted_robot import fitted_robot
 from srs_twin.identification.parameters import (
     free_parameters,
-    parameter_names,
     with_values,
 )
 from srs_twin.identification.static_tables import (
@@ -79,24 +75,6 @@ def response(truth=TRUTH, *, noise=0.0, seed=0, name="step") -> Response:
     return Response(name, array_hash(bend), STEPS, SUPPLY, time, bend)
 
 
-def response_of(run: Trajectory) -> Response:
-    """Return the response of a plant from rest; valves switch at samples."""
-    time = run.time - run.time[0]
-    sides = np.stack(
-        [run.stack(f"valve_{side}") for side in ("plus", "minus")], axis=-1
-    )
-    states = sides.astype(np.int8)[1:]  # those that led to a sample
-    starts = np.append(
-        0, np.flatnonzero((states[1:] != states[:-1]).any(axis=(1, 2))) + 1
-    )
-    schedule = Schedule(
-        float(time[-1]), time[starts], np.ascontiguousarray(states[starts])
-    )
-    return Response(
-        "bench", trajectory_hash(run), schedule, SUPPLY, time, run.stack("bend")
-    )
-
-
 @given(
     st.tuples(
         st.floats(0.05, 0.4),
@@ -117,18 +95,6 @@ def test_any_module_is_recovered(numbers):
     assert fit.held["actuator.bend_rad"] == pytest.approx(
         MODULE.actuator.gain * MODULE.supply.nominal
     )
-
-
-@pytest.mark.slow
-def test_intervals_from_responses_cover_the_truth():
-    """25 repetitions with 95 %: fewer than 19 hits have a probability of 1 in 1,000."""
-    hits = dict.fromkeys(TRUTH, 0)
-    for seed in range(25):
-        fit = fit_actuator([response(noise=0.005, seed=seed)], MODULE)
-        for name, truth in TRUTH.items():
-            hits[name] += fit[name].low <= truth <= fit[name].high
-    assert stats.binom.cdf(18, 25, 0.95) < 1e-3
-    assert min(hits.values()) >= 19, hits
 
 
 def test_a_common_factor_of_the_gains_is_not_identifiable():
@@ -179,6 +145,12 @@ def test_measured_pressures_separate_the_mode_from_the_filling():
     fit = fit_actuator([seen], MODULE)
     for name, value in truth.items():
         assert fit[name].value == pytest.approx(value, rel=1e-3), name
+    # Typical noise is 10 mrad and 500 Pa.
+    assert {residual.name: residual.scale for residual in fit.residuals} == {
+        "x bend_1": 0.01,
+        "x pressure_plus_1": 500.0,
+        "x pressure_minus_1": 500.0,
+    }
 
 
 def test_a_pressure_log_identifies_gains_and_biases():
@@ -196,30 +168,6 @@ def test_a_pressure_log_identifies_gains_and_biases():
         fit["actuator.tau_fill_s"].value is None
         and fit["actuator.tau_vent_s"].value is None
     )
-
-
-class Steps(Controller):
-    """Valve command that fills the + chamber, then the − chamber."""
-
-    kind = "steps"
-
-    def reset(self, spec, tick, *, seed=0):
-        self.shape = (spec.segments, 2)
-
-    def step(self, state):
-        valves = np.full(self.shape, -1, dtype=np.int8)
-        if state.time < 1.999:
-            valves[:, 0 if state.time < 0.999 else 1] = 1
-        return valves
-
-
-def test_the_actuator_of_a_benched_plant_is_recovered():
-    spec = with_values(MODULE, TRUTH)
-    plant = AnalyticalSnake(spec, supply_pa=SUPPLY, base="clamped", tick=0.01)
-    run = rollout(plant, Steps(), 3.0, record_hz=100)
-    fit = fit_actuator([response_of(run)], MODULE)
-    for name, value in TRUTH.items():
-        assert fit[name].value == pytest.approx(value, rel=1e-3), name
 
 
 @pytest.mark.slow
@@ -268,20 +216,9 @@ def test_static_tables_identify_gains_bias_and_limit():
     for name, value in STATIC.items():
         assert fit[name].value == pytest.approx(value, rel=1e-5), name
     rough = fit_static([table(1.4, noise=0.01)], MODULE)
+    assert "actuator.dead_zone_rad" not in rough.held | rough.values
     assert len(rough.residuals[0].values) == 14 and rough.residuals[0].unit == "rad"
     assert rough.rms("fit") == pytest.approx(1.0, abs=0.4)
-
-
-@pytest.mark.slow
-def test_intervals_from_static_tables_cover_the_truth():
-    """30 repetitions with 95 %: fewer than 24 hits have a probability of 2 in 1,000."""
-    hits = dict.fromkeys(STATIC, 0)
-    for seed in range(30):
-        fit = fit_static([table(1.4, 0.01, seed)], MODULE)
-        for name, truth in STATIC.items():
-            hits[name] += fit[name].low <= truth <= fit[name].high
-    assert stats.binom.cdf(23, 30, 0.95) < 2e-3
-    assert min(hits.values()) >= 24, hits
 
 
 @pytest.mark.slow
@@ -303,21 +240,13 @@ def convex(curve, noise: float = 0.004) -> StaticTable:
     )
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "curve",
     [
-        lambda u: 1.5 * np.maximum(u - 0.3, 0.0),
-        lambda u: (
-            1.5
-            * 0.06
-            * (np.logaddexp(0, (u - 0.3) / 0.06) - np.logaddexp(0, -0.3 / 0.06))
-        ),
         lambda u: 0.5 * u + np.maximum(u - 0.4, 0.0),
-        lambda u: np.expm1(1.3 * u) / 2,
         lambda u: 1.2 / (1 + np.exp((0.5 - u) / 0.12)) - 1.2 / (1 + np.exp(0.5 / 0.12)),
     ],
-    ids=["dead zone", "soft", "partial", "exponential", "sigmoid"],
+    ids=["partial", "sigmoid"],
 )
 def test_a_dead_zone_explains_curves_that_a_straight_line_does_not(curve):
     """The curves do not follow the model's law, but the fitted robot reproduces them."""
@@ -368,19 +297,6 @@ def test_parameters_of_a_dead_zone_are_recovered_in_the_robot(tmp_path):
     )
 
 
-@pytest.mark.slow
-def test_a_straight_line_rarely_gets_a_dead_zone():
-    """The F-test has a level of 1 %: 3 of 20 would have a probability of 1 in 1,000."""
-    fit = [fit_static([table(1.4, 0.01, seed)], MODULE) for seed in range(20)]
-    assert (
-        sum(
-            "actuator.dead_zone_rad" in estimate.held | estimate.values
-            for estimate in fit
-        )
-        < 3
-    )
-
-
 def test_a_static_table_identifies_no_mass_or_time_constant():
     names = [
         "modules.gain_plus_1",
@@ -425,32 +341,6 @@ def test_unsuitable_actuator_data_are_refused():
         fit_actuator([response()], SPEC)
     with pytest.raises(InputError, match="give at least one"):
         fit_actuator([], MODULE)
-
-
-@pytest.mark.default_cases(at=[0, 4, 5, 6, 9, 19, 26])
-@pytest.mark.parametrize("name", parameter_names())
-def test_every_parameter_is_written_to_the_field_it_is_read_from(name):
-    """A written value is read back, and no other free parameter changes."""
-    spec = replace(SPEC, actuator=replace(SPEC.actuator, bend_limit=2.0))
-    name = name.replace("_N", "_2")
-    everything = [name.replace("_N", "_2") for name in parameter_names()]
-    (before,) = free_parameters(spec, [name])
-    changed = with_values(
-        spec,
-        {name: before.start * 1.25 if before.scale is None else before.start + 0.01},
-    )
-    (after,) = free_parameters(changed, [name])
-    assert after.start == pytest.approx(
-        before.start * 1.25 if before.scale is None else before.start + 0.01
-    )
-    for other in everything:
-        if other != name and not (
-            other.startswith("mass.") and name.startswith("mass.")
-        ):
-            assert (
-                free_parameters(changed, [other])[0].start
-                == free_parameters(spec, [other])[0].start
-            )
 
 
 def test_a_static_table_is_read_from_a_file(tmp_path: Path):
