@@ -108,47 +108,6 @@ def test_motion_is_that_of_an_independent_equation(closed):
 
 
 @pytest.mark.slow
-def test_small_and_large_swings_give_one_material(tmp_path):
-    truth = known_swing()
-    paths = [
-        recording(tmp_path, *record(truth, bend), f"{bend}.csv")
-        for bend in (0.15, -0.6)
-    ]
-    found = srs.calibrate_damping(
-        paths,
-        "gen2",
-        mass_kg=MASS,
-        inertia_kg_m2=INERTIA,
-        out=tmp_path / "damping.yaml",
-    )
-    wanted = truth.answers()
-    quantities = answers(found.estimate)
-    assert found.estimate[STIFFNESS].value == pytest.approx(0.5, rel=2e-3)
-    assert found.estimate[DAMPING_TIME].value == pytest.approx(0.004, rel=0.02)
-    assert quantities["frequency"].value == pytest.approx(wanted["frequency"], rel=1e-3)
-    for name, value in wanted.items():
-        assert contains(quantities[name], value), name
-
-    stored = load_fit(tmp_path / "damping.yaml")
-    assert [quantity.name for quantity in stored.derived] == [
-        "frequency",
-        "loss_factor",
-    ]
-    assert stored.held["mass_kg"] == MASS and stored.method == "damping"
-    assert stored.estimate().derived[0].value == pytest.approx(
-        quantities["frequency"].value, rel=1e-8
-    )
-    robot = srs.calibrate_robot(
-        [tmp_path / "damping.yaml"], "mine", out=tmp_path / "mine.yaml"
-    )
-    assert robot.spec().bending.stiffness == pytest.approx(
-        found.estimate[STIFFNESS].value, rel=1e-8
-    )
-    text = (tmp_path / "mine.yaml").read_text()
-    assert "fit damping (damping), 95 %" in text and "status: calibrated" in text
-
-
-@pytest.mark.slow
 def test_closed_valves_raise_frequency_and_keep_the_stiffness(tmp_path):
     fits = {}
     for valves in ("open", "closed"):
@@ -199,19 +158,6 @@ def test_measured_pressures_replace_the_model_of_the_air(tmp_path):
         InputError, match="measured pressures can be used only with closed valves"
     ):
         srs.calibrate_damping([path], "gen2", **settings)
-
-
-@pytest.mark.slow
-def test_stiffness_is_proportional_to_the_mass_that_is_given():
-    """The weight, whose share of k is a tenth here, scales with the mass as well."""
-    decay = free_swing("decay", "0" * 64, *record(known_swing()))
-    spec = srs.load_robot("gen2")
-    one, two = (
-        fit_damping([decay], spec, body=HangingBody(factor * MASS, factor * INERTIA))
-        for factor in (1, 2)
-    )
-    assert two[STIFFNESS].value == pytest.approx(2 * one[STIFFNESS].value, rel=1e-3)
-    assert two[DAMPING_TIME].value == pytest.approx(one[DAMPING_TIME].value, rel=1e-3)
 
 
 def overdamped(time):
@@ -281,15 +227,10 @@ def test_short_and_incomplete_files_are_refused(tmp_path):
         read_decay(path)
 
 
-@pytest.mark.slow
 def test_free_swing_may_start_at_a_given_time():
     time, bend = record(known_swing())
     decay = free_swing("decay", "0" * 64, time, bend, start=1.2)
     assert decay.time[0] == pytest.approx(1.2)
-    body = HangingBody(MASS, INERTIA)
-    assert contains(
-        fit_damping([decay], srs.load_robot("gen2"), body=body)[STIFFNESS], 0.5
-    )
     with pytest.raises(
         InputError, match="ends at 2.995 s, before the free swing starts at 4 s"
     ):
@@ -329,14 +270,23 @@ def test_command_prints_the_fit_with_its_loss_factor(tmp_path, monkeypatch, caps
             f" {INERTIA} --json".split()
         )
     printed = json.loads(capsys.readouterr().out)
-    assert [quantity["name"] for quantity in printed["derived"]] == [
-        "frequency",
-        "loss_factor",
-    ]
     assert printed["command"].startswith(
         "srs-twin calibrate damping decay.csv --robot=gen2 --mass-kg=0.2"
     )
-    assert (tmp_path / "calibration/fits/gen2_damping.html").exists()
+    stored = load_fit("calibration/fits/gen2_damping.yaml")
+    assert stored.held["mass_kg"] == MASS and stored.method == "damping"
+    estimate = stored.estimate()
+    assert estimate[STIFFNESS].value == pytest.approx(0.5, rel=2e-3)
+    assert estimate[DAMPING_TIME].value == pytest.approx(0.004, rel=0.02)
+    wanted = known_swing().answers()
+    quantities = answers(estimate)
+    assert quantities["frequency"].value == pytest.approx(wanted["frequency"], rel=1e-3)
+    for name, value in wanted.items():
+        assert contains(quantities[name], value), name
+    assert {item["name"]: item["value"] for item in printed["derived"]} == {
+        item.name: item.value for item in stored.derived
+    }
+    assert Path("calibration/fits/gen2_damping.html").exists()
 
 
 @pytest.mark.slow

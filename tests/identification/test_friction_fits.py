@@ -74,16 +74,14 @@ def test_a_direction_without_pulls_is_not_identifiable():
     assert fit["friction.mu_t"].value == pytest.approx(0.105)
 
 
-@pytest.mark.default_cases(at=[0, 1, 4])
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"along": [0.1]}, "a single pull along the body does not show"),
+        ({"along": [0.1, -0.1]}, "deformations of at least 0 m"),
         (
             {"along": [0.1, math.nan]},
             "the pulls along the body are not allowed; they must be a list of",
         ),
-        ({"along": [0.1, -0.1]}, "deformations of at least 0 m"),
         ({"mass": 0.0}, "mass 0.0 with error 0.0 is not allowed"),
         ({"stiffness_error": 200.0}, "larger than its error"),
     ],
@@ -207,24 +205,6 @@ def test_wheel_inertia_is_separated_from_friction():
     assert with_spin / without == pytest.approx(1 + spin_fraction(SPEC), rel=1e-6)
 
 
-@pytest.mark.slow
-def test_intervals_from_coasting_cover_the_truth():
-    """25 repetitions with 95 %: fewer than 19 hits have a probability of 1 in 1,000."""
-    hits = np.zeros(2)
-    for seed in range(25):
-        runs = [
-            thrown(v, noise=1e-3, seed=2 * seed + k)
-            for k, v in enumerate([(0.5, 0.0), (0.0, 0.8)])
-        ]
-        fit = fit_coasting(runs, SPEC)
-        hits += [
-            p.low <= truth <= p.high
-            for p, truth in zip(fit.parameters, (MU_T, MU_N), strict=True)
-        ]
-    assert stats.binom.cdf(18, 25, 0.95) < 1e-3
-    assert (hits >= 19).all(), hits
-
-
 def test_validation_throws_do_not_influence_the_fit():
     runs = [thrown((0.5, 0.0)), thrown((0.0, 0.8), seed=1)]
     alone = fit_coasting(runs, SPEC)
@@ -264,26 +244,32 @@ def coasted(
     return CoastingTest.from_trajectory(record, f"{plant.name} {velocity}", start=0.0)
 
 
-def test_coefficients_of_the_analytical_plant_are_recovered():
-    plant = AnalyticalSnake(SPEC, friction="wheel", tick=0.01)
-    runs = [coasted(plant, (0.5, 0.0), 1.0), coasted(plant, (0.0, 0.8), 0.4)]
-    fit = fit_coasting(runs, SPEC, wheel_inertia=False)
-    assert fit["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
-    assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.01)
-
-
 @pytest.mark.parametrize(
-    ("wheels", "friction_law"), [("rolling", "wheel"), ("skid", "ellipse")]
+    ("plant", "friction_law", "wheel_inertia"),
+    [
+        (AnalyticalSnake(SPEC, friction="wheel", tick=0.01), "wheel", False),
+        (
+            TwinSnake(SPEC, contact=PreloadedContact("rolling"), tick=0.01),
+            "wheel",
+            True,
+        ),
+        (
+            TwinSnake(SPEC, contact=PreloadedContact("skid"), tick=0.01),
+            "ellipse",
+            False,
+        ),
+    ],
+    ids=["analytical", "rolling", "skid"],
 )
-def test_coefficients_of_the_twin_are_recovered(wheels, friction_law):
-    plant = TwinSnake(SPEC, contact=PreloadedContact(wheels), tick=0.01)
+def test_coefficients_of_a_plant_are_recovered(plant, friction_law, wheel_inertia):
     runs = [coasted(plant, (0.5, 0.0), 1.0), coasted(plant, (0.0, 0.8), 0.4)]
     fit = fit_coasting(
-        runs, SPEC, friction_law=friction_law, wheel_inertia=wheels == "rolling"
+        runs, SPEC, friction_law=friction_law, wheel_inertia=wheel_inertia
     )
     assert fit["friction.mu_t"].value == pytest.approx(SPEC.friction.mu_t, rel=0.01)
     # Contacts stop slip within 10 ms, so the friction tests allow 3 % of the distance.
-    assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=0.03)
+    error = 0.01 if plant.name == "analytical" else 0.03
+    assert fit["friction.mu_n"].value == pytest.approx(SPEC.friction.mu_n, rel=error)
 
 
 def test_misalignment_is_the_smallest_mean_deviation_from_an_arc():
