@@ -11,12 +11,11 @@ from box_edges import WIDTH, BoxEdges, fit_width
 from conftest import ROOT
 from hypothesis import given, strategies as st
 from published_tables import published_runs
-from table8 import edges, fit_body_width, place
+from table8 import fit_body_width, place
 
 from srs_twin import AnalyticalSnake, load_robot, load_scenario, rollout
 from srs_twin.comparison.centre_line import body_sides
 from srs_twin.control.gait import Gait
-from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import load_fit
 
 pytestmark = pytest.mark.fast
@@ -61,14 +60,6 @@ def test_a_wider_body_moves_alike_and_reaches_farther_by_half():
     assert apart == pytest.approx(np.full_like(apart, 0.02), abs=1e-9)
 
 
-def test_the_same_row_cannot_fit_and_validate():
-    run = BoxEdges(0.1, (0.1, 0.1), (0.05, 0.05))
-    with pytest.raises(InputError, match=r"offset 0\.1"):
-        fit_width([run], SPEC, validation=[run])
-    with pytest.raises(InputError, match="give at least one"):
-        fit_width([], SPEC)
-
-
 def test_the_shipped_width_is_what_its_command_finds():
     shipped = load_fit(place("width"))
     assert fit_body_width().parameters == shipped.parameters
@@ -106,10 +97,3 @@ def test_the_scenario_has_the_robot_of_the_fits():
     )
     assert robot.geometry.width == pytest.approx(width[WIDTH], abs=5e-5)
     assert robot.mass == SPEC.mass and robot.bending == SPEC.bending
-
-
-def test_edges_are_read_with_their_sides():
-    result = edges(load_fit(place("analytical")), "fit")
-    assert len(result) == 3
-    for item in result:
-        assert min(*item.measured, *item.drawn) > 0

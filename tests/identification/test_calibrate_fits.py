@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -160,7 +158,6 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
     assert load_fit(tmp_path / "calibration/fits/gen2_friction.yaml") == fit
 
 
-@pytest.mark.default_cases(at=[0, 1, 3, 4, 5, 6, 8, 9, 10, 11, 12, 14])
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -173,7 +170,6 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
             "q.csv: only one table of pulls is allowed in a fit; give other tables"
             " with",
         ),
-        (["friction", "none.csv"], "none.csv: no such file"),
         (
             ["friction", "p.csv", "h.csv"],
             "p.csv is a table of pulls, but h.csv is a recording of a coasting test",
@@ -200,10 +196,6 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
             "--parameters ',' contains no parameters",
         ),
         (["locomotion", "w.csv"], "w.valves.csv: no such file"),
-        (
-            ["locomotion", "w.csv", "--valves", "a", "--valves", "b"],
-            "2 valve logs are given for 1 recordings",
-        ),
         (
             ["locomotion", "w.csv", "--plant", "twn"],
             "unknown plant 'twn'; did you mean twin",
@@ -271,29 +263,17 @@ def main_ok(*options: str) -> None:
     assert end.value.code == 0
 
 
-@pytest.mark.slow
-def test_fits_are_combined_into_a_robot(tmp_path, monkeypatch, capsys):
+def test_a_fit_is_combined_with_its_robot_by_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     pulls_file(tmp_path)
-    (tmp_path / "held.csv").write_bytes((EXAMPLE / "held.csv").read_bytes())
     main_ok("calibrate", "friction", "pulls.csv", "-r", "gen2", "--out", "f.yaml", "-q")
-    main_ok("calibrate", "actuator", "held.csv", "-r", "gen2", "--out", "a.yaml", "-q")
-    main_ok("calibrate", "robot", "f.yaml", "a.yaml", "--name", "mine")
+    main_ok("calibrate", "robot", "f.yaml", "--name", "mine")
     assert "robot file written to robots/mine.yaml" in capsys.readouterr().err
     mine = load_robot("robots/mine.yaml")
     gen2 = load_robot("gen2")
-    assert mine.friction.mu_t == pytest.approx(load_fit("f.yaml").parameters[0].value)
-    gains = {
-        parameter.name: parameter.value for parameter in load_fit("a.yaml").parameters
-    }
-    assert mine.modules.array("gain")[1, 0] == pytest.approx(
-        gains["modules.gain_plus_2"]
-    )
-    assert (mine.name, mine.geometry, mine.bending) == (
-        "mine",
-        gen2.geometry,
-        gen2.bending,
-    )
+    fitted = [parameter.value for parameter in load_fit("f.yaml").parameters]
+    assert (mine.friction.mu_t, mine.friction.mu_n) == pytest.approx(fitted)
+    assert (mine.name, mine.geometry) == ("mine", gen2.geometry)
     for options, message in (
         (
             ["f.yaml", "--name", "mine"],
@@ -307,39 +287,18 @@ def test_fits_are_combined_into_a_robot(tmp_path, monkeypatch, capsys):
         assert end.value.code == 2 and message in capsys.readouterr().err
 
 
-@pytest.mark.slow
-@pytest.mark.usefixtures("interruptible")
-def test_an_interrupted_fit_leaves_no_files(tmp_path):
-    """The fit, which would take minutes, is interrupted as soon as it has read its recordings."""
-    script = Path(sys.executable).with_name("srs-twin")
-    started = subprocess.Popen(
-        [
-            script,
-            "calibrate",
-            "locomotion",
-            EXAMPLE / "walk_straight.csv",
-            "-r",
-            "gen2",
-            "--plant",
-            "twin",
-        ],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    lines = []
-    assert started.stderr is not None
-    for line in started.stderr:
-        lines.append(line)
-        if not line.strip():  # after the summary
-            break
-    time.sleep(1.0)
-    os.kill(started.pid, signal.SIGINT)
-    _, errors = started.communicate(timeout=300)
-    assert started.returncode == 130, (lines, errors)
-    assert "interrupted; nothing was written" in errors and "Traceback" not in errors
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == []
+def test_an_interrupted_fit_leaves_no_files(tmp_path, monkeypatch, capsys):
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("srs_twin.identification.calibration.fit_pulls", interrupted)
+    pulls_file(tmp_path)
+    with pytest.raises(SystemExit) as end:
+        main(["calibrate", "friction", "pulls.csv", "-r", "gen2"])
+    assert end.value.code == 130
+    assert capsys.readouterr().err.endswith("interrupted; nothing was written\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["pulls.csv"]
 
 
 def test_an_interrupt_during_an_import_is_reported_as_an_interrupt(monkeypatch):
@@ -456,22 +415,17 @@ def test_the_frequency_of_a_gait_is_estimated(tmp_path, frequency):
     assert read_valves(path, SPEC).gait_frequency() is None
 
 
-@pytest.mark.parametrize("carrier", [20.0, 30.0, 50.0])
+@pytest.mark.parametrize("carrier", [20.0, 50.0])
 def test_the_frequency_of_a_gait_is_not_that_of_its_carrier(carrier):
     clock = np.arange(0.0, 6.0, 0.002)
-    filling = (clock * 1.5 % 1 < 0.5)[:, None, None] & (clock * carrier % 1 < 0.6)[
-        :, None, None
-    ]
-    states = np.where(np.broadcast_to(filling, (len(clock), 4, 2)), 1.0, -1.0)
-    assert ValveLog(
-        "valve", clock, states, "x", "", ()
-    ).gait_frequency() == pytest.approx(1.5, rel=0.02)
-    always = np.where(
-        np.broadcast_to((clock * carrier % 1 < 0.6)[:, None, None], states.shape),
-        1.0,
-        -1.0,
-    )
-    assert ValveLog("valve", clock, always, "x", "", ()).gait_frequency() is None
+    fills = clock * carrier % 1 < 0.6
+    for filling, expected in (
+        (fills & (clock * 1.5 % 1 < 0.5), pytest.approx(1.5, rel=0.02)),
+        (fills, None),
+    ):
+        states = np.where(filling, 1.0, -1.0)[:, None, None] * np.ones((4, 2))
+        log = ValveLog("valve", clock, states, "x", "", ())
+        assert log.gait_frequency() == expected
 
 
 @pytest.mark.slow
@@ -493,37 +447,13 @@ def test_a_recording_is_converted_to_a_run(tmp_path):
     )
     begin = take.start_pose()
     assert begin[:2] == pytest.approx(tuple(truth.com[0] * [1, 1]), abs=2e-3)
-    pressures = tmp_path / "p.csv"
-    names = [f"pressure_{side}_{j}" for j in range(1, 5) for side in ("plus", "minus")]
-    rows = np.column_stack([truth.time, *(truth[name] for name in names)])
-    pressures.write_text(
-        ",".join(["time", *names])
-        + "\n"
-        + "".join(",".join(f"{v:.6g}" for v in row) + "\n" for row in rows)
-    )
-    other = join(
-        recorded(tmp_path, Take(layout="pair")),
-        read_valves(pressures, SPEC),
-        SPEC,
-        offset=0.0,
-    )
-    driven = gait_run(other, "take", 48e3)
-    plant = AnalyticalSnake(SPEC, supply_pa=48e3, pneumatics=driven.chambers(SPEC))
-    by_pressures = rollout(plant, driven.controller, 3.5)
-    # When a valve switches, the drive's rate jumps by 2 A/τ₁; the log has a chord
-    # there, and x lags by τ₂.
-    swing = SPEC.actuator.gain * 48e3
-    tau = SPEC.actuator.tau_mode
-    difference = by_pressures["bend_1"] - truth["bend_1"][:351]
-    assert np.abs(difference).max() < 2 * swing / SPEC.actuator.tau_fill * tau
-    assert np.sqrt((difference**2).mean()) < 0.01
     late = join(
         recorded(tmp_path, Take(layout="pair")),
         read_valves(path, SPEC),
         SPEC,
         offset=-3.1,
     )
-    assert other.starts_at_rest() and not late.starts_at_rest()
+    assert take.starts_at_rest() and not late.starts_at_rest()
 
 
 def test_the_stored_command_line_can_be_pasted_into_a_shell(tmp_path, monkeypatch):
@@ -546,4 +476,3 @@ def test_the_stored_command_line_can_be_pasted_into_a_shell(tmp_path, monkeypatc
         == "srs-twin calibrate friction 'a b.csv' --robot=gen2 --no-wheel-inertia"
         " --out=x.yaml"
     )
-    assert re.search("'a b.csv'", command)

@@ -14,7 +14,6 @@ from published_tables import published_runs
 from table8 import (
     FITTED,
     LENGTH,
-    STUDIES,
     drive_of,
     held_values,
     shipped,
@@ -25,12 +24,9 @@ from table8 import (
 from srs_twin import load_robot
 from srs_twin.errors import InputError
 from srs_twin.identification.fit_file import fit_file
-from srs_twin.identification.fitted_robot import robot_override
 from srs_twin.identification.footprint import GaitSetup
 from srs_twin.identification.parameters import with_values
 from srs_twin.identification.paths import SteadyPath
-from srs_twin.io.documents import dump_yaml, parse_yaml
-from srs_twin.robot.file import resolve_robot
 
 TRUTH = {
     "geometry.segment_length_m": 0.11,
@@ -146,15 +142,6 @@ def test_what_cancels_has_no_number_and_nothing_is_predicted_with_the_robots_own
         with_averages(fit, {})
 
 
-def test_the_same_row_cannot_fit_and_validate(known_paths):
-    with pytest.raises(InputError, match="validate with other data"):
-        fit_offsets(
-            measured(OFFSETS), known_paths[0], TRUTH, validation=measured((0.3,))
-        )
-    with pytest.raises(InputError, match="give at least one"):
-        fit_offsets([], known_paths[0], TRUTH)
-
-
 def test_paths_have_the_sign_of_their_offset_and_0_that_of_the_fitted_rows():
     rows = published_runs()
     fitted = offset_runs([row for row in rows if row.offset in FITTED])
@@ -181,10 +168,6 @@ def numbers(fit):
     return fit.held | {
         item.name: item.value for item in fit.parameters if item.value is not None
     }
-
-
-def test_all_studies_ship():
-    assert list(FITS) == list(STUDIES)
 
 
 @pytest.mark.parametrize("study", FITS)
@@ -235,25 +218,6 @@ def test_the_shipped_predictions_are_what_the_plants_give(study, offset):
     assert 1 / abs(path.curvature) == pytest.approx(radius, rel=0.01)
 
 
-@pytest.mark.parametrize("study", FITS)
-def test_a_shipped_fit_becomes_a_robot(study):
-    fit = FITS[study]
-    document = parse_yaml(dump_yaml({"robot": robot_override(fit)}), "scenario.yaml")
-    file = resolve_robot(document, document.data["robot"], prefix=("robot",))
-    document.raise_problems()
-    expected = with_values(load_robot("gen4"), numbers(fit))
-    assert file.spec().geometry.segment_length == pytest.approx(
-        expected.geometry.segment_length
-    )
-    assert file.spec().friction.mu_t == pytest.approx(expected.friction.mu_t)
-    status = {"found": "calibrated", "held": "estimated"}
-    length = file.records()["geometry.segment_length_m"]
-    assert length.status == status["held" if held_values(study) else "found"]
-    assert file.spec().modules.sensor_bias == pytest.approx(
-        expected.modules.sensor_bias
-    )
-
-
 @pytest.mark.slow
 def test_the_page_shows_the_tables_of_the_shipped_fits():
     page = (ROOT / "docs/reproduction.md").read_text("utf-8")
@@ -267,7 +231,7 @@ def test_the_page_shows_the_tables_of_the_shipped_fits():
         assert table in page
 
 
-def test_candidates_of_a_fit_fraction_their_numerical_settings():
+def test_candidates_of_a_fit_share_their_numerical_settings():
     spec = load_robot("gen4")
     longer = with_values(spec, {"geometry.segment_length_m": 0.2})
     assert longer.scale == spec.scale != replace(longer).scale
