@@ -11,10 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT
-from recorded import SPEC, motion, recorded, valve_csv
-from synthetic_takes import Take
+from recorded import SPEC, motion, valve_csv
 
-from srs_twin import AnalyticalSnake, Gait, load_robot, rollout
+from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
 from srs_twin.cli import main
 from srs_twin.cli.console import interruptible
 from srs_twin.control.replay import Replay
@@ -23,8 +22,7 @@ from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.friction import is_pull_table, read_pull_table
 from srs_twin.identification.locomotion import gait_run
 from srs_twin.pneumatics import Schedule
-from srs_twin.recordings.recording import ValveLog
-from srs_twin.recordings.signals.clock import join
+from srs_twin.recordings.recording import Recording, ValveLog
 from srs_twin.recordings.signals.logs import read_valves
 from srs_twin.recordings.takes import logs_of
 from srs_twin.robot.spec import GRAVITY
@@ -428,32 +426,28 @@ def test_the_frequency_of_a_gait_is_not_that_of_its_carrier(carrier):
         assert log.gait_frequency() == expected
 
 
-@pytest.mark.slow
-def test_a_recording_is_converted_to_a_run(tmp_path):
-    truth = motion(4.0)
-    path = tmp_path / "v.csv"
-    path.write_text(valve_csv(truth, 0.0, 4.0, 3.0))
-    take = join(
-        recorded(tmp_path, Take(layout="pair", noise=1e-4)),
-        read_valves(path, SPEC),
-        SPEC,
-    )
-    run = gait_run(take, "take", 48e3)
-    assert run.controller.frequency is None  # read without: the metadata say so
-    again = rollout(AnalyticalSnake(SPEC, supply_pa=48e3), run.controller, 3.5)
-    assert again["bend_1"] == pytest.approx(truth["bend_1"][: len(again)], abs=0.2)
-    assert (
-        np.sqrt(np.mean((again["bend_1"] - truth["bend_1"][: len(again)]) ** 2)) < 0.06
-    )
-    begin = take.start_pose()
-    assert begin[:2] == pytest.approx(tuple(truth.com[0] * [1, 1]), abs=2e-3)
-    late = join(
-        recorded(tmp_path, Take(layout="pair")),
-        read_valves(path, SPEC),
-        SPEC,
-        offset=-3.1,
-    )
-    assert take.starts_at_rest() and not late.starts_at_rest()
+@pytest.mark.parametrize(
+    ("kind", "vented", "filled"), [("valve", -1.0, 1.0), ("pressure", 0.0, 40e3)]
+)
+def test_a_recording_with_a_log_becomes_a_gait_run(kind, vented, filled):
+    """A chamber is filled from 11 s to 12.5 s; valves of a log of pressures vent."""
+    values = np.full((3, 4, 2), vented)
+    values[1, 0, 0] = filled
+    log = ValveLog(kind, np.array([10.0, 11.0, 12.5]), values, "x", "", ())
+
+    def recorded_from(start: float) -> Recording:
+        motion = Trajectory({"time": start + np.arange(0.0, 1.0, 0.01)})
+        return Recording(motion, summary=None, valves=log)
+
+    late = recorded_from(11.5)
+    assert recorded_from(10.0).starts_at_rest() and not late.starts_at_rest()
+    run = gait_run(late, "take", 48e3)
+    assert run.controller.frequency is None
+    assert (run.chambers is None) == (kind == "valve")
+    states = run.controller.script(0.9).states
+    expected = np.full((1, 4, 2), -1)
+    expected[0, 0, 0] = 1 if kind == "valve" else -1
+    assert (states == expected).all()
 
 
 def test_the_stored_command_line_can_be_pasted_into_a_shell(tmp_path, monkeypatch):
