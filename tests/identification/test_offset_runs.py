@@ -202,10 +202,9 @@ def test_the_shipped_fits_have_seen_offsets_0_and_03_alone(study):
     ("study", "offset"),
     [
         ("analytical", -0.3),
-        *(
-            pytest.param(*case, marks=pytest.mark.slow)
-            for case in (("analytical", 0.1), ("twin", 0.1), ("analytical_wave", -0.2))
-        ),
+        ("analytical", 0.1),
+        ("twin", 0.1),
+        ("analytical_wave", -0.2),
     ],
 )
 def test_the_shipped_predictions_are_what_the_plants_give(study, offset):

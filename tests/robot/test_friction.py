@@ -91,17 +91,6 @@ def test_wheel_with_a_locked_axle_slides_isotropically(v_t, v_lat, mu_n, slip, e
     )
 
 
-@given(st.floats(0.05, 1), MU)
-def test_straight_rolling_wheel_has_only_axle_drag(v_t, mu_n):
-    mu_t = 0.5 * mu_n
-    assert forces(friction.wheel, v_t, 0.0, mu_t, mu_n) == pytest.approx(
-        (-LOAD * mu_t, 0)
-    )
-    assert forces(friction.wheel, 0.0, v_t, mu_t, mu_n, 1e-6) == pytest.approx(
-        (0, -LOAD * mu_n)
-    )
-
-
 def test_wheel_law_is_continuous_where_rolling_begins():
     mu_t = 0.1
     mu_n = 0.6

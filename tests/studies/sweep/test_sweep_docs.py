@@ -61,13 +61,9 @@ def test_the_listed_files_are_written(tmp_path):
     assert all((tmp_path / "out" / name).exists() for name in summary.files)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
-    "options",
-    [
-        pytest.param(("example.py",), id="script", marks=pytest.mark.slow),
-        pytest.param(("-c", EXAMPLE), id="-c", marks=pytest.mark.slow),
-        pytest.param(("-",), id="stdin", marks=pytest.mark.slow),
-    ],
+    "options", [("example.py",), ("-c", EXAMPLE), ("-",)], ids=["script", "-c", "stdin"]
 )
 def test_the_example_runs_without_a_main_guard(options, tmp_path):
     (tmp_path / "example.py").write_text(EXAMPLE)

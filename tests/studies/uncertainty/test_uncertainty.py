@@ -430,11 +430,6 @@ def test_the_command_prints_samples_and_errors(srs_twin, short, tmp_path):
         assert f"warning: {text}\n" in shown.stderr
     speed = document["plants"]["analytical"]["com_speed_m_s"]
     assert (speed["samples"], speed["runs"]) == (16, 16)
-    assert len(speed["interval_50_error"]) == len(speed["interval_95_error"]) == 2
-    assert all(
-        1 <= best <= worst <= 2
-        for best, worst in (s["rank"] for s in speed["sensitivity"].values())
-    )
     quiet = srs_twin(*options, "--quiet", cwd=tmp_path)
     assert (quiet.stdout, quiet.stderr) == ("", "")
 
