@@ -373,9 +373,11 @@ class FootprintStudy:
         """Return the repeated simulations of each offset and of each change."""
         offsets = [*((offset,) for offset in self.offsets), *self.changes]
         repeats: list[list[Trajectory]] = [[] for _ in offsets]
-        done = run_many(
-            jobs, threads=threads, progress=lambda count: progress(count, self.runs)
-        )
+
+        def count(done: int) -> None:
+            progress(done, self.runs)
+
+        done = run_many(jobs, threads=threads, progress=count)
         for k, run in enumerate(done):
             if isinstance(run, DivergedError):
                 run.args = (f"{_name_of(offsets[k // self.phases])}: {run}",)

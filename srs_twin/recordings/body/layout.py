@@ -228,7 +228,7 @@ def rigid_pairs(points: np.ndarray, connectors: int) -> np.ndarray:
     # within a pair. Pairs of successive markers along the body are therefore an
     # alternative.
     with suppress(InputError):
-        in_order = body_order(points).reshape(-1, 2).tolist()
+        in_order = [(int(a), int(b)) for a, b in body_order(points).reshape(-1, 2)]
         pairs = min(
             pairs, in_order, key=lambda option: sum(score[a, b] for a, b in option)
         )
