@@ -33,10 +33,15 @@ first-order model (`pressure_table`). Leaks are detected from air balances
 (`air_balance`).
 
 All pressures are relative to the estimated supply pressure (`air_balance`), so a slow
-decrease of the supply pressure is not reported as a segment fault. If all segments
-suddenly appear to be weak or to leak, the detector corrects the estimated supply
-pressure instead. The detector reports the fault `low_supply_pressure` if the estimate
-is below the fraction `LOW_SUPPLY_FRACTION` of the nominal pressure.
+decrease of the supply pressure is not reported as a segment fault. If more than half of
+the segments suddenly appear to be weak or to leak, the detector corrects the estimated
+supply pressure instead. Without pressure measurements, only weak segments count.
+
+The detector reports the fault `low_supply_pressure` if the estimate is below the
+fraction `LOW_SUPPLY_FRACTION` of the nominal pressure by more than one standard
+deviation. The report ends when the estimate exceeds the fraction `RECOVERED_ABOVE` by
+one standard deviation. During the report, the detector attributes all weak chambers and
+leaks to the supply.
 """
 
 from __future__ import annotations
@@ -188,8 +193,8 @@ class FaultDetector(Stateful):
         self._covariance = np.tile(np.diag(np.square(sd)), (count, kinds, 1, 1))
         self.probability = np.zeros((count, kinds))
         self.probability[:, 0] = 1.0
-        # The level is the median ratio of measured to expected pressures in filling
-        # chambers, or NaN if no pressures have been measured.
+        # The level is the latest median ratio of measured to expected pressures in
+        # filling chambers, or NaN as long as too few chambers have settled.
         self._level = math.nan
         self._last = np.full(count, np.nan)
         self.time = 0.0

@@ -44,7 +44,7 @@ from srs_twin.errors import InputError
 from srs_twin.robot.world import Pose
 
 ROUNDING_MARGIN = 1e-7
-"""Distance added to the swept area and to obstacles in collision checks, m.
+"""Distance added to the swept area and to circles in collision checks, m.
 
 Rounding errors are below 1e-11 m in a world with a size of 1 km.
 """

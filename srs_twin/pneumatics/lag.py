@@ -6,9 +6,10 @@ exponentially:
 
 $$ p(t) = P + (p_0 - P)\,e^{-a t}. $$
 
-The rate a of a filling or venting chamber is 1/τ₁ + λ, where λ is the leak rate. In a
-closed chamber, a = λ. The linear bend x lags the pressures with the mode time constant
-τ₂, and determines the free bend q:
+Here, S is the supply pressure and λ the leak rate. A filling chamber has the rate a =
+1/τ_fill + λ and the asymptote P = S/(τ_fill a). A venting chamber has a = 1/τ_vent + λ,
+a closed chamber has a = λ, and the asymptote of both is 0. The linear bend x lags the
+pressures with the mode time constant τ₂, and determines the free bend q:
 
 $$ \tau_2\,\dot x + x = G\,(g^+ p^+ - g^- p^-),\qquad q = b + \varphi(x). $$
 
@@ -19,11 +20,13 @@ switching time of 3 ms.
 
 A valve may rapidly alternate between filling for a fraction o of the time and venting
 for the remaining time. The mean pressure then approaches P = (o S/τ_fill + r)/a at the
-rate a = o/τ_fill + (1 − o)/τ_vent + λ. Here, S is the supply pressure and r is an
-additional rate of pressure change (`relaxation_of`).
+rate a = o/τ_fill + (1 − o)/τ_vent + λ. Here, r is an additional rate of pressure change
+(`relaxation_of`).
 
-**Pneumatic energy.** The amount of air n = P V(q) in a filling chamber increases by the
-inflow minus the leak. A filling chamber therefore consumes the amount Δn + λ ∫ p V dt.
+**Pneumatic energy.** The amount of air n = (p + p_a) V(q) in a filling chamber, with
+the ambient pressure p_a, increases by the inflow minus the leak. A filling chamber
+therefore consumes the amount Δn + λ ∫ p V dt. This amount is negative if the supply
+pressure falls below the pressure of the chamber.
 The increase Δn is computed exactly from the volume at the free bend. The integral is
 approximated by Simpson's rule between the requested times.
 """

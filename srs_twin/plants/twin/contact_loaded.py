@@ -13,7 +13,8 @@ $$ (M + h D)(\hat v - v_-) = h\,\bigl(Q - c(v_-)\bigr) + h J_n^T \hat N + h \sum
 
 The vector Q contains the applied forces, and N̂ contains the normal forces on the
 wheels. The module `friction_solve` lists the other symbols. The term h D arises because
-MuJoCo integrates dampers and springs implicitly (`_damping_matrices`).
+MuJoCo integrates dampers and springs implicitly. The matrix D therefore contains the
+damping and, multiplied by h, the stiffness of the joints (`_damping_matrices`).
 
 The desired step has a second-order damping matrix C instead of h D, Coriolis forces at
 mid-step, and the friction forces of the current step:
@@ -303,7 +304,8 @@ class LoadedStepper(Stateful):
 
         Returns:
             states: time, qpos and qvel at the end of each step, shape (steps, 1 + nq +
-                nv). After a divergence, qpos and qvel are NaN.
+                nv). After a divergence, qpos and qvel are NaN, and all other returned
+                arrays are 0.
             sensors: sensor values in each step, shape (steps, nsensordata).
             floor_force: floor force on each wheel in the world frame, shape (steps,
                 axles, 2, 3), N.
@@ -359,6 +361,8 @@ def _constants(
         damping, excess = _damping_matrices(model, mass, settings.timestep, air)
         inverse = np.linalg.inv(mass + damping)
         inverse_effective_mass = np.einsum("wi,ij,wj->w", jacobian, inverse, jacobian)
+    # Elements of C outside the sparsity pattern of M couple the front half of the chain
+    # to the rear half. They are of the order h² and are omitted.
     triangle = np.repeat(np.arange(nv), model.M_rownnz), model.M_colind
     sparsity = Sparsity(
         row_length=model.M_rownnz.astype(int),
@@ -447,11 +451,12 @@ def _reference_dynamics(
 def _damping_matrices(
     model: mujoco.MjModel, mass: np.ndarray, h: float, air: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    r"""Return the damping matrices C and h D + h² K − C, each of shape (nv, nv).
+    r"""Return the damping matrices C and h D − C, each of shape (nv, nv).
 
-    MuJoCo evaluates dampers (matrix D) and springs (matrix K) at the end of a step,
-    which is only first-order accurate. The damping due to this scheme is replaced by
-    the second-order damping matrix C:
+    MuJoCo evaluates dampers and springs at the end of a step, which is only first-order
+    accurate. The matrix D is the sum of the damping matrix and h times the stiffness
+    matrix of the joints. The damping due to this scheme is replaced by the second-order
+    damping matrix C:
 
     $$ C = M\,\varphi(h M^{-1} D) - M, \qquad \varphi(x) = x/(1 - e^{-x}) = 1 + x/2 + \dots $$
 

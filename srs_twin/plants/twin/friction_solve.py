@@ -16,7 +16,7 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
 - v̄: mean velocity of the predicted step, v̄ = (v₋ + v̂)/2.
 - h: time step, s.
 - A = M + C: joint-space inertia M plus the damping matrix C (`contact_loaded`).
-- D: damping matrix of the joints.
+- D: damping matrix of the joints plus h times their stiffness matrix.
 - c(v): Coriolis and centrifugal forces.
 - w: index of a contact. The wheels precede the collision geoms that may touch an
   obstacle.
@@ -31,13 +31,17 @@ $$ r(\delta) = (A + J_n^T R^{-1} J_n)\,\delta - h \sum_w J_w^T \bigl(f_w(u_w) - 
   evaluated.
 - θ: time at which friction is evaluated, as a fraction of the time step
   (`_evaluation_fraction`). A sliding contact has θ near 1/2, which gives second-order
-  accuracy. A sticking contact has θ near 1.
+  accuracy. A sticking contact has θ near 1. For a wheel, θ is determined by the
+  friction across the heading, by the slip speed of the previous step, and by the
+  lateral effective mass in a straight snake.
 
 A part of the friction on a wheel accelerates the spin of the wheel (`_SPIN_FORCE`).
 This part acts on the connector at the hub, and the rest of the friction acts at the
 contact point.
 
-**The Newton matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. A contact is
+**The Newton matrix** is A + J_nᵀ R⁻¹ J_n − h Σ θ J_wᵀ (∂f_w/∂u_w) J_w. The matrix is
+approximate if a wheel spins, because the whole force along the heading is then taken to
+act at the hub. This affects only the convergence, not the solution. A contact is
 moved only by the joints between the root and its connector. The matrix therefore has
 the sparsity pattern of M, and its factorisation produces no fill-in. The derivatives of
 the contact forces are 6 × 6 spatial matrices. They are summed from the ends of the
@@ -47,6 +51,13 @@ algorithm treats inertias in the same way (Featherstone 2008, Section 6.2).
 **Loads.** Friction depends on the normal forces, which in turn depend on δ. The first
 Newton step uses the normal forces at v̂. All further Newton steps use the normal forces
 that result from the first step.
+
+**Obstacles.** The prediction applies the stored friction f̂_w of a collision geom at
+the contact of the previous step, and the residual subtracts it at the current contact.
+The two contacts differ only by the motion in one step.
+
+**Convergence.** If the residual is still above the tolerance after the maximum number
+of iterations, the last velocity is used without a warning.
 
 The module `object_contacts` adds the contacts of movable objects to the equation.
 
@@ -346,7 +357,8 @@ def store_friction(contacts, state, workspace, force):  # type: ignore[no-untype
     (C, 3), N. For a collision geom, this force excludes the normal force.
 
     Returns:
-        Power dissipated by friction and by the normal forces of obstacles, W.
+        Power that the robot transfers to the floor, to obstacles and to the spin of
+        the wheels, W. The part for the spin becomes negative when wheels slow down.
     """
     power = float(0.0)
     for w in range(contacts.body.shape[0]):
