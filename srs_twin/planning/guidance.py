@@ -12,8 +12,9 @@ finds a path quickly, but not necessarily the shortest path.
 The second source is a list of entry poses, from which a straight path leads through a
 narrow passage. Arcs of fixed length rarely end at such a pose, so the guided tree tries
 Dubins paths to the entry poses. The centre of a passage is the midpoint of the shortest
-line between two obstacles. No third obstacle may be closer to this midpoint. The entry poses lie at
-several distances before the centre, with or without space for the last transient.
+line between two obstacles. No third obstacle may be closer to this midpoint. The entry
+poses lie at several distances before the centre, with or without space for the last
+transient.
 """
 
 from __future__ import annotations

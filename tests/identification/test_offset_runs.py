@@ -151,9 +151,7 @@ def test_paths_have_the_sign_of_their_offset_and_0_that_of_the_fitted_rows():
         )
     assert [math.copysign(1, run.curvature) for run in fitted] == [-1, 1, -1]
     mirrored = [
-        row.model_copy(update={"offset": -row.offset})
-        for row in rows
-        if row.offset in FITTED
+        replace(row, offset=-row.offset) for row in rows if row.offset in FITTED
     ]
     assert [run.curvature for run in offset_runs(mirrored)] == [
         -run.curvature for run in fitted

@@ -225,8 +225,11 @@ def test_the_document_compares_designs_over_the_same_robots(tmp_path):
         for part, speeds in (("twin", twin), ("compliant", compliant))
         for k, speed in enumerate(speeds)
     ]
+    by_median = "{metric: com_speed_m_s, goal: maximize, quantile: 0.5}"
     result = StudyResult(
-        study(tmp_path),
+        study(
+            tmp_path, objectives=by_median, old="twin: 24", new="twin: 24, uncertain: 3"
+        ),
         tuple(runs),
         evaluated(0.2, (), (0.1, 0.2, 0.4)),
         (
