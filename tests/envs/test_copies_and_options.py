@@ -51,6 +51,9 @@ def test_copies_of_gymnasium_environments_give_the_same_episodes(task):
         environment.step(actions[0])
     for name, copy_method in COPY_METHODS.items():
         others[f"{name} during an episode"] = copy_method(env)
+    saved = gymnasium.make(f"srs_twin.envs:SRSTwin/{task}-v0", **SHORT)
+    saved.reset(seed=3, options={"state": env.unwrapped.episode.save()})
+    others["saved state"] = saved
     # The copies move first, so that any state shared with the original is visible in
     # its results.
     of_copies = {name: play(other, actions) for name, other in others.items()}

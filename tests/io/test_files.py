@@ -374,3 +374,5 @@ def test_a_numbered_file_that_cannot_be_written_is_a_write_error(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(WriteError, match=r": the file cannot be written \("):
         create_numbered_file(tmp_path / "file" / "inner", "journal-{}.mcap")
+    with pytest.raises(InputError, match="file: this is not a folder, so no file can"):
+        create_numbered_file(tmp_path / "file", "journal-{}.mcap")

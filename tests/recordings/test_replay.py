@@ -301,11 +301,12 @@ def test_resolved_scenario_does_not_depend_on_the_folder(
 ):
     monkeypatch.chdir(perfect)
     recording = {"motion": "take.csv", "valves": "pressures.csv", "offset_s": -5.0}
-    scenario = replayed(perfect, recording=recording)
+    scenario = replayed(perfect, recording=recording, valves={"layout": "in_out"})
     monkeypatch.chdir(tmp_path)
     again = parse_scenario(scenario.document, name=scenario.name)
     assert again == scenario
     assert again.pose == scenario.pose
+    assert again.layout == "in_out"
     assert again.recording.valves.kind == "pressure"
     assert (again.measured["bend_1"] == scenario.measured["bend_1"]).all()
 
