@@ -40,7 +40,7 @@ def test_pulse_length_is_exact_within_a_slot(duty, carrier):
     pulses = np.split(filling, begins[1:])[:-1]
     sums = np.array([pulse.sum(axis=0) for pulse in pulses])
     assert np.abs(sums - duty * length).max() <= 1.0 + 1e-9
-    # A chamber fills in one piece: a + chamber first, a − chamber last.
+    # A + chamber fills at the beginning of a period and a − chamber at its end.
     for pulse in pulses:
         assert (np.diff(pulse[..., 0].astype(int), axis=0) <= 0).all()
         assert (np.diff(pulse[..., 1].astype(int), axis=0) >= 0).all()

@@ -48,38 +48,40 @@ def walked(*faults: str) -> SimpleNamespace:
 
 
 def test_faults_of_sensors_and_markers_do_what_they_say():
-    ill = walked(
+    faulty = walked(
         "dead_sensor:1", "dead_sensor:2=frozen", "drifting_sensor:3", "lost_marker:5"
     )
-    sound = walked()
-    assert np.array_equal(ill.true, sound.true)
-    before = ill.time < 0.4 - 1e-9
-    later = ill.time > 0.4 + 1e-9
-    assert np.array_equal(ill.bends[before], ill.true[before])
-    assert np.isnan(ill.bends[later, 0]).all()
-    assert np.ptp(ill.bends[later, 1]) == 0
-    drift = 0.1 * (ill.time[later] - 0.4)
-    assert ill.bends[later, 2] == pytest.approx(ill.true[later, 2] + drift)
-    assert np.array_equal(ill.bends[:, 3], ill.true[:, 3])
-    assert ill.tracked[before].all() and ill.tracked[:, :4].all()
-    assert not ill.tracked[later, 4].any()
+    healthy = walked()
+    assert np.array_equal(faulty.true, healthy.true)
+    before = faulty.time < 0.4 - 1e-9
+    later = faulty.time > 0.4 + 1e-9
+    assert np.array_equal(faulty.bends[before], faulty.true[before])
+    assert np.isnan(faulty.bends[later, 0]).all()
+    assert np.ptp(faulty.bends[later, 1]) == 0
+    drift = 0.1 * (faulty.time[later] - 0.4)
+    assert faulty.bends[later, 2] == pytest.approx(faulty.true[later, 2] + drift)
+    assert np.array_equal(faulty.bends[:, 3], faulty.true[:, 3])
+    assert faulty.tracked[before].all() and faulty.tracked[:, :4].all()
+    assert not faulty.tracked[later, 4].any()
 
 
 def test_faults_of_valves_and_chambers_do_what_they_say():
-    ill = walked("stuck_valve:2+", "stuck_valve:3-=closed", "leak:1+=fast")
-    sound = walked()
+    faulty = walked("stuck_valve:2+", "stuck_valve:3-=closed", "leak:1+=fast")
+    healthy = walked()
     weak = walked("low_supply_pressure")
-    before = sound.time < 0.4 - 1e-9
-    later = sound.time > 0.75
-    for each in (ill, weak):
-        assert np.array_equal(each.true[before], sound.true[before])
-    # A chamber that always fills is squeezed by the other one; a sound one is empty
+    before = healthy.time < 0.4 - 1e-9
+    later = healthy.time > 0.75
+    for each in (faulty, weak):
+        assert np.array_equal(each.true[before], healthy.true[before])
+    # A chamber that always fills is squeezed by the other one; a healthy one is empty
     # once a period.
-    assert ill.pressure[later, 1, 0].min() > 20e3
-    assert sound.pressure[later, 1, 0].min() < 3e3
-    assert ill.pressure[later, 2, 1].max() < 1e3
-    assert ill.pressure[later, 0, 0].max() < 0.9 * sound.pressure[later, 0, 0].max()
-    assert weak.pressure[later].max() < 0.6 * sound.pressure[later].max()
+    assert faulty.pressure[later, 1, 0].min() > 20e3
+    assert healthy.pressure[later, 1, 0].min() < 3e3
+    assert faulty.pressure[later, 2, 1].max() < 1e3
+    assert (
+        faulty.pressure[later, 0, 0].max() < 0.9 * healthy.pressure[later, 0, 0].max()
+    )
+    assert weak.pressure[later].max() < 0.6 * healthy.pressure[later].max()
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ GEN4 = load_robot("gen4")
 
 
 class Machine:
-    """Machine whose time only sleeping, ticks of a session and simulated work take."""
+    """Simulated clock that only sleeping and simulated work advance."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -48,7 +48,7 @@ class Machine:
         seconds: float,
         calls: range = range(1, 100_000),
     ) -> None:
-        """Let some calls of a method take a time."""
+        """Make some calls of a method take a given time."""
         method = getattr(owner, name)
         numbers = itertools.count(1)
 

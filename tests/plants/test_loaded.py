@@ -339,7 +339,7 @@ def test_contact_rejects_unknown_options():
 
 @pytest.mark.default_cases(3)
 @pytest.mark.parametrize("normal", [(0.0, 2.0), (1e-12, 2.0), (0.5, 1.5), (0.0, 0.0)])
-def test_wheels_of_an_axle_fraction_its_weight_in_the_ratio_of_their_normal_forces(
+def test_wheels_of_an_axle_share_its_weight_in_the_ratio_of_their_normal_forces(
     normal,
 ):
     """A lifted wheel has no load; an axle without contact keeps the static load."""

@@ -480,7 +480,7 @@ def test_sweep_measures_whole_reference_periods():
 # As shipped
 
 
-def test_chapter_4_scenarios_fraction_one_set_of_gains():
+def test_chapter_4_scenarios_share_one_set_of_gains():
     from srs_twin.io.files import shipped_names
 
     found = {}

@@ -37,8 +37,8 @@ def with_directions(*degrees):
     )
 
 
-def filled_for_a_tenth(chamber, **options):
-    """Return the traces of a chamber of a planar and of the spatial robot that fills, then vents."""
+def traces_of_a_fill(chamber, **options):
+    """Return the traces of a planar and of the spatial robot, one chamber of which fills for 0.1 s."""
     planar_spec = replace(SPEC, chamber=replace(SPEC.chamber, directions=None))
     planar = LagPneumatics(planar_spec, supply_pa=SUPPLY, **options)
     spatial = make_pneumatics("lag", SPEC, supply_pa=SUPPLY, layout="3/2", **options)
@@ -54,8 +54,8 @@ def filled_for_a_tenth(chamber, **options):
 
 def test_leaking_chamber_draws_the_air_of_a_planar_robot():
     """Both integrate the leak by the trapezoidal rule."""
-    tight, _ = filled_for_a_tenth(2)
-    expected, trace = filled_for_a_tenth(2, leak_per_s=0.8)
+    tight, _ = traces_of_a_fill(2)
+    expected, trace = traces_of_a_fill(2, leak_per_s=0.8)
     drawn = trace.pneumatic_energy[-1]
     assert drawn == pytest.approx(expected.pneumatic_energy[-1], rel=1e-4)
     assert abs(drawn - tight.pneumatic_energy[-1]) > 0.01 * drawn
@@ -68,7 +68,7 @@ def test_leaking_chamber_draws_the_air_of_a_planar_robot():
 def test_each_chamber_bends_a_segment_as_that_of_a_planar_robot(
     filled, component, sign
 ):
-    expected, trace = filled_for_a_tenth(filled)
+    expected, trace = traces_of_a_fill(filled)
     assert trace.pressure[:, 0, filled] == pytest.approx(
         expected.pressure[:, 0, 0], rel=1e-12
     )

@@ -55,7 +55,7 @@ def test_chunks_contain_the_same_steps_and_samples(span, fractions, samples, tur
     assert np.concatenate(marks).tolist() == steps.sample_steps.tolist()
 
 
-def test_equal_ticks_fraction_one_object():
+def test_equal_ticks_share_one_object():
     none = np.empty(0)
     one, other = (
         TimeSteps.between(0.001, none, 1, longest=0.002, same=SAME) for _ in range(2)

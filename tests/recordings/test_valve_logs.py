@@ -159,7 +159,7 @@ def test_frequency_of_a_gait_is_the_rate_of_its_openings(times, frequency):
 
 def test_standard_error_equals_the_scatter_over_noise():
     """Errors of 200 offsets divided by their standard errors; the standard deviation of 200 values is known
-    within 5 %. The bends have any gain.
+    within 5 %. The gain of the bends is random.
 
     Resampling at half of a frame's time smooths white noise, which makes the standard
     errors a little large.
