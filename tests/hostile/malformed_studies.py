@@ -106,11 +106,6 @@ FIT_MALFORMED = edited(
         ),
         ('mu_t, unit: "1"', "mu_t, unit: N", "parameters[0].unit: must be 1, not N"),
         (
-            "b" * 64,
-            "a" * 64,
-            ":8:3: data: later.csv: this data set contains the same data as pulls.csv",
-        ),
-        (
             "role: validation",
             "role: test",
             "data[1].role: must be one of fit, validation, not text 'test'",

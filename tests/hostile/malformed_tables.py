@@ -177,11 +177,6 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
         ":1: the column 'x_2' is missing; connectors are numbered",
     ),
     Malformed(
-        "duplicate name",
-        _edited(PLAIN, "x_2_mm", "x_1_mm"),
-        ":1:2: two columns have the name 'x_1_mm'",
-    ),
-    Malformed(
         "an unknown unit",
         _edited(PLAIN, "x_2_mm", "x_2_mile"),
         ":1:4: the column 'x_2_mile' belongs to no marker; each marker must have one"
@@ -206,7 +201,6 @@ PLAIN_MALFORMED: tuple[Malformed, ...] = (
 )
 
 VALVE_MALFORMED: tuple[Malformed, ...] = (
-    Malformed("words", b"just text\n", ":1: the column 'time' is missing"),
     Malformed(
         "one row",
         b"\n".join(VALVES.split(b"\n")[:2]) + b"\n",

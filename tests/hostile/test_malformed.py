@@ -21,7 +21,6 @@ from srs_twin.scenario.loading import load_scenario
 # Files that take seconds to write or to reject.
 LARGE = {
     "a document of 20 MB",
-    "count: 2 → count: 900",
     "metadata of 100 MB",
     "metadata of 40 MB",
     "3 GB in a small file",
