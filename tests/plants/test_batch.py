@@ -475,28 +475,6 @@ def test_batch_policy_equals_one_controller_per_twin(threads, record_hz):
         assert run.metadata == {**expected.metadata, "controller": "policy"}
 
 
-def test_diverged_twin_stops_and_its_batch_continues():
-    batch = TwinBatch([SPEC, SPEC, SPEC], threads=2)
-
-    def policy(state: SnakeState) -> np.ndarray:
-        if np.isclose(state.time.max(), 0.1):
-            batch.twins[1].physics.data.qvel[2] = -1e9
-        return np.stack([vented(SPEC)] * 3)
-
-    first, error, last = run_batch(batch, policy, 0.2)
-    assert isinstance(error, DivergedError) and batch.errors == [None, error, None]
-    assert "twin diverged at t = 0.101 s" in str(error)
-    assert error.trajectory is not None and error.trajectory.time[-1] == pytest.approx(
-        0.1
-    )
-    assert batch.state.time == pytest.approx([0.2, 0.1, 0.2])
-    assert isinstance(first, Trajectory) and isinstance(last, Trajectory)
-    assert written(first) == written(last)
-    assert len(first) == 21
-    batch.reset()
-    assert batch.errors == [None] * 3
-
-
 def test_batch_ends_when_all_runs_have_diverged():
     batch = TwinBatch([SPEC], threads=1)
     requested: list[float] = []

@@ -297,6 +297,9 @@ def test_diverged_twin_ends_alone_in_its_batch(spoil):
         first, error, last = run_batch(batch, policy, 0.2)
         assert isinstance(error, DivergedError) and error.time <= AT + TICK + 1e-9
         assert_kept(error, AT)
+        assert batch.errors == [None, error, None]
+        assert batch.state.time[[0, 2]] == pytest.approx(0.2)
+        assert batch.state.time[1] <= error.time
         for run, before in ((first, sound[0]), (last, sound[2])):
             assert all(
                 np.array_equal(run[name], before[name]) for name in before.columns

@@ -64,13 +64,6 @@ def scene(request) -> tuple[mujoco.MjModel, mujoco.MjData, str]:
     return model, data, request.param
 
 
-def test_model_mass_equals_robot_mass(scene):
-    model, _, name = scene
-    assert model.body_mass.sum() == pytest.approx(
-        load_robot(name).mass.total, rel=1e-12
-    )
-
-
 def test_centre_of_mass_equals_that_of_the_point_masses(scene):
     model, data, name = scene
     spec = load_robot(name)
