@@ -20,6 +20,7 @@ from srs_twin.identification.static_tables import (
     StaticTable,
     _noise_scale,
     fit_static,
+    merge_tables,
     plateau_tables,
     read_static_table,
     write_static_table,
@@ -166,13 +167,14 @@ def test_unmeasured_points_stay_empty(tmp_path):
         "0" * 64,
         np.arange(8.0).reshape(2, 2, 2) / 3,
         np.array([[0.1, np.nan], [np.nan, 1 / 3]]),
+        np.full((2, 2), np.nan),
     )
-    write_static_table(table, tmp_path / "x.table.csv")
+    write_static_table(merge_tables([table, table]), tmp_path / "x.table.csv")
     read = read_static_table(tmp_path / "x.table.csv", SPEC)
-    assert (read.pressure[:, :2] == table.pressure).all() and np.isnan(
-        read.bend_error
-    ).all()
-    assert read.bend[:, :2] == pytest.approx(table.bend, abs=0, nan_ok=True)
+    assert (read.pressure[:, :2] == np.tile(table.pressure, (2, 1, 1))).all()
+    assert np.isnan(read.bend_error).all()
+    bend = np.tile(table.bend, (2, 1))
+    assert read.bend[:, :2] == pytest.approx(bend, abs=0, nan_ok=True)
 
 
 def test_segments_are_weighted_by_their_own_errors():

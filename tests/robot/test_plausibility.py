@@ -40,6 +40,10 @@ MISTAKES = [
         ),
     ),
     ({"geometry.segment_length_m": 0.37}, False, "a tenth of it would be 0.037 m"),
+    ({"geometry.half_track_m": 1.5}, False, "1.5 cm would be 0.015 m"),
+    ({"geometry.wheel_radius_m": 0.8}, False, "0.8 cm would be 0.008 m"),
+    ({"geometry.com_height_m": 1.5}, False, "1.5 cm would be 0.015 m"),
+    ({"geometry.width_m": 0.4}, False, "a tenth of it would be 0.04 m"),
     (
         {"geometry.segment_length_m": 3.7, "geometry.rigid_gap_m": 1.8},
         False,
@@ -85,6 +89,8 @@ MISTAKES = [
             " N*m/rad"
         ),
     ),
+    ({"actuator.tau_mode_s": 2.14}, False, "2.14 ms would be 0.00214 s"),
+    ({"bending.pitch_stiffness_nm_per_rad": 100.0}, False, "would be 0.1 N*m/rad"),
     (
         {"actuator.bend_rad": 90.0},
         True,
