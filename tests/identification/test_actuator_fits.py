@@ -222,6 +222,13 @@ def test_static_tables_identify_gains_bias_and_limit():
 
 
 @pytest.mark.slow
+def test_a_straight_line_rarely_gets_a_dead_zone():
+    """The F-test has a level of 1 %: 3 of 20 would have a probability of 1 in 1,000."""
+    fits = [fit_static([table(1.4, 0.01, seed)], MODULE) for seed in range(20)]
+    assert sum("actuator.dead_zone_rad" in fit.held | fit.values for fit in fits) < 3
+
+
+@pytest.mark.slow
 def test_a_limit_that_is_never_reached_has_no_number():
     fit = fit_static([table(1e9, noise=0.01, most=40e3)], MODULE)
     assert fit["actuator.bend_limit_rad"].value is None
