@@ -221,18 +221,21 @@ def test_shapes_do_not_depend_on_the_place_of_the_start():
 
 
 @pytest.mark.slow
-def test_measured_parameters_are_held_and_listed_in_the_estimate():
+def test_measured_parameters_are_held_and_another_robot_only_validates():
     gap = known("geometry.rigid_gap_m", 0.022)
+    another = TRUTH | {"friction.mu_t": 0.1}
     fit = fit_locomotion(
-        straight_and_curved(),
+        straight_and_curved()[:2],
         SPEC,
         TRUTH,
         model=COMPLETE,
         compare_signals="shapes",
         starts=1,
         known=[gap],
+        validation=runs(COMPLETE, another, [(1.6, -0.2)], seconds=2.0),
     )
     assert fit["geometry.rigid_gap_m"] == gap
+    assert fit.rms("validation") > 1
     assert fit["friction.mu_t"].value == pytest.approx(0.055, rel=0.01)
     assert fit.correlation.shape == (3, 3) and (fit.correlation[2] == [0, 0, 1]).all()
 
