@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from elastica import sag
+from heavy_rod import sag
 from scipy.spatial.transform import Rotation
 from snakes import shortened
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from elastica import sag
+from heavy_rod import sag
 from snakes import shortened
 
 from srs_twin import AnalyticalSnake, Gait, load_robot, load_scenario, rollout
