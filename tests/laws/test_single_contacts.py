@@ -149,6 +149,7 @@ def test_plants_and_elastica_agree_on_force_and_deflection(stiffness):
     assert -rods.position[1, 1] == pytest.approx(sag, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slope", [0.3, 0.7])
 @pytest.mark.parametrize("make", [compliant, twin])
 def test_body_slides_along_posts_under_coulomb_friction(make, slope):

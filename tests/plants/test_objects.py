@@ -38,6 +38,7 @@ def twin_with(
     return TwinSnake(robot, world=World(objects=objects, **world))  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("item", "velocity"), [(CYLINDER, (0.3, 0.0)), (BOX, (-0.1, 0.2))]
 )
@@ -54,6 +55,7 @@ def test_sliding_object_stops_after_the_distance_of_coulomb_friction(item, veloc
     assert abs(moved[2]) < 1e-9
 
 
+@pytest.mark.slow
 def test_spinning_cylinder_is_braked_by_the_moment_of_a_uniform_pressure():
     twin = twin_with(CYLINDER)
     spin = 20.0
@@ -90,6 +92,7 @@ def test_object_at_rest_on_a_slope_stays_until_the_friction_angle():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("item", [CYLINDER, BOX])
 def test_collision_conserves_momentum(item):
     """Without friction on the floor, momentum and angular momentum pass from the object to the snake."""

@@ -76,6 +76,7 @@ def posed(seed):
     return state, constants, workspace
 
 
+@pytest.mark.slow
 def test_velocities_of_all_points_are_the_derivatives_of_their_positions():
     state, constants, workspace = posed(0)
     kernels.pose(state, constants, workspace)
@@ -129,6 +130,7 @@ def test_a_segment_bent_in_one_plane_is_an_arc():
     assert behind == pytest.approx([-along, 0.0, up], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_cantilever_sags_as_the_elastica():
     segments = 8
     stiffness = 0.5
@@ -236,6 +238,7 @@ def test_half_the_step_hardly_changes_the_path():
     assert np.linalg.norm(coarse - fine) < 1e-3 * np.linalg.norm(fine)
 
 
+@pytest.mark.slow
 def test_a_saved_state_continues_with_the_same_bits():
     gait = Gait(0.5, pitch=SIDEWINDING)
     first = AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
@@ -270,6 +273,7 @@ def test_a_heavy_snake_that_stands_on_its_bend_falls_over_and_the_jump_is_counte
     )
 
 
+@pytest.mark.slow
 def test_a_step_that_cannot_be_made_short_enough_ends_the_run():
     snake = AnalyticalSnake(SPEC, model="quasistatic", timestep=0.01)
     snake.body.constants = snake.body.constants._replace(longest_move=1e-12)
