@@ -207,14 +207,15 @@ class FitOutput:
         from srs_twin.identification.fit_file import check_fit_suffix
 
         out = options.out
-        unnamed = "names the fit if --name is not given"
-        if options.name:
-            named = options.name, "--name"
-        elif out:
-            named = Path(out).stem, f"--out {unnamed}"
-        else:
-            named = f"{Path(robot).stem}_{method}", f"--robot {unnamed}"
-        self._name = check_file_name(*named)
+        name = options.name
+        origin = "--name"
+        if not name and out:
+            name = Path(out).stem
+            origin = "--out names the fit if --name is not given"
+        elif not name:
+            name = f"{Path(robot).stem}_{method}"
+            origin = "--robot names the fit if --name is not given"
+        self._name = check_file_name(name, origin)
         self._path = path = Path(out or f"{FITS}/{self._name}.yaml")
         check_fit_suffix("--out", path)
         self._command = command_line(context)
