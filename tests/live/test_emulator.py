@@ -219,7 +219,12 @@ def test_the_command_emulates_a_robot_until_a_signal(
         NatNetServer, "send", lambda _, time, bodies: frames.append(bodies)
     )
     kinds = (BENDS, PRESSURES, VALVES, SUPPLY, STATUS)
-    words = ["--mqtt", f"127.0.0.1:{broker.port}", "--natnet", "127.0.0.1:0"]
+    words = [
+        "--mqtt",
+        f"127.0.0.1:{broker.port}",
+        "--natnet",
+        f"127.0.0.1:{free_port()}",
+    ]
     words += ["--name", "bench", "--fault", "lost_marker:5@0", "--publish-supply"]
     messages = []
     with (
@@ -228,12 +233,14 @@ def test_the_command_emulates_a_robot_until_a_signal(
     ):
 
         def end() -> None:
-            wait(lambda: messages.extend(link.received()) or len(messages) > 40)
+            # The command may have to compile kernels before it starts.
+            wait(lambda: messages.extend(link.received()) or len(messages) > 40, 120)
             os.kill(os.getpid(), signal.SIGTERM)
 
         ended = pool.submit(end)
         options = ("--duration", "5", "--json")
         done = srs_twin("emulate", "gen4", *words, *options, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
         ended.result()
         wait(lambda: messages.extend(link.received()) or not messages[-1].values.size)
     told = json.loads(done.stdout)
