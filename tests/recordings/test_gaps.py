@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 from srs_twin import InputError
 from srs_twin.recordings.signals.gaps import (
@@ -119,6 +119,7 @@ def test_late_rows_are_sorted_with_a_note():
 
 
 @given(st.integers(0, 2**31), st.sampled_from([0.0, 0.002, 0.005, 0.01, 0.04]))
+@example(11078, 0.005)
 @settings(max_examples=50)
 def test_late_and_shuffled_rows_are_sorted(seed, jitter_s):
     rng = np.random.default_rng(seed)
