@@ -94,6 +94,7 @@ class SenderClock:
         arrival = _Arrival(arrived, delay)
         excess = delay - self.offset
         if math.isnan(excess):
+            self._agreed = arrived
             self._accept(arrival)
         elif excess < -AGREEMENT_S:
             self._early.append(arrival)

@@ -86,6 +86,13 @@ def test_a_clock_that_is_set_is_followed_within_half_a_second(step, rate):
     assert clock.uncertainty == pytest.approx(max(0.0, -step), abs=0.02)
 
 
+def test_late_messages_after_the_first_one_leave_its_offset():
+    clock = SenderClock()
+    for k in range(4):
+        clock.update(0.02 * k, 5.0 + 0.02 * k + (0.06 if k else 0.0))
+    assert (clock.offset, clock.jumps) == (5.0, 0)
+
+
 def test_a_transport_that_recovers_leaves_no_uncertainty():
     clock = SenderClock()
     for k in range(600):
