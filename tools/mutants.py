@@ -195,12 +195,12 @@ def tests_by_mutant(mutants: dict[int, Mutant], contexts: Path) -> dict[int, lis
         )
         by_line = data.contexts_by_lineno(name) if name else {}
         lines = Counter(
-            context.partition("|")[0]
+            context.rpartition("|")[0]
             for line_contexts in by_line.values()
             for context in line_contexts
         )
         here = {
-            context.partition("|")[0]
+            context.rpartition("|")[0]
             for context in by_line.get(mutant.mutation.line, ())
             if context
         }
