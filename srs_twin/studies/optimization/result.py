@@ -14,6 +14,8 @@ from srs_twin.identification.priors import Priors
 from srs_twin.io.files import STUDY_RESULT
 from srs_twin.plants.twin.mjcf.numerics import stable_step
 from srs_twin.robot.file import RobotFile
+from srs_twin.scenario.loading import parse_scenario
+from srs_twin.scenario.plants import TwinFile
 from srs_twin.scenario.provenance import versions
 from srs_twin.studies.optimization.loading import ObjectiveFile, OptimizationStudy
 from srs_twin.studies.optimization.runs import Run, StudyRuns, metric_of
@@ -140,10 +142,10 @@ class StudyResult:
         Raises:
             InputError: a result row cannot be stored.
         """
-        settings = study.experiments["twin"].document({})["plants"]["twin"]
+        settings = _twin_settings(study)
         refinements: list[Changes] = [
-            {"plants.twin.timestep_s": settings["timestep_s"] / 2},
-            {"plants.twin.hinges_per_segment": 2 * settings["hinges_per_segment"]},
+            {"plants.twin.timestep_s": settings.timestep_s / 2},
+            {"plants.twin.hinges_per_segment": 2 * settings.hinges_per_segment},
         ]
         designs = [study.space.changes(run.fractions) for run in optimum.best]
         initial = Run("twin", np.zeros(0), runs.rows("twin", [{}])[0])
@@ -346,10 +348,17 @@ def _draw_robots(study: OptimizationStudy, count: int) -> list[dict[str, Value]]
     names = [f"robot.{path}" for path in priors.paths]
     robots = [dict(zip(names, row, strict=True)) for row in values.tolist()]
     if (name := "robot.bending.damping_time_s") in names:
-        step = float(study.experiments["twin"].base["plants"]["twin"]["timestep_s"])
+        step = _twin_settings(study).timestep_s
         for each in robots:
             each["plants.twin.timestep_s"] = stable_step(step, float(each[name]))
     return robots
+
+
+def _twin_settings(study: OptimizationStudy) -> TwinFile:
+    # A document with a preset does not contain the time step of the preset.
+    scenario = parse_scenario(study.experiments["twin"].document({}), name="")
+    assert scenario.file.plants.twin is not None
+    return scenario.file.plants.twin
 
 
 def _interval_95(values: np.ndarray) -> list[float | None]:

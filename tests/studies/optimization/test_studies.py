@@ -118,7 +118,8 @@ def run_search(question, folder, engine=None):
 
 
 def test_the_function_gives_the_result_of_the_search(tmp_path):
-    question = study(tmp_path, twin=8, compliant=40)
+    preset = "fixed: {plants.twin.preset: fast}\nvariables:"
+    question = study(tmp_path, twin=8, compliant=40, old="variables:", new=preset)
     folder = tmp_path / "out"
     seen = []
     engine = Engine()
