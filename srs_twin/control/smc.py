@@ -110,8 +110,9 @@ class VelocityFilter(Stateful):
         self._cos = decay * np.cos(angle)
         self._sin = decay * np.sin(angle)
         self._last: np.ndarray | None = None
-        self.value: np.ndarray = np.zeros(cutoff.shape)
-        self.rate: np.ndarray = np.zeros(cutoff.shape)
+        # A saved state is restored into arrays of the same number of dimensions.
+        self.value: np.ndarray = np.zeros(np.atleast_1d(cutoff).shape)
+        self.rate: np.ndarray = np.zeros(np.atleast_1d(cutoff).shape)
 
     def step(self, reading: np.ndarray) -> None:
         """Update the filter with the readings of one tick, shape (segments,)."""

@@ -150,8 +150,9 @@ def test_restored_run_continues_bit_for_bit(case, tmp_path):
     )
     here = simulate(plant, controller, after)
     there, wheel = started(asked, seed=99)
-    simulate(there, wheel, 5)  # its earlier run must not matter
-    for _ in range(2):  # a run does not change the state that it was restored from
+    # The second time, an earlier run must not matter, and the run must not have changed
+    # the state that it was restored from.
+    for _ in range(2):
         assert same(there.restore(kept), state)
         wheel.restore(steering)
         moved = simulate(there, wheel, after)
