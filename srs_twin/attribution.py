@@ -387,7 +387,10 @@ class PlantVariants:
     def matched(self) -> Plant:
         """Build an analytical model with the friction, inertia and gaps of the twin."""
         on = {"friction law", "wheel track", "rigid gaps", "connector inertia"}
-        return self.analytical(frozenset(on), model="complete", friction_torque=True)
+        # Prescribed bends cannot touch obstacles.
+        return self.analytical(
+            frozenset(on), model="complete", friction_torque=True, contact=False
+        )
 
 
 def _with_bending(spec: RobotSpec, **changes: float) -> RobotSpec:

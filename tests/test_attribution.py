@@ -354,6 +354,7 @@ def test_only_differing_assumptions_are_switched():
 
     alike = {"model": "compliant", "friction": "wheel", "inertia": "connector"}
     assert variants(alike).switches == []
+    assert variants(alike | {"contact": True}).matched().options.contact is False
     other = {"model": "simplified", "friction_torque": False, "gaps": False}
     found = variants(other, wheels="skid")
     assert names(found.switches) == [
