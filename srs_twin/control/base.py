@@ -62,7 +62,8 @@ class Controller(Claimable, Stateful, ABC):
         """Return the valve states for the next control tick.
 
         The result is an int8 array of shape (segments, chambers per segment). An
-        optional leading axis divides the tick into time slots of equal length.
+        optional leading axis divides the tick into time slots of equal length. The
+        arrays of the state are recorded as well, so `step` must not change them.
         """
 
     def save(self) -> SavedState:

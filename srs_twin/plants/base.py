@@ -286,7 +286,8 @@ class Plant(Claimable, Stateful, ABC):
     def restore(self, state: PlantState) -> SnakeState:
         """Continue from a saved state.
 
-        The results are bit-identical to those of the original run.
+        The results of `step` are bit-identical to those of the original run. Scripts
+        that `play` splits at other times agree up to the rounding of switching times.
 
         Raises:
             InputError: the saved state belongs to another plant or robot.
