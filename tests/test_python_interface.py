@@ -160,9 +160,10 @@ def replayed():
 @pytest.mark.parametrize(
     ("call", "line"),
     [
-        (
+        pytest.param(
             lambda: [srs.inspect(WALK, robot="gen2", map={"units": "mm"}).document()],
             f"inspect {shlex.quote(str(WALK))} --robot gen2 --units mm --json",
+            id="inspect",
         ),
         pytest.param(
             lambda: srs.plan_scenario("follow_fig57", set={"seed": 3}).document(),
