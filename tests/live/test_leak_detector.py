@@ -143,3 +143,21 @@ def test_unknown_initial_supply_does_not_increase_the_scatter():
         chambers_of(true), true, said=spec, strokes=2 * SCATTER_STROKES
     )
     assert (detector.learnt > 0).all() and (detector.scatter <= SCATTER**2).all()
+
+
+def test_the_derivative_is_that_of_the_expected_inflow():
+    spec = robot("gen4")
+    found = []
+    for change in (0.0, 100.0):
+        detector = LeakDetector(spec, supply_pa=60e3, variants=VARIANTS)
+        supply = SupplyFilter(60e3)
+        supply.pressure += change
+        for k in range(12):
+            pressure = np.full((spec.segments, 2), 1e3 * k)
+            filled = np.full_like(pressure, TICK * (k + 1))
+            arguments = TICK * k, pressure, Estimates(*np.zeros((2, 4))), filled
+            balance = detector.residuals(*arguments[:2], filled)
+            detector.update(*arguments, np.ones(4), supply)
+        found.append(balance)
+    change = found[1].residual - found[0].residual
+    assert change == pytest.approx(-100.0 * found[0].derivative, rel=1e-3)

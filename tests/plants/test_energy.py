@@ -264,6 +264,7 @@ def test_energy_of_a_twin_on_the_floor_is_conserved(contact):
     """∫ T dq_f is kinetic energy, energy of springs, and the losses of hinges and floor."""
     plant = TwinSnake(robot(), contact=contact, timestep=2.5e-4, supply_pa=SUPPLY)
     h = driven(plant, 1.5, 1 / plant.timestep)
+    assert h.work[0] == pytest.approx(0.0, abs=1e-3)
     work, kept, lost = conserved(plant, h)
     velocity = np.gradient(h.position, plant.timestep, axis=0)
     friction = -plant.timestep * (h.contact_force * velocity).sum()

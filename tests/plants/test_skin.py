@@ -57,6 +57,9 @@ def test_bodies_have_the_mass_of_the_robot_spread_over_its_length():
         assert masses @ places / SPEC.mass.total == pytest.approx(half)
         # Point masses on a grid of pitch/6 have the moment of a rod within (1/48)².
         assert masses @ (places - half) ** 2 == pytest.approx(expected, rel=2 / 48**2)
+    width = SPEC.geometry.width
+    inertia = AnalyticalSnake(SPEC, inertia="connector")._connector_inertia(np.ones(2))
+    assert inertia == pytest.approx(width**2 / 12)
     ends = rods(SPEC, SETTINGS)
     assert [rod.back for rod in ends[:-1]] == [rod.front for rod in ends[1:]]
     assert ends[-1].back == pytest.approx(8 * pitch)

@@ -57,6 +57,16 @@ def test_a_missed_law_lowers_the_grade_of_the_verification():
     assert (worse["verification"].grade, worse["validation"].grade) == (1, 1)
 
 
+def test_robustness_names_the_parameter_with_most_of_the_variance():
+    index = {"a": {"total": 0.3}, "b": {"total": 0.62}}
+    document = {
+        "target": {"plant": "twin", "metric": "v"},
+        "plants": {"twin": {"v": {"sensitivity": index}}},
+    }
+    why = module._robustness((1, 2), [document]).why
+    assert why == "most from b, 62 %; 1 of 2 orders and trends met"
+
+
 @pytest.mark.parametrize(
     ("verdict", "grade"), [("met", 2), ("explained", 0), ("missed", 0)]
 )

@@ -356,7 +356,7 @@ def test_pressure_is_checked_even_if_another_key_is_invalid():
 
 
 def test_the_limit_follows_an_override():
-    robot = {"base": "gen2", "supply": {"pulsed_limit_kpa": 90}}
+    robot = {"base": "gen2", "supply": {"nominal_kpa": 90, "pulsed_limit_kpa": 90}}
     assert scenario(robot=robot, supply={"pressure_kpa": 80}).warnings == ()
 
 

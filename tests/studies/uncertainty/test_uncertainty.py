@@ -437,6 +437,8 @@ def test_the_command_prints_samples_and_errors(srs_twin, short, tmp_path):
 def test_the_command_says_why_no_measurement_is_recommended(capsys):
     scenario = load_scenario("gen2_straight")
     study = study_of(scenario, samples=32, discrete_choices={LEAD: (0.0, 0.1)})
+    fractions = np.full((2, len(study.names)), [[0.1], [0.9]])
+    assert study.snapped(fractions)[:, -1].tolist() == [0.25, 0.75]
     noise = np.random.default_rng(0).normal(0.2, 0.01, 32 + REFERENCE_ROWS)
     result = Propagation(study, {"analytical": {"com_speed_m_s": noise}})
     assert not result.measure_next()
