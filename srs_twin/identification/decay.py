@@ -17,17 +17,19 @@ recurrence.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, named_in_errors
 from srs_twin.identification.estimate import Role
 from srs_twin.identification.fit_file import DataSet
 from srs_twin.io.files import StrPath
-from srs_twin.recordings.csv_table import CLOCK, read_table
+from srs_twin.recordings.csv_table import CLOCK, not_used, read_table
 from srs_twin.recordings.recorded_file import read_file
+from srs_twin.recordings.signals.gaps import distinct_rows
+from srs_twin.recordings.signals.logs import check_values
 from srs_twin.recordings.signals.units import ANGLES, PRESSURES
 
 DECAY_COLUMNS = "time_s,bend_rad"
@@ -82,6 +84,7 @@ class Decay:
         noise: standard deviation of a measured bend, rad.
         half_period: mean time between successive turning points, s.
         log_decrement: mean logarithm of the ratio of two successive half swings.
+        corrections: notes on corrected and ignored data of the recording.
     """
 
     name: str
@@ -94,6 +97,7 @@ class Decay:
     noise: float
     half_period: float
     log_decrement: float
+    corrections: tuple[str, ...] = ()
 
     @property
     def pulsation(self) -> float:
@@ -109,11 +113,12 @@ class Decay:
         return float(mean + at_start), float(forward) * self.pulsation
 
     def text(self) -> str:
-        """Describe the free swing in one line."""
-        return (
+        """Describe the free swing in one line, followed by the corrections."""
+        line = (
             f"{self.name}: free swing from {self.time[0]:.3f} to {self.time[-1]:.3f} s,"
             f" about {0.5 / self.half_period:.3g} Hz, noise {self.noise:.2g} rad"
         )
+        return "\n".join([line, *(f"corrected: {text}" for text in self.corrections)])
 
     def data_set(self, role: Role) -> DataSet:
         """Return the name, hash and size of the free swing."""
@@ -150,14 +155,18 @@ def read_decay(
             1,
         )
     clock = table.clock(f"the time column is missing; {_NEEDED}")
-    rows = table.read_timed(clock, [by_name[name] for name in ("bend", *measured)])
-    known = np.isfinite(rows.values).all(axis=1)
-    time = rows.time[known]
-    values = rows.values[known]
-    if len(time) < _MIN_SAMPLES or not (np.diff(time) > 0).all():
+    chosen = [by_name[name] for name in ("bend", *measured)]
+    rows = table.read_timed(clock, chosen)
+    check_values(table, chosen, rows.values)
+    with named_in_errors(file.name):
+        order, moved = distinct_rows(rows.time, rows.values)
+    order = order[np.isfinite(rows.values[order]).all(axis=1)]
+    time = rows.time[order]
+    values = rows.values[order]
+    if len(time) < _MIN_SAMPLES:
         raise file.error(
-            f"the recording has {len(time)} samples, but at least {_MIN_SAMPLES}"
-            " samples with increasing times are needed"
+            f"the recording has {len(time)} samples, but at least {_MIN_SAMPLES} are"
+            " needed"
         )
     rate = 1 / float(np.median(np.diff(time)))
     if rate < _MIN_RATE_HZ * (1 - 1e-3):
@@ -165,7 +174,7 @@ def read_decay(
             f"the recording has {rate:.3g} samples per second, but at least"
             f" {_MIN_RATE_HZ:g} are needed; record faster"
         )
-    return free_swing(
+    decay = free_swing(
         file.name,
         file.sha256,
         time,
@@ -174,6 +183,8 @@ def read_decay(
         start=start,
         noise=noise,
     )
+    notes = (*rows.notes, *moved, *not_used(table.unused))
+    return replace(decay, corrections=notes)
 
 
 def free_swing(

@@ -116,6 +116,26 @@ class CsvTable:
                 f" {stated.unit}; add the unit to the name, or state it in a map",
             )
 
+    def check_range(
+        self,
+        column: CsvColumn,
+        values: np.ndarray,
+        limits: tuple[float, float],
+        rule: str,
+    ) -> None:
+        """Raise an error if a value is below the first limit or above the second one.
+
+        `values` and `limits` are in SI units. The text `rule` contains {} in the place
+        of the allowed range.
+        """
+        wrong = (values < limits[0]) | (values > limits[1])
+        if wrong.any():
+            row = int(wrong.argmax())
+            value, low, high = np.array([values[row], *limits]) / column.factor
+            allowed = rule.format(f"between {low:g} and {high:g} {column.unit}".strip())
+            problem = f"{column.text}: {value:g} is not allowed; {allowed}"
+            raise self.error(column, problem, row)
+
     def clock(self, missing: str) -> CsvColumn:
         """Return the time column.
 

@@ -247,8 +247,7 @@ class RecordedFile:
             times: whether the columns contain times.
 
         Returns:
-            Cell values, shape (rows, columns), and notes. Blank and infinite values are
-            replaced by NaN.
+            Cell values, shape (rows, columns), and notes. Blank values are NaN.
 
         Raises:
             InputError: the table is empty or too large, a row has the wrong number of
@@ -277,12 +276,7 @@ class RecordedFile:
                 "no rows follow the header; record or export the file again",
                 header_lines + 1,
             )
-        values = np.stack([column.to_numpy() for column in table], axis=1)
-        infinite = np.isinf(values)
-        if infinite.any():
-            notes.append(f"{int(infinite.sum())} infinite numbers are read as missing")
-            values[infinite] = np.nan
-        return values, notes
+        return np.stack([column.to_numpy() for column in table], axis=1), notes
 
     def _end_of(self, start: int, *, section: bool = False) -> int:
         end = _EMPTY_LINE.search(self.raw, start) if section else None
@@ -315,7 +309,7 @@ class RecordedFile:
             return _since_1970(exact, "ns", notes)
         values, notes = self.rows(top, [clock], width, times=True)
         time = values[:, 0]
-        self._check_times(np.isnan(time).tolist(), clock)
+        self._check_times((~np.isfinite(time)).tolist(), clock)
         if not _are_since_1970(time, unit):
             with np.errstate(over="ignore"):
                 return Times(time * TIMES[unit or "s"], notes, None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -224,6 +225,29 @@ def test_short_and_incomplete_files_are_refused(tmp_path):
         match="only the column 'pressure_plus' is given; give the pressures of both"
         " chambers",
     ):
+        read_decay(path)
+
+
+@pytest.mark.parametrize(
+    "order",
+    [np.r_[:300, 299:600], np.r_[599:-1:-1]],
+    ids=["repeated", "reversed"],
+)
+def test_rows_are_sorted_and_repeated_rows_are_left_out(tmp_path, order):
+    time, bend = record(known_swing())
+    expected = read_decay(recording(tmp_path, time, bend))
+    found = read_decay(recording(tmp_path, time[order], bend[order]))
+    assert found.bend == pytest.approx(expected.bend, abs=0)
+    assert "corrected: " in found.text() and not expected.corrections
+
+
+@pytest.mark.parametrize("cell", ["28", "1e300", "1e999", "-inf"])
+def test_impossible_bends_are_refused_with_their_position(tmp_path, cell):
+    path = recording(tmp_path, *record(known_swing()))
+    path.write_text(
+        re.sub(r"(\n1.5\d*,).*", rf"\g<1>{cell}", path.read_text(), count=1)
+    )
+    with pytest.raises(InputError, match=r"decay.csv:302:2: "):
         read_decay(path)
 
 

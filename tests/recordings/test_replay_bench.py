@@ -212,7 +212,7 @@ def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
         ("time,bend_1_turns\n0,0\n", "unknown unit 'turns'; allowed units: rad, deg"),
         (
             "time,bend_1\n0,0\n0.1,47.9\n",
-            r"x.csv:3:2: bend_1: a bend of 47.9 rad is not allowed.*bend_1_deg",
+            r"x.csv:3:2: bend_1: 47.9 is not allowed; a bend must be between .*_deg",
         ),
         ("time,bend_1\n0,0\n,1\n", "x.csv:3:1: the row has no time"),
         ("time,bend_1\n0,0\n1,1\n", "x.csv: the recording has 2 frames"),

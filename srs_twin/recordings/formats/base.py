@@ -244,7 +244,7 @@ def marker_rows(
         time = values[:, count - 1]
     else:
         time = np.arange(len(values)) + 0.0
-    if (missing := np.isnan(time)).any():
+    if (missing := ~np.isfinite(time)).any():
         if rate is None or count > 1:
             missing_name = "time"
         else:
@@ -308,7 +308,9 @@ def marker_table(
                 f"{int(samples.sum())} positions {reason} and are read as missing"
             )
     if rotations is not None:
-        missing = np.isnan(points[..., :1] + rotations.sum(axis=-1, keepdims=True))
+        with np.errstate(invalid="ignore"):
+            sums = points[..., :1] + rotations.sum(axis=-1, keepdims=True)
+        missing = ~np.isfinite(sums)
         rotations = np.where(missing, np.nan, rotations)
     return MarkerTable(
         file.name,

@@ -141,16 +141,14 @@ def _sent_again(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     return repeated
 
 
-def frame_grid(time: np.ndarray, values: np.ndarray) -> FrameGrid:
-    """Sort rows by time and insert the missing frames.
+def distinct_rows(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Return the indices of the rows in order of increasing times, and notes.
 
-    `time` contains the finite time of each row, s, shape (rows,). `values` contains the
-    values of each row, shape (rows, …).
+    Of several rows with equal times, only the first one is included.
     """
     check_times(time)
     order, notes = time_order(time, values)
-    ordered = time[order]
-    step = np.diff(ordered)
+    step = np.diff(time[order])
     period = 0.0
     if (step > 0).any():
         period = float(np.median(step[step > 0]))
@@ -160,13 +158,23 @@ def frame_grid(time: np.ndarray, values: np.ndarray) -> FrameGrid:
             f"{int((~kept).sum())} rows were left out, because they repeat the time of"
             " another row"
         )
-    rows = order[kept]
-    ordered = ordered[kept]
+    return order[kept], notes
+
+
+def frame_grid(time: np.ndarray, values: np.ndarray) -> FrameGrid:
+    """Sort rows by time and insert the missing frames.
+
+    `time` contains the finite time of each row, s, shape (rows,). `values` contains the
+    values of each row, shape (rows, …).
+    """
+    rows, notes = distinct_rows(time, values)
+    ordered = time[rows]
     if len(rows) < MIN_FRAMES:
         raise InputError(
             f"the recording has {len(rows)} frames, but at least {MIN_FRAMES} are"
             " needed"
         )
+    period = float(np.median(np.diff(ordered)))
     return FrameGrid(*_on_grid(ordered, rows, period, notes), period, tuple(notes))
 
 

@@ -29,7 +29,13 @@ from srs_twin.recordings.body.trajectories import (
     numbered_columns,
     pose_columns,
 )
-from srs_twin.recordings.csv_table import CLOCK, CsvTable, not_used, read_table
+from srs_twin.recordings.csv_table import (
+    CLOCK,
+    CsvColumn,
+    CsvTable,
+    not_used,
+    read_table,
+)
 from srs_twin.recordings.formats import read_topics
 from srs_twin.recordings.formats.topics import RecordedTopics
 from srs_twin.recordings.recorded_file import (
@@ -110,16 +116,7 @@ def read_bends(
     )
     chosen = table.per_segment(["bend"], spec.name, spec.segments)
     time, bend, notes, epoch_ns = table.read_timed(clock, chosen)
-    wrong = np.argwhere(np.abs(bend) > _MAX_BEND).tolist()
-    if wrong:
-        row, k = wrong[0]
-        raise table.error(
-            chosen[k],
-            f"{chosen[k].text}: a bend of {bend[row, k]:.4g} rad is not allowed; it"
-            f" must be at most {_MAX_BEND:.4g} (for degrees, use the column name"
-            " bend_1_deg)",
-            row,
-        )
+    check_values(table, chosen, bend)
     with named_in_errors(table.file.name):
         frames = frame_grid(time, bend)
     bend = at_frames(bend, frames)
@@ -143,6 +140,22 @@ def read_bends(
     columns = _clamped_body(kept_time, filled, spec)
     trajectory = measured_trajectory(columns, spec, summary, gait_frequency_hz)
     return Recording(trajectory, summary, epoch_ns=epoch_ns)
+
+
+def check_values(
+    table: CsvTable, columns: Sequence[CsvColumn], values: np.ndarray
+) -> None:
+    """Raise an error if a bend or a pressure is implausible.
+
+    `values` contains the values of the columns in SI units, shape (rows, columns).
+    """
+    for column, each in zip(columns, values.T, strict=True):
+        limits = (_MIN_PRESSURE, _MAX_PRESSURE)
+        rule = "a gauge pressure must be {}"
+        if column.name.startswith("bend"):
+            limits = (-_MAX_BEND, _MAX_BEND)
+            rule = "a bend must be {} (in rad, unless the column name ends with _deg)"
+        table.check_range(column, each, limits, rule)
 
 
 def _table(
