@@ -9,6 +9,8 @@ $$ \mu = \frac{k\,\Delta L_{max}}{m g}. $$
 
 The kinetic friction coefficient may be smaller. The estimate is the mean of μ over all
 pulls. The standard error includes the errors in k and m, which are common to all pulls.
+Rounding may change all readings in the same way. The standard error of a mean is
+therefore at least Δ/√12, where Δ is the smallest decimal step of the readings.
 
 A table of pulls is a CSV file with the maximum spring deformations in pulls along the
 body (``along_mm``) and across the body (``across_mm``). Each row contains one pull
@@ -90,6 +92,13 @@ from srs_twin.trajectory import Trajectory
 
 _NAMES = ("friction.mu_t", "friction.mu_n")
 
+_LIMITS = {"stiffness": (1e-2, 1e6), "mass": (1e-3, 1e3)}
+"""Plausible ranges of the spring stiffness (N/m) and the mass of the robot (kg).
+
+The weakest spring is 1 m longer under a mass of 1 g. The stiffest spring is 0.01 m
+longer under a mass of 1 t.
+"""
+
 _DIRECTIONS = ("along", "across")
 """Directions relative to the body, in the order of `_NAMES`."""
 
@@ -106,6 +115,8 @@ class Pulls:
         mass: mass m of the pulled robot, kg.
         stiffness_error: standard error of k, N/m.
         mass_error: standard error of m, kg.
+        resolution: smallest difference between two readings along and across the body,
+            m.
         sha256: SHA-256 of the file, or an empty string if the data are not from a file.
     """
 
@@ -117,15 +128,18 @@ class Pulls:
     mass_error: float = 0.0
     name: str = "pulls"
     sha256: str = ""
+    resolution: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "mass"):
             value = getattr(self, name)
             error = getattr(self, f"{name}_error")
-            if not 0 <= error < value < math.inf:
+            low, high = _LIMITS[name]
+            if not (low <= value <= high and 0 <= error < value):
                 raise InputError(
                     f"{self.name}: {name} {value!r} with error {error!r} is not"
-                    " allowed; the value must be above 0 and larger than its error"
+                    f" allowed; the value must be between {low:g} and {high:g}, and"
+                    " larger than its error"
                 )
         for direction in _DIRECTIONS:
             pulls = np.asarray(getattr(self, direction), dtype=float)
@@ -168,13 +182,15 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
     values = [pulls.coefficients(direction) for direction in _DIRECTIONS]
     means = np.full(len(values), np.nan)
     variances = means.copy()
+    rounding = pulls.factor * np.array(pulls.resolution) / math.sqrt(12)
     for k, value in enumerate(values):
         if len(value):
             means[k] = value.mean()
             variances[k] = value.var(ddof=1) / len(value)
     # Errors in k and m scale both coefficients by the same factor, so the coefficients
     # are correlated.
-    covariance = np.diag(variances) + shared * np.outer(means, means)
+    floored = np.maximum(variances, rounding**2)
+    covariance = np.diag(floored) + shared * np.outer(means, means)
     errors = np.sqrt(np.diag(covariance))
     parameters = [
         _parameter(k, values[k], means[k], variances[k], errors[k]) for k in range(2)
@@ -184,7 +200,7 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
             f"{data.name} {direction}",
             "1",
             data.coefficients(direction) - means[k],
-            max(float(values[k].std(ddof=1)), 1e-12),
+            max(float(values[k].std(ddof=1)), float(rounding[k]), 1e-12),
             role,
         )
         for data, role in data_with_roles
@@ -232,8 +248,8 @@ def _parameter(
 _CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_kg")
 """Columns with constant values. The columns of standard errors are optional."""
 
-_MAX_DEFORMATION_M = 10.0
-"""Maximum plausible spring deformation, m."""
+_DEFORMATION_LIMITS = (0.0, 10.0)
+"""Range of plausible spring deformations, m."""
 
 PULL_COLUMNS = "along_mm,across_mm,spring_n_per_m,mass_kg"
 """Header line of a table of pulls."""
@@ -252,6 +268,7 @@ def read_pull_table(path: StrPath) -> Pulls:
     """Read a table of pulls from a CSV file."""
     known: dict[str, dict[str, float]] = dict.fromkeys(_DIRECTIONS, LENGTHS)
     table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
+    table.check_unused(_CONSTANTS)
     file = table.file
     needed = f"a table of pulls has the columns {PULL_COLUMNS}"
     columns = {column.name: column for column in table.columns}
@@ -270,10 +287,19 @@ def read_pull_table(path: StrPath) -> Pulls:
     values = {
         column.name: cells for column, cells in zip(table.columns, rows.T, strict=True)
     }
-    along, across = (
-        _deformations(table, columns[name], values[name]) if name in columns else []
-        for name in _DIRECTIONS
-    )
+    deformations = []
+    resolution = []
+    for name in _DIRECTIONS:
+        readings = np.zeros(0)
+        step = 0.0
+        if name in columns:
+            readings = values[name]
+            rule = "a deformation must be {}"
+            table.check_range(columns[name], readings, _DEFORMATION_LIMITS, rule)
+            step = table.decimal_step(columns[name], readings)
+        deformations.append(readings[~np.isnan(readings)])
+        resolution.append(step)
+    along, across = deformations
     stiffness, mass, stiffness_error, mass_error = (
         _constant(table, columns[name], values[name]) if name in columns else 0.0
         for name in _CONSTANTS
@@ -287,26 +313,15 @@ def read_pull_table(path: StrPath) -> Pulls:
         mass_error,
         file.name,
         file.sha256,
+        (resolution[0], resolution[1]),
     )
 
 
-def _deformations(
-    table: CsvTable, column: CsvColumn, values: np.ndarray
-) -> list[float]:
-    wrong = (values < 0) | (values > _MAX_DEFORMATION_M)
-    if wrong.any():
-        row = int(wrong.argmax())
-        raise table.error(
-            column,
-            f"{column.text}: {values[row] / column.factor:g} is not allowed; a"
-            f" deformation must be between 0 and {_MAX_DEFORMATION_M / column.factor:g}"
-            f" {column.unit or 'm'}",
-            row,
-        )
-    return [float(value) for value in values if np.isfinite(value)]
-
-
 def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
+    low, high = _LIMITS["mass" if "mass" in column.name else "stiffness"]
+    if "error" in column.name:
+        low = 0.0
+    table.check_range(column, values, (low, high), "the value must be {}")
     rows = np.flatnonzero(np.isfinite(values))
     if not rows.size:
         raise table.error(column, f"{column.text}: the column contains no number", 0)

@@ -10,11 +10,12 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError, named_in_errors
+from srs_twin.errors import InputError, UnknownNameError, did_you_mean, named_in_errors
 from srs_twin.io.files import StrPath
 from srs_twin.recordings.recorded_file import (
     AS_FOUND,
@@ -135,6 +136,22 @@ class CsvTable:
             allowed = rule.format(f"between {low:g} and {high:g} {column.unit}".strip())
             problem = f"{column.text}: {value:g} is not allowed; {allowed}"
             raise self.error(column, problem, row)
+
+    def check_unused(self, known: Sequence[str]) -> None:
+        """Raise an error if an unused column has nearly the name of a known column."""
+        for name in self.unused:
+            if close := did_you_mean(name, known):
+                line = self.file.header_lines or 1
+                raise self.file.error(f"unknown column '{name}'{close}", line)
+
+    def decimal_step(self, column: CsvColumn, values: np.ndarray) -> float:
+        """Return the smallest decimal step of the numbers in a column, in SI units.
+
+        `values` contains the values of the column, with NaN for blank cells.
+        """
+        cells = np.array(self.file.texts(column.place))[np.isfinite(values)]
+        exponents = [int(Decimal(cell).as_tuple().exponent) for cell in cells.tolist()]
+        return column.factor * 10.0 ** min(exponents, default=0)
 
     def clock(self, missing: str) -> CsvColumn:
         """Return the time column.

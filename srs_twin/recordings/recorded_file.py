@@ -315,9 +315,17 @@ class RecordedFile:
                 return Times(time * TIMES[unit or "s"], notes, None)
         # Unix times are parsed as decimal numbers, because double precision resolves
         # them only to 256 ns.
-        (texts,) = self._parsed(cut, top, [clock], width, pa.string())
-        numbers = (text.replace(self.decimal, ".") for text in texts.to_pylist())
-        return _since_1970([*map(Decimal, numbers)], unit or "s", notes)
+        return _since_1970([*map(Decimal, self.texts(clock))], unit or "s", notes)
+
+    def texts(self, column: int) -> list[str]:
+        """Return the cells of a column of a plain table, with decimal points."""
+        import pyarrow as pa
+
+        top = self.header_lines
+        start = self.offset_of(top)
+        cut = memoryview(self.raw)[start : self._end_of(start)]
+        (texts,) = self._parsed(cut, top, [column], len(self.names), pa.string())
+        return [text.replace(self.decimal, ".") for text in texts.to_pylist()]
 
     def _check_times(self, missing: list[bool], clock: int) -> None:
         if any(missing):

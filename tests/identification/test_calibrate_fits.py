@@ -19,7 +19,7 @@ from srs_twin.cli.console import interruptible
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, WriteError
 from srs_twin.identification.fit_file import load_fit
-from srs_twin.identification.friction import is_pull_table, read_pull_table
+from srs_twin.identification.friction import fit_pulls, is_pull_table, read_pull_table
 from srs_twin.identification.locomotion import gait_run
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import Recording, ValveLog
@@ -79,6 +79,15 @@ def test_a_table_of_pulls_is_read(tmp_path):
             "along_mm,spring_n_per_m,mass_kg\n3,,0.15\n4,,0.15\n",
             r"pulls.csv:2:2: spring_n_per_m: ",
         ),
+        (PULLS.replace("2.8,", "2.8,1e999"), r"pulls.csv:4:2: across_mm: inf is not"),
+        (
+            PULLS.replace(",30,", ",1e300,"),
+            r"pulls.csv:2:3: .* must be between 0.01 and 1e\+06",
+        ),
+        (
+            PULLS.replace("mass_kg", "mass_kg,spring_err_n_per_m"),
+            r"pulls.csv:1: unknown column 'spring_err.*; did you mean spring_error_n",
+        ),
         (
             PULLS.replace("2.5,25,30,0.15", "2.5,25,30"),
             r"pulls.csv:3: the row has 3 cells, but the header has 4",
@@ -88,6 +97,12 @@ def test_a_table_of_pulls_is_read(tmp_path):
 def test_invalid_tables_of_pulls_are_refused(tmp_path, text, message):
     with pytest.raises(InputError, match=message):
         read_pull_table(pulls_file(tmp_path, text))
+
+
+def test_equal_readings_have_the_error_of_their_resolution(tmp_path):
+    text = PULLS.split("\n", maxsplit=1)[0] + "\n4.60,n/a,30,0.15" * 8 + "\n"
+    found = fit_pulls(read_pull_table(pulls_file(tmp_path, text)))["friction.mu_t"]
+    assert found.standard_error / found.value == pytest.approx(0.01 / 12**0.5 / 4.6)
 
 
 def test_table_without_columns_of_pulls_is_refused_with_these_columns(tmp_path, capsys):
