@@ -92,12 +92,6 @@ from srs_twin.trajectory import Trajectory
 
 _NAMES = ("friction.mu_t", "friction.mu_n")
 
-_LIMITS = {"stiffness": (1e-2, 1e6), "mass": (1e-3, 1e3)}
-"""Plausible ranges of the spring stiffness (N/m) and the mass of the robot (kg).
-
-The weakest spring is 1 m longer under a mass of 1 g. The stiffest spring is 0.01 m
-longer under a mass of 1 t.
-"""
 
 _DIRECTIONS = ("along", "across")
 """Directions relative to the body, in the order of `_NAMES`."""
@@ -128,18 +122,16 @@ class Pulls:
     mass_error: float = 0.0
     name: str = "pulls"
     sha256: str = ""
-    resolution: tuple[float, float] = (0.0, 0.0)
+    resolution: Sequence[float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         for name in ("stiffness", "mass"):
             value = getattr(self, name)
             error = getattr(self, f"{name}_error")
-            low, high = _LIMITS[name]
-            if not (low <= value <= high and 0 <= error < value):
+            if not 0 <= error < value < math.inf:
                 raise InputError(
                     f"{self.name}: {name} {value!r} with error {error!r} is not"
-                    f" allowed; the value must be between {low:g} and {high:g}, and"
-                    " larger than its error"
+                    " allowed; the value must be above 0 and larger than its error"
                 )
         for direction in _DIRECTIONS:
             pulls = np.asarray(getattr(self, direction), dtype=float)
@@ -245,8 +237,17 @@ def _parameter(
     )
 
 
-_CONSTANTS = ("spring_n_per_m", "mass_kg", "spring_error_n_per_m", "mass_error_kg")
-"""Columns with constant values. The columns of standard errors are optional."""
+_CONSTANTS = {
+    "spring_n_per_m": (1e-2, 1e6),
+    "mass_kg": (1e-3, 1e3),
+    "spring_error_n_per_m": (0.0, 1e6),
+    "mass_error_kg": (0.0, 1e3),
+}
+"""Columns with constant values, and their plausible ranges.
+
+The weakest spring stretches by 1 m under a mass of 1 g. The stiffest spring stretches
+by 10 mm under a mass of 1 t. The columns of standard errors are optional.
+"""
 
 _DEFORMATION_LIMITS = (0.0, 10.0)
 """Range of plausible spring deformations, m."""
@@ -280,48 +281,41 @@ def read_pull_table(path: StrPath) -> Pulls:
         raise file.error(
             f"the columns 'along' and 'across' are both missing; {needed}", 1
         )
-    for name in _CONSTANTS[:2]:
+    for name in ("spring_n_per_m", "mass_kg"):
         if name not in columns:
             raise file.error(f"the column '{name}' is missing; {needed}", 1)
     rows, _ = table.read(table.columns)
     values = {
         column.name: cells for column, cells in zip(table.columns, rows.T, strict=True)
     }
-    deformations = []
-    resolution = []
-    for name in _DIRECTIONS:
-        readings = np.zeros(0)
-        step = 0.0
+    deformations: list[list[float]] = [[], []]
+    resolution = [0.0, 0.0]
+    for k, name in enumerate(_DIRECTIONS):
         if name in columns:
             readings = values[name]
             rule = "a deformation must be {}"
             table.check_range(columns[name], readings, _DEFORMATION_LIMITS, rule)
-            step = table.decimal_step(columns[name], readings)
-        deformations.append(readings[~np.isnan(readings)])
-        resolution.append(step)
-    along, across = deformations
+            resolution[k] = table.decimal_step(columns[name], readings)
+            deformations[k] = readings[~np.isnan(readings)].tolist()
     stiffness, mass, stiffness_error, mass_error = (
         _constant(table, columns[name], values[name]) if name in columns else 0.0
         for name in _CONSTANTS
     )
     return Pulls(
-        along,
-        across,
+        deformations[0],
+        deformations[1],
         stiffness,
         mass,
         stiffness_error,
         mass_error,
         file.name,
         file.sha256,
-        (resolution[0], resolution[1]),
+        resolution,
     )
 
 
 def _constant(table: CsvTable, column: CsvColumn, values: np.ndarray) -> float:
-    low, high = _LIMITS["mass" if "mass" in column.name else "stiffness"]
-    if "error" in column.name:
-        low = 0.0
-    table.check_range(column, values, (low, high), "the value must be {}")
+    table.check_range(column, values, _CONSTANTS[column.name], "it must be {}")
     rows = np.flatnonzero(np.isfinite(values))
     if not rows.size:
         raise table.error(column, f"{column.text}: the column contains no number", 0)

@@ -8,7 +8,7 @@ name is assumed to be in SI units.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from typing import NamedTuple
@@ -137,7 +137,7 @@ class CsvTable:
             problem = f"{column.text}: {value:g} is not allowed; {allowed}"
             raise self.error(column, problem, row)
 
-    def check_unused(self, known: Sequence[str]) -> None:
+    def check_unused(self, known: Iterable[str]) -> None:
         """Raise an error if an unused column has nearly the name of a known column."""
         for name in self.unused:
             if close := did_you_mean(name, known):
