@@ -164,10 +164,15 @@ def validate(
         if _adopt_current_names(error, schema, data):
             return validate(model, document, data, prefix=prefix)
         elsewhere = getattr(model, "elsewhere", {})
-        for item in error.errors(include_url=False):
+        items = error.errors(include_url=False)
+        inside = {_existing_path(item["loc"], data)[:-1] for item in items}
+        for item in items:
             # The path of an error does not exist in the data if a key is missing or a
             # default value contradicts the given keys.
             loc = _existing_path(item["loc"], data)
+            # A block with errors in its keys matches none of the other alternatives.
+            if loc in inside and item["type"] == "literal_error":
+                continue
             if item["type"] in _UNION_TAG_ERRORS:
                 _report_block_kind(document, item, prefix + loc)
                 continue

@@ -78,10 +78,14 @@ class TableOptions:
 
     def map_data(self, markers: Sequence[str] = ()) -> dict[str, object]:
         """Return the map as plain data, including the values of the other options."""
-        from srs_twin.recordings.recording_map import given_map
+        from srs_twin.recordings.recording_map import given_map, read_map
 
         options = {field.name: getattr(self, field.name) for field in _TABLE_FIELDS}
-        return given_map(options.pop("map"), options, markers)
+        data = given_map(options.pop("map"), options, markers)
+        for key, value in options.items():
+            if value is not None:
+                read_map({key: data[key]}, f"--{key.removesuffix('_hz')}")
+        return data
 
 
 _TABLE_FIELDS = fields(TableOptions)
@@ -98,8 +102,9 @@ class ReadingOptions(TableOptions):
             head_middles (see docs/recordings.md), or auto to detect the arrangement.
         head: Name of the marker at the head. [default: the marker at the end that leads
             the motion]
-        longest_gap_s: Maximum duration in seconds of a marker gap that is interpolated.
-            [default: 0.2]
+        longest_gap_s: Maximum duration in seconds of a marker gap that is interpolated,
+            from the last detection before the gap to the first one after it. [default:
+            0.2]
         marker: Position of a marker on the body, for example "tip=connector 3" or
             "m1=middle 1". Repeat the option for each marker.
     """
@@ -254,7 +259,13 @@ class FormatOptions:
         """Return the chosen format, or the format that the suffix of `out` implies."""
         names = [name for name, chosen in vars(self).items() if chosen]
         if not names and out:
-            names = [name for name in _FORMATS if name == Path(out).suffix[1:]]
+            suffix = Path(out).suffix
+            if suffix[1:] not in _FORMATS:
+                raise InputError(
+                    f"{out}: the suffix '{suffix}' is unknown; the name must end in"
+                    f" .{', .'.join(_FORMATS)}"
+                )
+            names = [suffix[1:]]
         if len(names) != 1:
             raise InputError(
                 f"give exactly one of the output formats --{', --'.join(_FORMATS)}"

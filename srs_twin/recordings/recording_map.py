@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError, UnknownNameError, did_you_mean
 from srs_twin.io.documents import Document
 from srs_twin.io.files import StrPath
 from srs_twin.io.validation import StrictModel, load_model, validate
@@ -71,13 +71,13 @@ class RecordingMap(StrictModel):
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
     """Unit of length, if the file does not state one."""
-    scale_m: Annotated[float, Field(gt=0, lt=1)] | None = None
+    scale_m: Annotated[float, Field(ge=1e-9, le=1)] | None = None
     """Size of a pixel, m, if the unit of length is px."""
     up: Up | None = None
     """Vertical axis of the file (default: determined from the markers)."""
     level: bool | None = None
     """Whether the tilt of the floor is removed (default: only if it is certain)."""
-    rate_hz: Annotated[float, Field(gt=0, le=1e5)] | None = None
+    rate_hz: Annotated[float, Field(ge=1e-3, le=1e5)] | None = None
     """Frame rate of a file without times, Hz."""
     markers: dict[str, MarkerPlace | Literal["ignore"]] = {}
     """Place of each marker on the robot: {connector: 1}, {middle: 1}, {connector: 1,
@@ -85,7 +85,7 @@ class RecordingMap(StrictModel):
     ignored."""
     bodies: dict[str, MarkerPlace | Literal["ignore"]] = {}
     """Place of each rigid body on the robot, in the same format as for markers."""
-    log: dict[str, str | Annotated[float, Field(gt=0, le=1e4)] | LogColumn] = {}
+    log: dict[str, str | Annotated[float, Field(ge=1e-3, le=1e4)] | LogColumn] = {}
     """Column of each logged quantity, given as a name or as {column: P1, unit: bar}.
     Possible keys are time, valve_plus_1, duty_plus_1, pressure_kpa_plus_1,
     setpoint_kpa_plus_1, bend_1 and so on. The key carrier_hz sets the carrier frequency
@@ -200,7 +200,10 @@ def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
             yield "the value must be a number"
         return
     if meaning is None:
-        yield f"unknown key; the section `log` has the keys {_LOG_KEYS}"
+        number = re.sub(r"\D", "", key)
+        names = [re.sub(r"\d", number, name) for name in re.split(", | or ", _LOG_KEYS)]
+        close = did_you_mean(key, [*names, f"valve_minus_{number}"])
+        yield f"unknown key{close or f'; the section `log` has the keys {_LOG_KEYS}'}"
         return
     if isinstance(value, float):
         yield "the value must be the name of a column"
@@ -259,9 +262,12 @@ def given_map(
     return data
 
 
-def read_map(data: Mapping[str, object]) -> RecordingMap:
-    """Return a recording map from the plain data that `given_map` returns."""
-    document = Document("--map", dict(data))
+def read_map(data: Mapping[str, object], source: str = "map") -> RecordingMap:
+    """Return a recording map from the plain data that `given_map` returns.
+
+    Error messages begin with `source`.
+    """
+    document = Document(source, dict(data))
     model = validate(RecordingMap, document, document.data)
     document.raise_problems()
     assert model is not None, "a map without a problem was checked"

@@ -238,6 +238,10 @@ def test_the_command_writes_each_format(run, exported, tmp_path):
     ("words", "message"),
     [
         ((), "output formats --mcap, --csv, --npz"),
+        (
+            ("--out", "x.parquet"),
+            "x.parquet: the suffix '.parquet' is unknown; the name",
+        ),
         (("--csv", "--npz"), "give exactly one of the output formats"),
         (
             ("--csv", "--out", "run.parquet"),

@@ -9,6 +9,7 @@ from snakes import chain
 from synthetic_takes import Take, markers, stretched
 
 from srs_twin import AnalyticalSnake, Gait, InputError, rollout
+from srs_twin.recordings.commands import TableOptions
 from srs_twin.recordings.inspection import inspect
 from srs_twin.recordings.recording import read_motion
 from srs_twin.recordings.recording_map import RecordingMap, given_map, read_map
@@ -155,10 +156,15 @@ def test_insufficient_markers_are_refused_and_the_remedy_works(tmp_path):
             "units: must be one of m, cm, mm, in, ft, px, not text 'inch'",
         ),
         (
-            {"log": {"valve_1": "a"}},
-            "log.valve_1: unknown key; the section `log` has the keys time, carrier_hz",
+            {"log": {"x": "a"}},
+            "log.x: unknown key; the section `log` has the keys time, carrier_hz",
         ),
         ({"log": {"carrier_hz": "30"}}, "log.carrier_hz: the value must be a number"),
+        ({"log": {"valve_pls_1": "a"}}, "unknown key; did you mean valve_plus_1"),
+        (
+            {"markers": {"m0": {"connectr": 1}}},
+            "map: markers.m0.connectr: unknown key; did you mean connector?",
+        ),
         ({"marker": {}}, "marker: unknown key; did you mean markers?"),
     ],
 )
@@ -166,6 +172,7 @@ def test_errors_of_a_map_name_their_place(data, said):
     with pytest.raises(InputError) as caught:
         read_map(data)
     assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
 
 
 def test_unknown_names_suggest_a_similar_one(tmp_path):
@@ -203,6 +210,10 @@ def test_options_have_precedence_over_the_map_file(tmp_path):
         InputError, match="--marker 'base:1' is not allowed; use NAME=connector 1"
     ):
         given_map(None, {}, ["base:1"])
+    with pytest.raises(
+        InputError, match="--rate: rate_hz: must be a number from 0.001"
+    ):
+        TableOptions(rate_hz=0).map_data()
     assert given_map(None, {"units": None}, []) == {}
 
 
