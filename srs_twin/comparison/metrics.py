@@ -415,7 +415,7 @@ def headline(metrics: RunMetrics) -> str:
         sentences.append(
             _OVERLAP.format(1e3 * max(overlaps.values()), " and ".join(overlaps))
         )
-    return " ".join(sentences)
+    return " ".join(filter(None, sentences))
 
 
 def _contacts(metrics: RunMetrics) -> Iterator[str]:
@@ -452,6 +452,8 @@ def _summary(metrics: RunMetrics) -> str:
     plants = metrics["plants"]
     model = plants.get("analytical")
     twin = plants.get("twin")
+    if (twin or model or {}).get("final_bend_rad") is not None:
+        return ""  # a robot that is clamped on a bench does not crawl
     if model and twin:
         return _summary_of_both(metrics, model, twin)
     name = "twin" if twin else "model"

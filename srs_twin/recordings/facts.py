@@ -51,7 +51,7 @@ class MarkerFacts(_Facts):
     gaps: Count
     """Number of gaps between the first and the last detection of the marker."""
     longest_gap_s: Seconds
-    """Duration of the longest gap in the detections of the marker."""
+    """Time between the detections before and after the longest gap of the marker."""
     noise_mm: Millimetres | None
     """Standard deviation of the noise in a marker coordinate (null if the marker is
     never detected)."""
@@ -231,8 +231,14 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
         lines.append(
             "# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment"
         )
+    bends = 0
     for key, signal in zip(keys, logged, strict=True):
-        known = key if log_meaning(key) else "# valve_plus_1"
+        known = key
+        if not log_meaning(key):
+            known = "# valve_plus_1"
+            if signal.looks_like.startswith("angle"):
+                bends += 1
+                known = f"# bend_{bends}"
         comment = f"{signal.looks_like}, {signal.low or 0:g} to {signal.high or 0:g}"
         lines.append(f"  {known}: {json.dumps(signal.name)}  # {comment}")
     return "\n".join(lines) + "\n"

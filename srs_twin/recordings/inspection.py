@@ -248,6 +248,10 @@ def _marker_facts(
     missing = np.isnan(position[:, 0])
     gaps = runs(missing)
     inner = gaps[(gaps[:, 0] > 0) & (gaps[:, 1] < len(position))]
+    longest = 0.0
+    if len(inner):
+        before, after = frames.time[inner - [1, 0]].T
+        longest = float((after - before).max())
     noise = height = None
     if not missing.all():
         noise = marker_noise(position[:, None, :2])
@@ -257,7 +261,7 @@ def _marker_facts(
         rigid_body=rigid_body,
         coverage=float(1 - missing.mean()),
         gaps=len(inner),
-        longest_gap_s=float(np.diff(inner, axis=1).max(initial=0)) * frames.period,
+        longest_gap_s=longest,
         noise_mm=None if noise is None else 1e3 * noise,
         noise_m=noise,
         height_mm=height,

@@ -80,10 +80,10 @@ def test_gaps_and_coverage_are_counted(tmp_path):
     )
     third = facts.markers[2]
     last = facts.markers[4]
-    assert third.gaps == 2 and third.longest_gap_s == pytest.approx(0.15)
+    assert third.gaps == 2 and third.longest_gap_s == pytest.approx(0.16)
     assert third.coverage == pytest.approx(1 - 20 / 401) and last.gaps == 0
     assert last.coverage == pytest.approx(350 / 401)
-    assert "snake:3: seen in 95.0 % of the frames, 2 gaps up to 0.15 s" in in_words(
+    assert "snake:3: seen in 95.0 % of the frames, 2 gaps up to 0.16 s" in in_words(
         facts
     )
 
