@@ -488,6 +488,8 @@ def _describe_range(schema: Schema) -> str:
     high = schema.get("maximum")
     if low is not None and high is not None:
         return f" from {_format_number(low)} to {_format_number(high)}"
+    if schema.get("exclusiveMinimum") == 0:
+        return " above 0" + (f" and up to {_format_number(high)}" if high else "")
     if low is not None:
         return f" of at least {_format_number(low)}"
     return ""

@@ -71,13 +71,13 @@ class RecordingMap(StrictModel):
 
     units: Literal["m", "cm", "mm", "in", "ft", "px"] | None = None
     """Unit of length, if the file does not state one."""
-    scale_m: Annotated[float, Field(ge=1e-9, le=1)] | None = None
+    scale_m: Annotated[float, Field(gt=0, lt=1)] | None = None
     """Size of a pixel, m, if the unit of length is px."""
     up: Up | None = None
     """Vertical axis of the file (default: determined from the markers)."""
     level: bool | None = None
     """Whether the tilt of the floor is removed (default: only if it is certain)."""
-    rate_hz: Annotated[float, Field(ge=1e-3, le=1e5)] | None = None
+    rate_hz: Annotated[float, Field(gt=0, le=1e5)] | None = None
     """Frame rate of a file without times, Hz."""
     markers: dict[str, MarkerPlace | Literal["ignore"]] = {}
     """Place of each marker on the robot: {connector: 1}, {middle: 1}, {connector: 1,
@@ -85,7 +85,7 @@ class RecordingMap(StrictModel):
     ignored."""
     bodies: dict[str, MarkerPlace | Literal["ignore"]] = {}
     """Place of each rigid body on the robot, in the same format as for markers."""
-    log: dict[str, str | Annotated[float, Field(ge=1e-3, le=1e4)] | LogColumn] = {}
+    log: dict[str, str | Annotated[float, Field(gt=0, le=1e4)] | LogColumn] = {}
     """Column of each logged quantity, given as a name or as {column: P1, unit: bar}.
     Possible keys are time, valve_plus_1, duty_plus_1, pressure_kpa_plus_1,
     setpoint_kpa_plus_1, bend_1 and so on. The key carrier_hz sets the carrier frequency

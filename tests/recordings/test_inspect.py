@@ -163,6 +163,8 @@ def test_quantities_are_known_by_names_and_units(tmp_path):
         "force_N": ([22.0, 48.3], "unknown"),
         "battery": ([7.2, 8.1], "unknown"),
         "velocity": ([-0.3, 0.2], "unknown"),
+        "theta1 (deg)": ([-3.0, 2.0], "angle, deg"),
+        "theta2 (deg)": ([-3.0, 2.0], "angle, deg"),
     }
     columns = {name: values * 50 for name, (values, _) in known.items()}
     table = pd.DataFrame({"time": 0.01 * np.arange(100), **columns})
@@ -171,6 +173,7 @@ def test_quantities_are_known_by_names_and_units(tmp_path):
     assert [signal.name for signal in facts.signals] == list(known)
     for signal, (_, said) in zip(facts.signals, known.values(), strict=True):
         assert signal.looks_like.startswith(said), signal.name
+    assert '# bend_2: "theta2 (deg)"' in proposed_map([facts])
     battery = facts.signals[10]
     assert (battery.low, battery.high, battery.distinct) == (7.2, 8.1, 2)
 

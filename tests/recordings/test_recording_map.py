@@ -210,9 +210,7 @@ def test_options_have_precedence_over_the_map_file(tmp_path):
         InputError, match="--marker 'base:1' is not allowed; use NAME=connector 1"
     ):
         given_map(None, {}, ["base:1"])
-    with pytest.raises(
-        InputError, match="--rate: rate_hz: must be a number from 0.001"
-    ):
+    with pytest.raises(InputError, match="--rate: rate_hz: must be a number above 0"):
         TableOptions(rate_hz=0).map_data()
     assert given_map(None, {"units": None}, []) == {}
 
