@@ -241,12 +241,12 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
     Malformed(
         "a row without pressure",
         STATIC.replace(b"10,0", b",0"),
-        ": the pressures must be between -2e+06 and 2e+06 Pa in every row",
+        ": a pressure is missing; give all pressures in every row",
     ),
     Malformed(
         "degrees as radians",
         STATIC.replace(b"_deg", b""),
-        ": the file must contain bends, each of at most 6.28 rad",
+        ":4:3: bend_1: 10.5 is not allowed; a bend must be between",
     ),
     Malformed("a header only", STATIC.split(b"\n")[0] + b"\n", ""),
 )
