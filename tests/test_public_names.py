@@ -95,6 +95,7 @@ def test_function_of_a_script_runs_in_another_process_by_cloudpickle(tmp_path):
     assert run_script(tmp_path, receive) == sent
 
 
+@pytest.mark.slow
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
 def test_function_of_a_script_runs_in_a_process_pool(method, tmp_path):

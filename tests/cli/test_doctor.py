@@ -245,6 +245,7 @@ def by_name(text):
     return document["works"], {check["name"]: check for check in document["checks"]}
 
 
+@pytest.mark.slow
 def test_command_on_this_machine(srs_twin_process, tmp_path):
     done = srs_twin_process(
         "doctor", "--json", "--out", str(tmp_path / "runs"), cwd=tmp_path

@@ -125,6 +125,7 @@ def test_every_page_can_be_shown(srs_twin, tmp_path):
         assert srs_twin("show", f"docs/{page.name}", cwd=tmp_path).returncode == 0, page
 
 
+@pytest.mark.slow
 @pytest.mark.default_cases(at=[4])
 @pytest.mark.parametrize(
     "words",

@@ -246,6 +246,7 @@ def both(tmp_path_factory, srs_twin):
     return room, *outputs
 
 
+@pytest.mark.slow
 def test_files_do_not_depend_on_check(both):
     room, _, _ = both
     ran = ["passed", "passed", "failure"]

@@ -68,6 +68,7 @@ def test_velocities_of_the_baseline_gaits_are_those_of_the_twin(gait):
     assert yaw_rate == pytest.approx(gait.yaw_rate, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [7000, pytest.param(7001, marks=pytest.mark.slow)])
 def test_the_baseline_reaches_the_goal_in_less_than_half_of_the_time(seed):
     task = make_task("Crawl3D")

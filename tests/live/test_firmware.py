@@ -390,6 +390,7 @@ def test_chambers_vent_in_time_after_kills_and_a_stall_of_the_link(rig):
     assert rig.oldest() < HOLD_S + SLACK_S
 
 
+@pytest.mark.slow
 @needs_broker
 @pytest.mark.parametrize(
     "how",

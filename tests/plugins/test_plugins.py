@@ -329,6 +329,7 @@ def test_the_first_of_two_packages_has_a_short_name(tmp_path, monkeypatch):
     assert type(scenario.build_controller()).__module__ == "outside_first.control"
 
 
+@pytest.mark.slow
 def test_known_names_read_no_entry_points(tmp_path):
     code = """
 from srs_twin import extensions

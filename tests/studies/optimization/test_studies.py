@@ -430,6 +430,7 @@ def test_explored_designs_improve_the_second_best_region(tmp_path):
         assert state._explored_candidate(candidates, mean, sd, [], 0) == 0
 
 
+@pytest.mark.slow
 def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
     results = {}
     for twin in (6, 30):
