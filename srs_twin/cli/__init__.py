@@ -10,6 +10,7 @@ import errno
 import gc
 import io
 import os
+import signal
 import sys
 import warnings
 from typing import TYPE_CHECKING, TextIO
@@ -17,7 +18,7 @@ from typing import TYPE_CHECKING, TextIO
 from srs_twin.cli.console import (
     INTERRUPTED,
     as_started,
-    is_interrupt,
+    keep_interrupts,
     launcher,
     say,
     show_traceback,
@@ -82,16 +83,17 @@ def main(argv: list[str] | None = None) -> None:
             check_printable(argument)
         arguments = [_with_current_option(argument) for argument in arguments]
         _check_current_folder()
-        from srs_twin.cli.app import command
-
+        # Shell completion works only for the installed program, not for `uv run`.
+        completes = any(argument.endswith("-completion") for argument in arguments)
+        started = "srs-twin" if completes else f"{launcher()}srs-twin"
+        named = next((each for each in arguments if each != "--debug"), "")
         try:
-            # Shell completion works only for the installed program, not for `uv run`.
-            completes = any(argument.endswith("-completion") for argument in arguments)
-            started = "srs-twin" if completes else f"{launcher()}srs-twin"
-            named = next((each for each in arguments if each != "--debug"), "")
-            command(named)(
-                args=arguments, prog_name=started, complete_var="_SRS_TWIN_COMPLETE"
-            )
+            with keep_interrupts(signal.SIGINT):
+                from srs_twin.cli.app import command
+
+                command(named)(
+                    args=arguments, prog_name=started, complete_var="_SRS_TWIN_COMPLETE"
+                )
         finally:
             if sys.stdout is not None:
                 # An error in this flush can be reported, unlike an error in the flush
@@ -104,8 +106,6 @@ def main(argv: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
     except Exception as error:  # report an unexpected error on one line
-        if is_interrupt(error):
-            sys.exit(INTERRUPTED)
         show_traceback(error)
         if (
             isinstance(error, OSError)

@@ -77,48 +77,74 @@ def handle_signals(
             signal.signal(number, handler)
 
 
-def is_interrupt(error: BaseException | None) -> bool:
-    """Return whether an error was caused by an interrupt.
-
-    C extensions may raise a different error if their import is interrupted.
-    """
+def _is_interrupt(error: BaseException | None) -> bool:
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None
 
 
+_REPEAT_S = 0.5
+"""Interval at which an interrupt is repeated if a library discards it, s."""
+
+_received: list[int] = []
+"""Signals that interrupted the current command."""
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    if number != signal.SIGALRM:
+        _received.append(number)
+        signal.setitimer(signal.ITIMER_REAL, _REPEAT_S, _REPEAT_S)
+    elif sys.exception() is not None:
+        return  # the interrupt may be in progress, and clean-up must not be interrupted
+    signal.default_int_handler(number, frame)
+
+
+@contextmanager
+def keep_interrupts(*signals: signal.Signals) -> Iterator[None]:
+    """Raise KeyboardInterrupt if a `with` block receives one of the signals.
+
+    Libraries may catch this exception or replace it by a different one, for example
+    while their modules are imported. It is then raised again.
+    """
+    # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
+    # remains ignored.
+    defaults = (signal.default_int_handler, signal.SIG_DFL)
+    before = {
+        number: signal.getsignal(number)
+        for number in (*signals, signal.SIGALRM)
+        if threading.current_thread() is threading.main_thread()
+        and signal.getsignal(number) in defaults
+    }
+    for number in before:
+        signal.signal(number, _interrupt)
+    try:
+        yield
+        if _received:
+            raise KeyboardInterrupt
+    except SystemExit:
+        if _received:
+            raise KeyboardInterrupt from None
+        raise
+    except Exception as error:
+        if isinstance(error, WriteError) or not (_received or _is_interrupt(error)):
+            raise
+        show_traceback(error)
+        raise KeyboardInterrupt from None
+    finally:
+        if before:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            _received.clear()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 @contextmanager
 def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
     """On Ctrl-C or SIGTERM, print a message and exit with code `INTERRUPTED`."""
-    interrupted = False
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal interrupted
-        interrupted = True
-        signal.default_int_handler(number, frame)
-
-    # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
-    # remains ignored.
-    defaults: dict[signal.Signals, Any] = {
-        signal.SIGINT: signal.default_int_handler,
-        signal.SIGTERM: signal.SIG_DFL,
-    }
-    handled = [
-        number
-        for number, default in defaults.items()
-        if threading.current_thread() is threading.main_thread()
-        and signal.getsignal(number) == default
-    ]
-    for number in handled:
-        signal.signal(number, interrupt)
     try:
-        yield
-    except (KeyboardInterrupt, Exception) as error:
-        # An interrupted C extension may raise a different error.
-        if isinstance(error, WriteError) or not (interrupted or is_interrupt(error)):
-            raise
-        if isinstance(error, Exception):
-            show_traceback(error)
+        with keep_interrupts(signal.SIGINT, signal.SIGTERM):
+            yield
+    except KeyboardInterrupt as error:
         text = message if isinstance(message, str) else message()
         say(
             "; ".join(
@@ -126,9 +152,6 @@ def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
             )
         )
         raise SystemExit(INTERRUPTED) from None
-    finally:
-        for number in handled:
-            signal.signal(number, defaults[number])
 
 
 def console() -> Console:

@@ -66,7 +66,7 @@ def view(
 def _serve(recording: Path, port: int) -> None:
     from srs_twin.viewing.rerun.viewer import serve_recordings
 
-    handle_signals(signal.default_int_handler, signal.SIGTERM)
+    handle_signals(signal.default_int_handler, signal.SIGINT, signal.SIGTERM)
     try:
         with serve_recordings([recording], port) as (address, serve):
             typer.echo(address)

@@ -314,45 +314,45 @@ def test_an_interrupted_fit_leaves_no_files(tmp_path, monkeypatch, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["pulls.csv"]
 
 
-def test_an_interrupt_during_an_import_is_reported_as_an_interrupt(monkeypatch):
+def test_a_command_interrupted_during_an_import_says_what_was_written(capsys):
     """Modules in C raise ImportError ("initialization failed") if they are interrupted while loading."""
-
-    def interrupted(only):
+    with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
         try:
             raise KeyboardInterrupt
         except KeyboardInterrupt as error:
             raise ImportError("initialization failed") from error
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "interrupted; nothing was written\n"
 
+
+def lose_interrupt():
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1.0)
+    except KeyboardInterrupt:
+        pass
+
+
+@pytest.mark.usefixtures("interruptible")
+@pytest.mark.parametrize("error", [RuntimeError, InputError, SystemExit, None])
+def test_an_error_after_a_lost_interrupt_is_an_interrupt(capsys, monkeypatch, error):
+    """Compiled code may lose the interrupt and then fail in another way or continue."""
+
+    def interrupted(*_):
+        lose_interrupt()
+        if error is not None:
+            raise error("a compiled function failed")
+        time.sleep(60.0)
+        pytest.fail("the interrupt was not repeated")
+
+    with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
+        interrupted()
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "interrupted; nothing was written\n"
     monkeypatch.setattr("srs_twin.cli.app.command", interrupted)
     with pytest.raises(SystemExit) as end:
         main(["doctor"])
     assert end.value.code == 130
-
-
-def test_a_command_interrupted_during_an_import_says_what_was_written(capsys):
-    """An interrupt within an import also prints the message of the command."""
-    with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as error:
-            raise ImportError("initialization failed") from error
-    assert end.value.code == 130
-    assert capsys.readouterr().err == "interrupted; nothing was written\n"
-
-
-@pytest.mark.usefixtures("interruptible")
-@pytest.mark.parametrize("error", [RuntimeError, InputError])
-def test_an_error_after_a_lost_interrupt_is_an_interrupt(capsys, error):
-    """Compiled code may lose the interrupt and then fail in another way."""
-    with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
-        try:
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1.0)
-        except KeyboardInterrupt:
-            pass
-        raise error("a compiled function failed")
-    assert end.value.code == 130
-    assert capsys.readouterr().err == "interrupted; nothing was written\n"
     assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
 
 
@@ -360,11 +360,8 @@ def test_an_error_after_a_lost_interrupt_is_an_interrupt(capsys, error):
 def test_a_full_disk_after_an_interrupt_is_reported():
     """Results may be missing, so the message of the interrupt is not enough."""
     with pytest.raises(WriteError, match="no space"), interruptible("nothing"):
-        try:
-            os.kill(os.getpid(), signal.SIGINT)
-            time.sleep(1.0)
-        except KeyboardInterrupt:
-            raise WriteError("no space left on the disk") from None
+        lose_interrupt()
+        raise WriteError("no space left on the disk")
 
 
 # Inputs of fits and replays from recordings
