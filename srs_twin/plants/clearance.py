@@ -143,30 +143,22 @@ def clearance(plant: Plant, states: SnakeState) -> np.ndarray:
 
 
 class Overlap(NamedTuple):
-    """Overlap of the body with an obstacle or object at the start of a run.
+    """Overlap of an obstacle or object with the body or another solid at the start.
 
     Attributes:
         number: index of the obstacle or object in the result of `solids`.
-        depth: maximum overlap, m.
+        text: text that follows the name of the obstacle or object in a message.
     """
 
     number: int
     name: str
-    depth: float
-
-    @property
-    def text(self) -> str:
-        """Text that follows the name of the obstacle or object in a message."""
-        return (
-            f"overlaps the body at the start by {1e3 * self.depth:.3g} mm; move it or"
-            " start elsewhere"
-        )
+    text: str
 
 
 def start_overlaps(
     world: World, lines: np.ndarray, half_width: float, *, allowed: float = TOUCHING_M
 ) -> list[Overlap]:
-    """Return the overlaps of a body with obstacles and objects, deepest first.
+    """Return the overlaps of a body and of objects, those of the body deepest first.
 
     Args:
         world: obstacles, and objects at their initial poses.
@@ -178,7 +170,8 @@ def start_overlaps(
     import shapely
 
     found = []
-    for k, solid in enumerate(solids(world)):
+    all_solids = solids(world)
+    for k, solid in enumerate(all_solids):
         line = _in_frame(lines, np.array([solid.pose]))[0]
         distance = shapely.distance(solid.core, line)
         depth = half_width + solid.radius - distance
@@ -189,8 +182,33 @@ def start_overlaps(
             )
             depth += shapely.distance(shapely.points(points), solid.core.boundary).max()
         if depth > allowed:
-            found.append(Overlap(k, solid.name, float(depth)))
-    return sorted(found, key=lambda overlap: -overlap.depth)
+            text = (
+                f"overlaps the body at the start by {1e3 * depth:.3g} mm; move it or"
+                " start elsewhere"
+            )
+            found.append((-depth, Overlap(k, solid.name, text)))
+    overlaps = [overlap for _, overlap in sorted(found)]
+    placed = [_placed_core(solid) for solid in all_solids]
+    for k in range(len(placed) - len(world.objects), len(placed)):
+        solid = all_solids[k]
+        # The cores of boxes may touch, because boxes have no radius.
+        inner = shapely.buffer(placed[k], -allowed)
+        for other, core in zip(all_solids[:k], placed[:k], strict=True):
+            depth = solid.radius + other.radius - shapely.distance(placed[k], core)
+            if depth > allowed or shapely.intersects(inner, core):
+                text = f"overlaps {other.name} at the start; move one of them"
+                overlaps.append(Overlap(k, solid.name, text))
+    return overlaps
+
+
+def _placed_core(solid: Solid) -> shapely.Geometry:
+    import shapely
+
+    x, y, heading = solid.pose
+    cos = np.cos(heading)
+    sin = np.sin(heading)
+    turn = np.array([[cos, sin], [-sin, cos]])
+    return shapely.transform(solid.core, lambda points: points @ turn + [x, y])
 
 
 def check_start(plant: Plant, state: SnakeState, allowed: float = TOUCHING_M) -> None:

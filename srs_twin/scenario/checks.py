@@ -40,7 +40,12 @@ from srs_twin.robot.sourced import split_unit
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.robot.world import World
 from srs_twin.scenario.fields import Contradiction, Loading
-from srs_twin.scenario.file import LEAST_RECORD_HZ, MOST_RECORD_HZ, ScenarioFile
+from srs_twin.scenario.file import (
+    LEAST_RECORD_HZ,
+    MOST_RECORD_HZ,
+    ScenarioFile,
+    StuckValveFile,
+)
 from srs_twin.scenario.plants import PlantFile, TwinFile
 from srs_twin.scenario.start import InitialState
 from srs_twin.scenario.world import WorldFile
@@ -81,6 +86,7 @@ def check(
         _expectations(file),
         _gap_factor(file),
         _world(file),
+        _faults(file),
     )
     _report(document, chain(*own, file.controller.contradictions_with(file), *sections))
 
@@ -216,7 +222,7 @@ def check_robot(
 def check_start(
     file: ScenarioFile, loading: Loading, initial_state: InitialState | None
 ) -> None:
-    """Report obstacles and objects that overlap the body in its initial state."""
+    """Report overlaps of the body, obstacles and objects in the initial state."""
     world = loading.world
     if file.bench or not world.is_solid:
         return
@@ -447,6 +453,24 @@ def _world(file: ScenarioFile) -> Iterator[Contradiction]:
             " compliant` and `contact: true`"
         )
         yield Contradiction(("plants", "analytical"), text)
+
+
+def _faults(file: ScenarioFile) -> Iterator[Contradiction]:
+    valves: dict[tuple[int, str], tuple[int, StuckValveFile]] = {}
+    for k, fault in enumerate(file.faults):
+        if not isinstance(fault, StuckValveFile):
+            continue
+        valve = (fault.segment, fault.chamber)
+        j, earlier = valves.get(valve, (k, fault))
+        # At its start, a fault replaces the faults before it in the list.
+        if fault.stuck != earlier.stuck and fault.from_s <= earlier.from_s:
+            text = (
+                f"this valve is already stuck {earlier.stuck} from"
+                f" {earlier.from_s:g} s (faults[{j}]); remove one of the faults, or"
+                " let this one begin later"
+            )
+            yield Contradiction(("faults", k), text)
+        valves[valve] = (k, fault)
 
 
 def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:

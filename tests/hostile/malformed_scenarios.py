@@ -228,6 +228,14 @@ LEARNING_MALFORMED = edited(
             "reference: {kind: constant, bend_rad: 0.1}",
             "controller.reference: unknown key",
         ),
+        (
+            "duration_s: 2",
+            "duration_s: 2\nfaults:"
+            "\n- {kind: stuck_valve, segment: 1, chamber: plus, stuck: open}"
+            "\n- {kind: stuck_valve, segment: 1, chamber: plus, stuck: closed, from_s: 1}"
+            "\n- {kind: stuck_valve, segment: 1, chamber: plus, stuck: open}",
+            ":7:3: faults[2]: this valve is already stuck closed from 1 s (faults[1])",
+        ),
     ],
 )
 

@@ -157,6 +157,31 @@ def test_objects_are_refused(shape, reach):
     assert overlap(said) == pytest.approx(HALF + reach - 0.045, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ("place", "named"),
+    [
+        ({"x_m": 1.0, "y_m": 0.0}, "obstacle 1 at (1, 0) m"),
+        ({"x_m": 1.0, "y_m": 0.135}, "obstacle 1 at (1, 0) m"),
+        ({"x_m": 2.0, "y_m": 0.0}, "polygon 1"),
+        ({"x_m": 3.0, "y_m": 0.09, "heading_rad": 0.3}, "object 1"),
+        ({"x_m": 3.0, "y_m": 0.1}, None),
+    ],
+)
+def test_objects_in_other_solids_are_refused(place, named):
+    size = {"kind": "box", "length_m": 0.1, "width_m": 0.1}
+    box = size | {"mass_kg": 0.1, "friction": 0.3, "x_m": 3.0, "y_m": 0.0}
+    world = circle(1.0, radius=0.1) | square(2.0, 0.0, 0.3)
+    world |= {"objects": [box, box | place]}
+    if named is None:
+        scenario(world, plants={"twin": {}})
+    else:
+        said = refusal(world, plants={"twin": {}})
+        assert said == (
+            f"scenario: world.objects[1]: overlaps {named} at the start; move one of"
+            " them"
+        )
+
+
 @pytest.mark.default_cases(2)
 @pytest.mark.parametrize("gap", [0.0, 1e-4])
 @pytest.mark.parametrize("heading", [0.0, 0.7])
