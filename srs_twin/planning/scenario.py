@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 from pydantic import Field, model_validator
 
 from srs_twin.errors import InputError
+from srs_twin.io.documents import Loc
 from srs_twin.io.files import find_file
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker
@@ -25,7 +26,14 @@ from srs_twin.planning.footprint_file import (
 )
 from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.planner import plan, plan_with_transitions
-from srs_twin.planning.problem import Plan, PlanOutcome, Problem, Settings, TouchLimits
+from srs_twin.planning.problem import (
+    Plan,
+    PlanOutcome,
+    Problem,
+    Settings,
+    TouchLimits,
+    describe_collision,
+)
 from srs_twin.planning.touch import touch_limits
 from srs_twin.robot.world import Goal, Pose
 from srs_twin.scenario.fields import (
@@ -235,6 +243,24 @@ class BestFirstFile(PlannerSection):
                 " set `model: compliant` and `contact: true`, or remove `analytical`"
             )
             yield Contradiction(("plants", "analytical"), text, at_key=True)
+
+    def read(self, loading: Loading) -> None:
+        """Report a start or goal that is inside an obstacle or outside the bounds."""
+        document = loading.document
+        world = loading.world
+        places: list[tuple[Loc, Pose | Goal | None]] = [
+            (("start",), loading.file.start.build()),
+            (("world", "goal"), world.goal),
+        ]
+        for loc, place in places:
+            if place is None or not (text := describe_collision(world, place)):
+                continue
+            coordinates = [(*loc, "x_m"), (*loc, "y_m")]
+            # Overrides have negative positions.
+            changed = [
+                key for key in coordinates if document.values.get(key, (0, 0)) < (0, 0)
+            ]
+            document.report((changed or [loc])[0], text)
 
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
         planner = super()._planner(footprint, loading)

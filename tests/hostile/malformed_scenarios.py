@@ -243,6 +243,11 @@ FOLLOWING_MALFORMED = edited(
     FOLLOWING,
     [
         (
+            "x_m: 1.0, y_m: 0.2",
+            "x_m: 0.59, y_m: 0.52",
+            ":6:9: world.goal: (0.59, 0.52) is inside polygon 1 (3 corners",
+        ),
+        (
             "footprint: gen2_section52",
             "footprint: /dev/zero",
             "planner.footprint: /dev/zero: this is not a regular file",

@@ -40,7 +40,7 @@ FILES = {
     "good.yaml": SCENARIO.decode(),
     "plan.yaml": _PLAN % "best_first, footprint: gen2_gait",
     "far.yaml": (_PLAN % "best_first, footprint: gen2_gait").replace(
-        "world: {", "world: {bounds: {x_m: [-0.5, 0.5], y_m: [-0.5, 0.5]}, "
+        "world: {", "world: {bounds: {x_m: [-0.1, 0.9], y_m: [-0.5, 0.5]}, "
     ),
     "sweep.yaml": (
         "{title: S, scenario: ./good.yaml, plants: [analytical], vary: {seed: [1, 2]}}"
@@ -116,7 +116,7 @@ each_command = pytest.mark.parametrize(
 
 TOO_LONG = "File name too long"
 FOLDER = "a folder has the name of an output file"
-FAR = "far.yaml: goal (0.8, 0.1) is outside the bounds (x -0.5 to 0.5 m, y -0.5 to"
+FAR = "far.yaml: start (0, 0): the footprint of the straight body leaves the bounds"
 BYTES = "this name cannot be used (it is not valid UTF-8); rename it"
 CONTROL = "this name cannot be used (it contains a control character); rename it"
 REJECTED = [
