@@ -153,9 +153,13 @@ def test_samples_are_evenly_spaced_and_include_both_ends(options, step):
             lambda: rollout(Clock(), Scripted(), 1.0, record_hz=0),
             "is not allowed; it must be finite and above 0",
         ),
+        (
+            lambda: rollout(Clock(), Scripted(), 1.0, pose=(0.0, 0.0, np.nan)),
+            r"the pose \(0, 0, nan\) is not allowed; its numbers must be finite",
+        ),
     ],
 )
-def test_incompatible_times_are_rejected_with_a_remedy(run, words):
+def test_incompatible_times_and_poses_are_rejected_with_a_remedy(run, words):
     with pytest.raises(InputError, match=words):
         run()
 

@@ -239,6 +239,12 @@ class Task(ABC):
         defaults = {term.name: term.weight for term in self.reward_terms}
         check_names("reward term", rewards or (), defaults)
         self.weights = defaults | dict(rewards or {})
+        for name, weight in self.weights.items():
+            if not np.isfinite(weight):
+                raise InputError(
+                    f"the reward weight `{name}` {weight:g} is not allowed; it must be"
+                    " finite"
+                )
         self._requested_groups = observations
         self._variation = Variation.load(robot, fit, ranges)
         count_steps("limit_s", limit_s, "step", self.step_s)

@@ -98,8 +98,22 @@ class Override:
         overrides = []
         for name, value in changes.items():
             label = f"set {name}={value!r}"
-            overrides.append(cls(label, _field_path(label, name), value))
+            overrides.append(cls(label, _field_path(label, name), _plain(label, value)))
         return overrides
+
+
+def _plain(label: str, value: object) -> object:
+    def convert(inner: Any) -> object:
+        if hasattr(inner, "tolist"):  # a NumPy array or scalar
+            return inner.tolist()
+        raise TypeError(f"an object of type {type(inner).__name__} is not allowed")
+
+    try:
+        return json.loads(json.dumps(value, default=convert))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"{label}: {error}; use numbers, texts, lists and mappings"
+        ) from None
 
 
 def _field_path(label: str, name: str) -> Loc:
@@ -172,7 +186,8 @@ class Document:
                 )
                 self.problems.append((self.values[loc], text))
             if not isinstance(inner, dict | list):
-                inner = {}
+                next_key = override.loc[k + 1]
+                inner = [] if isinstance(next_key, int) else {}
             data[key] = data = inner
         data[key] = override.value
         self._set_positions(override.loc, override.value, position)

@@ -36,7 +36,7 @@ from typing import Any, ClassVar, Self, SupportsIndex, cast
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import atomic_write, display_path
+from srs_twin.io.files import StrPath, atomic_write, display_path
 from srs_twin.io.provenance import Provenance
 from srs_twin.io.untrusted import read_arrays
 
@@ -204,7 +204,7 @@ class SavedState:
                 f"{label}: the saved state has other settings: {difference}"
             )
 
-    def write(self, path: Path) -> None:
+    def write(self, path: StrPath) -> None:
         """Write the state to a file atomically.
 
         Raises:
@@ -221,12 +221,13 @@ class SavedState:
             np.savez_compressed(file, allow_pickle=False, **{_DOCUMENT: text}, **arrays)
 
     @staticmethod
-    def read(path: Path) -> SavedState:
+    def read(path: StrPath) -> SavedState:
         """Read a state from a file.
 
         Raises:
             InputError: the file cannot be read or is not a saved state.
         """
+        path = Path(path)
         arrays = read_arrays(path, "saved state")
         try:
             text = str(arrays[_DOCUMENT])

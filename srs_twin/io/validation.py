@@ -167,6 +167,8 @@ def validate(
         items = error.errors(include_url=False)
         inside = {_existing_path(item["loc"], data)[:-1] for item in items}
         for item in items:
+            if _miscounts(item):
+                continue
             # The path of an error does not exist in the data if a key is missing or a
             # default value contradicts the given keys.
             loc = _existing_path(item["loc"], data)
@@ -326,6 +328,13 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
         if any(_accepts(option, int(value)) for option in flat):
             close = f"; write it as a whole number, such as {int(value)}"
     return f"must be {words}, not {described}{close}"
+
+
+def _miscounts(item: ErrorDetails) -> bool:
+    """Return whether pydantic found too few entries because others are invalid."""
+    if item["type"] not in _COUNT_LIMITS:
+        return False
+    return bool(len(item["input"]) != item["ctx"]["actual_length"])
 
 
 def _describe_wrong_count(item: ErrorDetails, options: Iterable[Schema]) -> str:

@@ -3,12 +3,19 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Container
 from functools import cache, reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import Field, WithJsonSchema, create_model, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    WithJsonSchema,
+    create_model,
+    model_validator,
+)
 
 from srs_twin.extensions import CONTROLLERS, SECTIONS, installed, load, objects
 from srs_twin.plants.base import TICK_S
@@ -251,12 +258,29 @@ else:
     ]
 
 
+_FOLDER_NAME = re.compile(r"^[^./\x00-\x1f][^/\x00-\x1f]*$")
+
+
+def _folder_name(name: str) -> str:
+    if not _FOLDER_NAME.search(name):
+        raise ValueError(
+            "must be a name without slashes and control characters that does not begin"
+            f" with a dot, not text {name!r}"
+        )
+    return name
+
+
 class ScenarioFile(Section):
     """Scenario file without the sections that `with_extensions` adds."""
 
-    name: Annotated[Line, Field(pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$")] | None = (
-        None
-    )
+    name: (
+        Annotated[
+            Line,
+            AfterValidator(_folder_name),
+            Field(json_schema_extra={"pattern": _FOLDER_NAME.pattern}),
+        ]
+        | None
+    ) = None
     """Name of the output folder (default: file name)."""
     title: Line | None = None
     """One-line title (default: the name)."""

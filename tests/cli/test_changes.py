@@ -80,6 +80,7 @@ def test_a_resolved_scenario_can_be_changed_again():
             "expect[40].near=1",
             "this entry does not exist; the list has 7 entries, counted from 0",
         ),
+        ("world.polygons[0].corners_m=1", "the list has 0 entries, counted from 0"),
         ("supply.pressure_kpa=48300", "not 48300; did you mean 48.3?"),
         ("start.heading_rad=90", "did you mean 1.571?"),
         ("supply.pressure_kpa=[1", "not YAML"),

@@ -296,6 +296,12 @@ POSITIONS = [
     ),
     (
         "world: {}",
+        "start: {velocity_m_s: [1.0e+6, 0]}",
+        "6:24: start.velocity_m_s[0]: must be a number from -10 to 10, not 1000000",
+    ),
+    ("world: {}", "name: ../evil", "6:7: name: must be a name without slashes and"),
+    (
+        "world: {}",
         "seed: 1.0",
         "6:7: seed: must be a whole number from 0 to 4294967295, not 1.0; write it as"
         " a whole number, such as 1",

@@ -364,7 +364,7 @@ def test_a_steering_that_is_held_lets_time_stand_still(machine):
 def test_files_have_the_numbers_of_the_session(machine, tmp_path):
     found, _ = session(tmp_path / "lab")
     told = found.run(0.59)
-    assert SavedState.read(tmp_path / "lab/state.npz")
+    assert SavedState.read(str(tmp_path / "lab/state.npz"))
     table = Trajectory.from_parquet(tmp_path / "lab/estimate.parquet")
     estimate = told["estimate"]
     assert table["time"][-1] == pytest.approx(0.58) and table["lost"][-1] == 0

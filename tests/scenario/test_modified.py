@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from snakes import robot
 
@@ -114,7 +115,7 @@ def test_changes_are_kept_until_a_value_is_restored():
     read = parse_yaml(dump_yaml(slow.document), "scenario.resolved.yaml").data
     assert parse_scenario(read, name="again") == slow
     once_more = parse_scenario(
-        read, set={"controller.frequency_hz": 3.0, "duration_s": 4.0}
+        read, set={"controller.frequency_hz": np.array(3.0), "duration_s": 4.0}
     )
     assert changed(once_more) == {
         "controller.frequency_hz": (2.0, 3.0),
@@ -124,6 +125,8 @@ def test_changes_are_kept_until_a_value_is_restored():
     restored = parse_scenario(read, set={"controller.frequency_hz": 2.0, "seed": 0})
     assert restored == gen2()
     assert len(restored.expect) == 7
+    with pytest.raises(InputError, match="set seed=.* of type complex is not allowed"):
+        parse_scenario(read, set={"seed": 1j})
 
 
 def test_hand_edited_value_is_listed_with_its_present_value():

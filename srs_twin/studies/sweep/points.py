@@ -392,7 +392,7 @@ def sample(
         integer_fields: names of the fields that accept only integers.
     """
     if sampling.kind in ("latin_hypercube", "sobol"):
-        return _space_filling_points(list(vary.values()), sampling)
+        return _space_filling_points(vary, sampling, integer_fields)
     lists = [
         _value_list(name, values, integers=name in integer_fields)
         for name, values in vary.items()
@@ -456,28 +456,29 @@ def sobol_points(
 
 
 def _space_filling_points(
-    fields: Sequence[Sequence[Value] | RangeFile], sampling: SamplingFile
+    vary: Varied, sampling: SamplingFile, integer_fields: Container[str]
 ) -> list[tuple[Value, ...]]:
     from scipy.stats import qmc
 
     assert sampling.count is not None, "checked by the file's model"
     engine = qmc.Sobol if sampling.kind == "sobol" else qmc.LatinHypercube
-    unit = engine(d=len(fields), rng=sampling.seed or 0).random(sampling.count)
+    unit = engine(d=len(vary), rng=sampling.seed or 0).random(sampling.count)
     columns = [
-        _values_at(values, fractions)
-        for values, fractions in zip(fields, unit.T, strict=True)
+        _values_at(values, fractions, integers=name in integer_fields)
+        for (name, values), fractions in zip(vary.items(), unit.T, strict=True)
     ]
     return list(zip(*columns, strict=True))
 
 
 def _values_at(
-    values: Sequence[Value] | RangeFile, fractions: np.ndarray
+    values: Sequence[Value] | RangeFile, fractions: np.ndarray, *, integers: bool
 ) -> list[Value]:
     if not isinstance(values, RangeFile):
         return [values[int(fraction * len(values))] for fraction in fractions]
-    return list(
-        map(float, value_at(fractions, values.start, values.stop, values.scale))
-    )
+    numbers = value_at(fractions, values.start, values.stop, values.scale)
+    if integers:
+        return list(map(int, np.rint(numbers)))
+    return list(map(float, numbers))
 
 
 Fraction = TypeVar("Fraction", float, np.ndarray)

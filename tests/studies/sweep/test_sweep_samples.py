@@ -67,9 +67,11 @@ def test_sobol_is_balanced(power, seed):
 
 def test_samples_use_all_values_of_a_list_equally_often():
     points = sample(
-        {"a": ["x", "y", "z"], "b": spread(0, 1)},
+        {"a": ["x", "y", "z"], "b": spread(1, 5)},
         SamplingFile(kind="latin_hypercube", count=30, seed=1),
+        ["b"],
     )
+    assert {repr(point[1]) for point in points} == set("12345")
     assert {name: [point[0] for point in points].count(name) for name in "xyz"} == {
         "x": 10,
         "y": 10,
