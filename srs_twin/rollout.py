@@ -123,7 +123,6 @@ def rollout(
             "rollout: the arguments `pose`, `initial_state` and `resume` each set the"
             " initial state; give only one of them"
         )
-    _check_poses(() if pose is None else (pose,))
     ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
     _check_drives(controller, plant)
@@ -151,16 +150,6 @@ def rollout(
             error.trajectory = recorder.trajectory()
             raise
         return recorder.trajectory()
-
-
-def _check_poses(poses: Iterable[Pose]) -> None:
-    for pose in poses:
-        if not np.isfinite(pose).all():
-            x, y, heading = pose
-            raise InputError(
-                f"rollout: the pose ({x:g}, {y:g}, {heading:g}) is not allowed; its"
-                " numbers must be finite"
-            )
 
 
 def _initial_state(
@@ -617,7 +606,6 @@ def _record_start(
     recorders = [
         Recorder(twin, controller, record_hz, duration) for twin, controller in pairs
     ]
-    _check_poses(() if poses is None else poses)
     resting = batch.reset(poses=poses, seed=seed)
     for k, recorder in enumerate(recorders):
         check_start(recorder.plant, resting.at(k))

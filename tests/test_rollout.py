@@ -154,8 +154,8 @@ def test_samples_are_evenly_spaced_and_include_both_ends(options, step):
             "is not allowed; it must be finite and above 0",
         ),
         (
-            lambda: rollout(Clock(), Scripted(), 1.0, pose=(0.0, 0.0, np.nan)),
-            r"the pose \(0, 0, nan\) is not allowed; its numbers must be finite",
+            lambda: rollout(TwinSnake(SPEC), Gait(2.0), 0.1, pose=(0.0, 0.0, np.nan)),
+            "the pose at the start is not allowed; it must be finite",
         ),
     ],
 )

@@ -77,12 +77,6 @@ def handle_signals(
             signal.signal(number, handler)
 
 
-def _is_interrupt(error: BaseException | None) -> bool:
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__ or error.__context__
-    return error is not None
-
-
 _REPEAT_S = 0.5
 """Interval at which an interrupt is repeated if a library discards it, s."""
 
@@ -108,12 +102,11 @@ def keep_interrupts(*signals: signal.Signals) -> Iterator[None]:
     """
     # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
     # remains ignored.
-    defaults = (signal.default_int_handler, signal.SIG_DFL)
     before = {
         number: signal.getsignal(number)
         for number in (*signals, signal.SIGALRM)
         if threading.current_thread() is threading.main_thread()
-        and signal.getsignal(number) in defaults
+        and signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL)
     }
     for number in before:
         signal.signal(number, _interrupt)
@@ -121,15 +114,11 @@ def keep_interrupts(*signals: signal.Signals) -> Iterator[None]:
         yield
         if _received:
             raise KeyboardInterrupt
-    except SystemExit:
-        if _received:
-            raise KeyboardInterrupt from None
-        raise
-    except Exception as error:
-        if isinstance(error, WriteError) or not (_received or _is_interrupt(error)):
+    except (Exception, SystemExit) as error:
+        if isinstance(error, WriteError) or not _received:
             raise
         show_traceback(error)
-        raise KeyboardInterrupt from None
+        raise KeyboardInterrupt from error
     finally:
         if before:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
@@ -190,7 +179,7 @@ def new_table(
     return table
 
 
-def show_traceback(error: Exception) -> None:
+def show_traceback(error: BaseException) -> None:
     """Print the traceback of an error on stderr if SRS_TWIN_DEBUG is set."""
     if os.environ.get(DEBUG, "0") not in ("", "0"):
         say("".join(traceback.format_exception(error)).rstrip())

@@ -14,7 +14,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from operator import itemgetter
+from operator import itemgetter, methodcaller
 from pathlib import Path
 from typing import Any
 
@@ -98,22 +98,15 @@ class Override:
         overrides = []
         for name, value in changes.items():
             label = f"set {name}={value!r}"
-            overrides.append(cls(label, _field_path(label, name), _plain(label, value)))
+            try:
+                # NumPy arrays and scalars have the method `tolist`.
+                text = json.dumps(value, default=methodcaller("tolist"))
+            except (AttributeError, TypeError, ValueError) as error:
+                raise InputError(
+                    f"{label}: must consist of numbers, texts, lists and mappings"
+                ) from error
+            overrides.append(cls(label, _field_path(label, name), json.loads(text)))
         return overrides
-
-
-def _plain(label: str, value: object) -> object:
-    def convert(inner: Any) -> object:
-        if hasattr(inner, "tolist"):  # a NumPy array or scalar
-            return inner.tolist()
-        raise TypeError(f"an object of type {type(inner).__name__} is not allowed")
-
-    try:
-        return json.loads(json.dumps(value, default=convert))
-    except (TypeError, ValueError, RecursionError) as error:
-        raise InputError(
-            f"{label}: {error}; use numbers, texts, lists and mappings"
-        ) from None
 
 
 def _field_path(label: str, name: str) -> Loc:
@@ -186,8 +179,7 @@ class Document:
                 )
                 self.problems.append((self.values[loc], text))
             if not isinstance(inner, dict | list):
-                next_key = override.loc[k + 1]
-                inner = [] if isinstance(next_key, int) else {}
+                inner = [] if isinstance(override.loc[k + 1], int) else {}
             data[key] = data = inner
         data[key] = override.value
         self._set_positions(override.loc, override.value, position)

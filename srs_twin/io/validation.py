@@ -167,8 +167,11 @@ def validate(
         items = error.errors(include_url=False)
         inside = {_existing_path(item["loc"], data)[:-1] for item in items}
         for item in items:
-            if _miscounts(item):
-                continue
+            if (
+                item["type"] in _COUNT_LIMITS
+                and len(item["input"]) != item["ctx"]["actual_length"]
+            ):
+                continue  # pydantic counted only the valid entries
             # The path of an error does not exist in the data if a key is missing or a
             # default value contradicts the given keys.
             loc = _existing_path(item["loc"], data)
@@ -330,13 +333,6 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
     return f"must be {words}, not {described}{close}"
 
 
-def _miscounts(item: ErrorDetails) -> bool:
-    """Return whether pydantic found too few entries because others are invalid."""
-    if item["type"] not in _COUNT_LIMITS:
-        return False
-    return bool(len(item["input"]) != item["ctx"]["actual_length"])
-
-
 def _describe_wrong_count(item: ErrorDetails, options: Iterable[Schema]) -> str:
     name, bound = _COUNT_LIMITS[item["type"]]
     limit = item["ctx"][name]
@@ -467,7 +463,8 @@ def _describe_option(schema: Schema, root: Schema, brief: bool) -> str:
             return _BLOCK
         case "string":
             if longest := schema.get("maxLength"):
-                return f"text of 1 to {longest} characters"
+                rule = schema.get("$comment", "")
+                return f"text of 1 to {longest} characters{rule}"
             return "text"
         case "boolean":
             return "true or false"

@@ -153,24 +153,14 @@ def check_problem(problem: Problem) -> None:
     goal = problem.goal
     _check_poses(start, goal)
     _check_world(problem.world)
-    for name, place in (("start", start), ("goal", goal)):
-        if text := describe_collision(problem.world, place):
-            raise InputError(f"{name} {text}")
+    for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
+        if hit := obstacle_at(problem.world, x, y):
+            raise InputError(f"{name} ({x:g}, {y:g}) conflicts with {hit}; move it")
     if hit := Checker(problem.world, problem.footprint).first_collision(start):
-        verb = "leaves" if hit.startswith("the bounds") else "touches"
         raise InputError(
             f"start ({start.x:g}, {start.y:g}): the footprint of the straight body"
-            f" {verb} {hit}; move the start"
+            f" touches {hit}; move the start"
         )
-
-
-def describe_collision(world: World, place: Pose | Goal) -> str:
-    """Describe what the point of a start or goal collides with, or return ""."""
-    hit = obstacle_at(world, place.x, place.y)
-    if not hit:
-        return ""
-    relation = "outside" if hit.startswith("the bounds") else "inside"
-    return f"({place.x:g}, {place.y:g}) is {relation} {hit}"
 
 
 def _check_poses(start: Pose, goal: Goal) -> None:

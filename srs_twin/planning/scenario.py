@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 from pydantic import Field, model_validator
 
 from srs_twin.errors import InputError
-from srs_twin.io.documents import Loc
+from srs_twin.io.documents import parse_path
 from srs_twin.io.files import find_file
 from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.collision import Checker
+from srs_twin.planning.collision import Checker, obstacle_at
 from srs_twin.planning.footprint import Footprint, validate_footprint
 from srs_twin.planning.footprint_file import (
     ConditionsFile,
@@ -26,14 +26,7 @@ from srs_twin.planning.footprint_file import (
 )
 from srs_twin.planning.path import Segment, path_from_arcs
 from srs_twin.planning.planner import plan, plan_with_transitions
-from srs_twin.planning.problem import (
-    Plan,
-    PlanOutcome,
-    Problem,
-    Settings,
-    TouchLimits,
-    describe_collision,
-)
+from srs_twin.planning.problem import Plan, PlanOutcome, Problem, Settings, TouchLimits
 from srs_twin.planning.touch import touch_limits
 from srs_twin.robot.world import Goal, Pose
 from srs_twin.scenario.fields import (
@@ -247,20 +240,16 @@ class BestFirstFile(PlannerSection):
     def read(self, loading: Loading) -> None:
         """Report a start or goal that is inside an obstacle or outside the bounds."""
         document = loading.document
-        world = loading.world
-        places: list[tuple[Loc, Pose | Goal | None]] = [
-            (("start",), loading.file.start.build()),
-            (("world", "goal"), world.goal),
-        ]
-        for loc, place in places:
-            if place is None or not (text := describe_collision(world, place)):
-                continue
-            coordinates = [(*loc, "x_m"), (*loc, "y_m")]
-            # Overrides have negative positions.
-            changed = [
-                key for key in coordinates if document.values.get(key, (0, 0)) < (0, 0)
-            ]
-            document.report((changed or [loc])[0], text)
+        start = loading.file.start.build()
+        goal = loading.world.goal
+        if not goal:
+            return
+        for name, x, y in (("world.goal", goal.x, goal.y), ("start", start.x, start.y)):
+            if hit := obstacle_at(loading.world, x, y):
+                keys = [parse_path(f"{name}.{axis}_m") for axis in "xy"]
+                # The positions of overrides are negative. Missing keys come last.
+                key = min(keys, key=lambda key: document.values.get(key, (1e9, 0)))
+                document.report(key, f"({x:g}, {y:g}) conflicts with {hit}; move it")
 
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
         planner = super()._planner(footprint, loading)

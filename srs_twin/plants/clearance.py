@@ -158,7 +158,7 @@ class Overlap(NamedTuple):
 def start_overlaps(
     world: World, lines: np.ndarray, half_width: float, *, allowed: float = TOUCHING_M
 ) -> list[Overlap]:
-    """Return the overlaps of a body and of objects, those of the body deepest first.
+    """Return the overlaps of a body and of objects, those of the body first.
 
     Args:
         world: obstacles, and objects at their initial poses.
@@ -182,43 +182,38 @@ def start_overlaps(
             )
             depth += shapely.distance(shapely.points(points), solid.core.boundary).max()
         if depth > allowed:
-            text = (
-                f"overlaps the body at the start by {1e3 * depth:.3g} mm; move it or"
-                " start elsewhere"
-            )
-            found.append((-depth, Overlap(k, solid.name, text)))
-    overlaps = [overlap for _, overlap in sorted(found)]
-    placed = [_placed_core(solid) for solid in all_solids]
-    for k in range(len(placed) - len(world.objects), len(placed)):
-        solid = all_solids[k]
-        # The cores of boxes may touch, because boxes have no radius.
-        inner = shapely.buffer(placed[k], -allowed)
-        for other, core in zip(all_solids[:k], placed[:k], strict=True):
-            depth = solid.radius + other.radius - shapely.distance(placed[k], core)
-            if depth > allowed or shapely.intersects(inner, core):
-                text = f"overlaps {other.name} at the start; move one of them"
-                overlaps.append(Overlap(k, solid.name, text))
-    return overlaps
+            text = f"overlaps the body at the start by {1e3 * depth:.3g} mm; move it"
+            found.append(Overlap(k, solid.name, f"{text} or start elsewhere"))
+    # Only objects are compared with other solids.
+    shapes = [_shape(solid) for solid in all_solids if world.objects]
+    fixed = len(all_solids) - len(world.objects)
+    for k, solid in enumerate(all_solids[fixed:], fixed):
+        hits = shapely.intersects(shapes[k].buffer(-allowed), shapes[:k])
+        for j in np.flatnonzero(hits):
+            text = f"overlaps {all_solids[j].name} at the start; move one of them"
+            found.append(Overlap(k, solid.name, text))
+    return found
 
 
-def _placed_core(solid: Solid) -> shapely.Geometry:
-    import shapely
+def _shape(solid: Solid) -> shapely.Geometry:
+    from shapely import affinity
 
     x, y, heading = solid.pose
-    cos = np.cos(heading)
-    sin = np.sin(heading)
-    turn = np.array([[cos, sin], [-sin, cos]])
-    return shapely.transform(solid.core, lambda points: points @ turn + [x, y])
+    shape = solid.core.buffer(solid.radius, quad_segs=64)
+    return affinity.translate(affinity.rotate(shape, heading, "center", True), x, y)
 
 
 def check_start(plant: Plant, state: SnakeState, allowed: float = TOUCHING_M) -> None:
-    """Check that the body overlaps no obstacle or object at the start of a run.
+    """Check that the pose is finite and that no solids overlap at the start of a run.
 
     Overlaps of at most `allowed` (m) are accepted.
 
     Raises:
-        InputError: the body overlaps an obstacle or object by more than `allowed`.
+        InputError: the pose is not finite, or the body, obstacles and objects overlap
+            by more than `allowed`.
     """
+    if not np.isfinite(state.com.sum() + state.heading):
+        raise InputError("the pose at the start is not allowed; it must be finite")
     if plant.world is not None and plant.world.is_solid:
         lines = _collision_geom(plant, SnakeState.history([state]))
         half_width = plant.spec.geometry.width / 2

@@ -456,21 +456,22 @@ def _world(file: ScenarioFile) -> Iterator[Contradiction]:
 
 
 def _faults(file: ScenarioFile) -> Iterator[Contradiction]:
-    valves: dict[tuple[int, str], tuple[int, StuckValveFile]] = {}
     for k, fault in enumerate(file.faults):
-        if not isinstance(fault, StuckValveFile):
-            continue
-        valve = (fault.segment, fault.chamber)
-        j, earlier = valves.get(valve, (k, fault))
-        # At its start, a fault replaces the faults before it in the list.
-        if fault.stuck != earlier.stuck and fault.from_s <= earlier.from_s:
-            text = (
-                f"this valve is already stuck {earlier.stuck} from"
-                f" {earlier.from_s:g} s (faults[{j}]); remove one of the faults, or"
-                " let this one begin later"
-            )
-            yield Contradiction(("faults", k), text)
-        valves[valve] = (k, fault)
+        for earlier in file.faults[:k]:
+            # At its start, a fault replaces the faults before it in the list.
+            if (
+                isinstance(earlier, StuckValveFile)
+                and isinstance(fault, StuckValveFile)
+                and fault.segment == earlier.segment
+                and fault.chamber == earlier.chamber
+                and fault.stuck != earlier.stuck
+                and fault.from_s <= earlier.from_s
+            ):
+                text = (
+                    f"this valve is already stuck {earlier.stuck} from"
+                    f" {earlier.from_s:g} s; remove a fault, or let this one begin later"
+                )
+                yield Contradiction(("faults", k), text)
 
 
 def _expectations(file: ScenarioFile) -> Iterator[Contradiction]:

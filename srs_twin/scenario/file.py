@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Container
 from functools import cache, reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
 from pydantic import (
-    AfterValidator,
     Field,
     WithJsonSchema,
     create_model,
@@ -258,29 +256,19 @@ else:
     ]
 
 
-_FOLDER_NAME = re.compile(r"^[^./\x00-\x1f][^/\x00-\x1f]*$")
-
-
-def _folder_name(name: str) -> str:
-    if not _FOLDER_NAME.search(name):
-        raise ValueError(
-            "must be a name without slashes and control characters that does not begin"
-            f" with a dot, not text {name!r}"
-        )
-    return name
+_FOLDER_NAME = Field(
+    pattern=r"^[^./\x00-\x1f][^/\x00-\x1f]*$",
+    json_schema_extra={
+        "$comment": " that contains no slash or control character and does not begin"
+        " with a dot"
+    },
+)
 
 
 class ScenarioFile(Section):
     """Scenario file without the sections that `with_extensions` adds."""
 
-    name: (
-        Annotated[
-            Line,
-            AfterValidator(_folder_name),
-            Field(json_schema_extra={"pattern": _FOLDER_NAME.pattern}),
-        ]
-        | None
-    ) = None
+    name: Annotated[Line, _FOLDER_NAME] | None = None
     """Name of the output folder (default: file name)."""
     title: Line | None = None
     """One-line title (default: the name)."""

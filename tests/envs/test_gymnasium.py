@@ -341,7 +341,7 @@ def test_the_reward_is_the_weighted_sum_of_its_terms():
         InputError, match="unknown reward term 'time'; did you mean time_s"
     ):
         SnakeEnv("GoTo", rewards={"time": -1.0})
-    with pytest.raises(InputError, match="`time_s` nan is not allowed"):
+    with pytest.raises(InputError, match="nan} is not allowed; use finite"):
         SnakeEnv("GoTo", rewards={"time_s": np.nan})
 
 

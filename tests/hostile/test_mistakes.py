@@ -299,7 +299,11 @@ POSITIONS = [
         "start: {velocity_m_s: [1.0e+6, 0]}",
         "6:24: start.velocity_m_s[0]: must be a number from -10 to 10, not 1000000",
     ),
-    ("world: {}", "name: ../evil", "6:7: name: must be a name without slashes and"),
+    (
+        "world: {}",
+        "name: ../evil",
+        "6:7: name: must be text of 1 to 200 characters that contains no slash",
+    ),
     (
         "world: {}",
         "seed: 1.0",

@@ -116,7 +116,7 @@ each_command = pytest.mark.parametrize(
 
 TOO_LONG = "File name too long"
 FOLDER = "a folder has the name of an output file"
-FAR = "far.yaml: start (0, 0): the footprint of the straight body leaves the bounds"
+FAR = "far.yaml: start (0, 0): the footprint of the straight body touches the bounds"
 BYTES = "this name cannot be used (it is not valid UTF-8); rename it"
 CONTROL = "this name cannot be used (it contains a control character); rename it"
 REJECTED = [

@@ -314,17 +314,6 @@ def test_an_interrupted_fit_leaves_no_files(tmp_path, monkeypatch, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["pulls.csv"]
 
 
-def test_a_command_interrupted_during_an_import_says_what_was_written(capsys):
-    """Modules in C raise ImportError ("initialization failed") if they are interrupted while loading."""
-    with pytest.raises(SystemExit) as end, interruptible("nothing was written"):
-        try:
-            raise KeyboardInterrupt
-        except KeyboardInterrupt as error:
-            raise ImportError("initialization failed") from error
-    assert end.value.code == 130
-    assert capsys.readouterr().err == "interrupted; nothing was written\n"
-
-
 def lose_interrupt():
     try:
         os.kill(os.getpid(), signal.SIGINT)

@@ -153,7 +153,7 @@ def test_bounds_are_no_obstacles_to_lean_on():
     inside = plan(problem, LEANING)
     assert inside.found and deepest(inside, problem) <= TOUCH
     tight = replace(problem, world=World(bounds=Bounds((-1.0, 3.0), (-0.045, 0.045))))
-    with pytest.raises(InputError, match="leaves the bounds"):
+    with pytest.raises(InputError, match="touches the bounds"):
         plan(tight, LEANING)
 
 

@@ -464,14 +464,14 @@ def _space_filling_points(
     engine = qmc.Sobol if sampling.kind == "sobol" else qmc.LatinHypercube
     unit = engine(d=len(vary), rng=sampling.seed or 0).random(sampling.count)
     columns = [
-        _values_at(values, fractions, integers=name in integer_fields)
+        _values_at(values, fractions, name in integer_fields)
         for (name, values), fractions in zip(vary.items(), unit.T, strict=True)
     ]
     return list(zip(*columns, strict=True))
 
 
 def _values_at(
-    values: Sequence[Value] | RangeFile, fractions: np.ndarray, *, integers: bool
+    values: Sequence[Value] | RangeFile, fractions: np.ndarray, integers: bool
 ) -> list[Value]:
     if not isinstance(values, RangeFile):
         return [values[int(fraction * len(values))] for fraction in fractions]
