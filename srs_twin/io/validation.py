@@ -164,14 +164,11 @@ def validate(
         if _adopt_current_names(error, schema, data):
             return validate(model, document, data, prefix=prefix)
         elsewhere = getattr(model, "elsewhere", {})
-        items = error.errors(include_url=False)
+        items = [
+            item for item in error.errors(include_url=False) if not _miscounts(item)
+        ]
         inside = {_existing_path(item["loc"], data)[:-1] for item in items}
         for item in items:
-            if (
-                item["type"] in _COUNT_LIMITS
-                and len(item["input"]) != item["ctx"]["actual_length"]
-            ):
-                continue  # pydantic counted only the valid entries
             # The path of an error does not exist in the data if a key is missing or a
             # default value contradicts the given keys.
             loc = _existing_path(item["loc"], data)
@@ -331,6 +328,14 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
         if any(_accepts(option, int(value)) for option in flat):
             close = f"; write it as a whole number, such as {int(value)}"
     return f"must be {words}, not {described}{close}"
+
+
+def _miscounts(item: ErrorDetails) -> bool:
+    # Pydantic counts only the valid entries of a list.
+    return (
+        item["type"] in _COUNT_LIMITS
+        and len(item["input"]) != item["ctx"]["actual_length"]
+    )
 
 
 def _describe_wrong_count(item: ErrorDetails, options: Iterable[Schema]) -> str:
