@@ -158,16 +158,17 @@ def read_decay(
     chosen = [by_name[name] for name in ("bend", *measured)]
     rows = table.read_timed(clock, chosen)
     check_values(table, chosen, rows.values)
-    with named_in_errors(file.name):
-        order, moved = distinct_rows(rows.time, rows.values)
-    order = order[np.isfinite(rows.values[order]).all(axis=1)]
-    time = rows.time[order]
-    values = rows.values[order]
-    if len(time) < _MIN_SAMPLES:
+    known = np.isfinite(rows.values).all(axis=1)
+    if (count := known.sum()) < _MIN_SAMPLES:
         raise file.error(
-            f"the recording has {len(time)} samples, but at least {_MIN_SAMPLES} are"
-            " needed"
+            f"the recording has {count} samples, but at least {_MIN_SAMPLES} are needed"
         )
+    time = rows.time[known]
+    values = rows.values[known]
+    with named_in_errors(file.name):
+        order, moved = distinct_rows(time, values)
+    time = time[order]
+    values = values[order]
     rate = 1 / float(np.median(np.diff(time)))
     if rate < _MIN_RATE_HZ * (1 - 1e-3):
         raise file.error(
