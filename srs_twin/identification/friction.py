@@ -109,8 +109,8 @@ class Pulls:
         mass: mass m of the pulled robot, kg.
         stiffness_error: standard error of k, N/m.
         mass_error: standard error of m, kg.
-        resolution: smallest difference between two readings along and across the body,
-            m.
+        resolution: decimal step of the readings along and across the body, m, or 0 if
+            it is unknown.
         sha256: SHA-256 of the file, or an empty string if the data are not from a file.
     """
 
@@ -218,7 +218,10 @@ def _parameter(
         why = f"there are no pulls {_DIRECTIONS[k]} the body"
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     if error >= UNIDENTIFIABLE_ERROR * mean:
-        why = f"the pulls {_DIRECTIONS[k]} the body scatter by as much as their mean"
+        why = (
+            f"the standard error of the pulls {_DIRECTIONS[k]} the body is as large as"
+            " their mean"
+        )
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     # The Welch-Satterthwaite formula gives the degrees of freedom. The standard errors
     # of k and m are treated as exact, so they have infinitely many degrees of freedom.
@@ -269,10 +272,12 @@ def read_pull_table(path: StrPath) -> Pulls:
     """Read a table of pulls from a CSV file."""
     known: dict[str, dict[str, float]] = dict.fromkeys(_DIRECTIONS, LENGTHS)
     table = read_table(read_file(path), known | {name: {} for name in _CONSTANTS})
-    table.check_unused(_CONSTANTS)
     file = table.file
     needed = f"a table of pulls has the columns {PULL_COLUMNS}"
     columns = {column.name: column for column in table.columns}
+    names = {f"{name}_mm": name for name in _DIRECTIONS}
+    names |= {name: name for name in _CONSTANTS}
+    table.check_misspelt([text for text in names if names[text] not in columns])
     for column in table.columns:
         if column.number:
             problem = f"the column '{column.text}' must not be numbered; {needed}"

@@ -8,14 +8,15 @@ name is assumed to be in SI units.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from difflib import get_close_matches
 from typing import NamedTuple
 
 import numpy as np
 
-from srs_twin.errors import InputError, UnknownNameError, did_you_mean, named_in_errors
+from srs_twin.errors import InputError, UnknownNameError, named_in_errors
 from srs_twin.io.files import StrPath
 from srs_twin.recordings.recorded_file import (
     AS_FOUND,
@@ -39,6 +40,8 @@ CLOCK = {"time": TIMES}
 """Base name of the time column and its accepted units."""
 
 _LISTED = 5
+_MISSPELT_RATIO = 0.85
+"""Minimum similarity of a misspelt name to the correct name, from 0 to 1."""
 _NAME = re.compile(
     r"([A-Za-z][A-Za-z_]*?)(?:_(\d{1,3}))?(?:[_ ]+([^\W\d_]+(?:/\w+)?|%))?"
 )
@@ -133,16 +136,18 @@ class CsvTable:
         if wrong.any():
             row = int(wrong.argmax())
             value, low, high = np.array([values[row], *limits]) / column.factor
-            allowed = rule.format(f"between {low:g} and {high:g} {column.unit}".strip())
+            unit = column.unit or "in SI units"
+            allowed = rule.format(f"between {low:g} and {high:g} {unit}")
             problem = f"{column.text}: {value:g} is not allowed; {allowed}"
             raise self.error(column, problem, row)
 
-    def check_unused(self, known: Iterable[str]) -> None:
-        """Raise an error if an unused column has nearly the name of a known column."""
+    def check_misspelt(self, absent: Sequence[str]) -> None:
+        """Raise an error if an unused column has nearly the name of an absent column."""
         for name in self.unused:
-            if close := did_you_mean(name, known):
+            if close := get_close_matches(name, absent, 1, _MISSPELT_RATIO):
                 line = self.file.header_lines or 1
-                raise self.file.error(f"unknown column '{name}'{close}", line)
+                problem = f"unknown column '{name}'; did you mean {close[0]}?"
+                raise self.file.error(problem, line)
 
     def decimal_step(self, column: CsvColumn, values: np.ndarray) -> float:
         """Return the smallest decimal step of the numbers in a column, in SI units.

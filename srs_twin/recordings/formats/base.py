@@ -300,7 +300,7 @@ def marker_table(
     points[incomplete | far] = np.nan
     for samples, reason in (
         (unseen, "are exactly 0, 0, 0"),
-        (incomplete, "lack a coordinate"),
+        (incomplete, "lack a finite coordinate"),
         (far, f"are over {MAX_DISTANCE:g} m away"),
     ):
         if samples.any():

@@ -154,7 +154,9 @@ def check_values(
         rule = "a gauge pressure must be {}"
         if column.name.startswith("bend"):
             limits = (-_MAX_BEND, _MAX_BEND)
-            rule = "a bend must be {} (in rad, unless the column name ends with _deg)"
+            rule = "a bend must be {}"
+            if not column.unit:
+                rule += "; for degrees, add the unit to the name, as in bend_deg"
         table.check_range(column, each, limits, rule)
 
 
