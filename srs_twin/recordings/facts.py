@@ -231,16 +231,16 @@ def proposed_map(facts: Sequence[RecordingFacts]) -> str:
         lines.append(
             "# log:  # assign valve_plus_1, pressure_kpa_plus_1, … of each segment"
         )
-    bends = 0
+    bends = sum(key.startswith("bend") for key in keys)
     for key, signal in zip(keys, logged, strict=True):
-        known = key
+        proposed = key
         if not log_meaning(key):
-            known = "# valve_plus_1"
+            proposed = "# valve_plus_1"
             if signal.looks_like.startswith("angle"):
                 bends += 1
-                known = f"# bend_{bends}"
+                proposed = f"# bend_{bends}"
         comment = f"{signal.looks_like}, {signal.low or 0:g} to {signal.high or 0:g}"
-        lines.append(f"  {known}: {json.dumps(signal.name)}  # {comment}")
+        lines.append(f"  {proposed}: {json.dumps(signal.name)}  # {comment}")
     return "\n".join(lines) + "\n"
 
 

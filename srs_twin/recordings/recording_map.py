@@ -200,9 +200,10 @@ def _log_problems(key: str, value: str | float | LogColumn) -> Iterator[str]:
             yield "the value must be a number"
         return
     if meaning is None:
-        number = re.sub(r"\D", "", key)
-        names = [re.sub(r"\d", number, name) for name in re.split(", | or ", _LOG_KEYS)]
-        close = did_you_mean(key, [*names, f"valve_minus_{number}"])
+        number = re.sub(r"\D", "", key)[:3] or "1"
+        keys = _LOG_KEYS.replace(" or", ",").replace("1", number)
+        names = f"{keys}, {keys.replace('plus', 'minus')}".split(", ")
+        close = did_you_mean(key, dict.fromkeys(names))
         yield f"unknown key{close or f'; the section `log` has the keys {_LOG_KEYS}'}"
         return
     if isinstance(value, float):

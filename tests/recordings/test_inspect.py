@@ -173,7 +173,7 @@ def test_quantities_are_known_by_names_and_units(tmp_path):
     assert [signal.name for signal in facts.signals] == list(known)
     for signal, (_, said) in zip(facts.signals, known.values(), strict=True):
         assert signal.looks_like.startswith(said), signal.name
-    assert '# bend_2: "theta2 (deg)"' in proposed_map([facts])
+    assert '# bend_3: "theta2 (deg)"' in proposed_map([facts])
     battery = facts.signals[10]
     assert (battery.low, battery.high, battery.distinct) == (7.2, 8.1, 2)
 
