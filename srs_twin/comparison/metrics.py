@@ -452,8 +452,6 @@ def _summary(metrics: RunMetrics) -> str:
     plants = metrics["plants"]
     model = plants.get("analytical")
     twin = plants.get("twin")
-    if (twin or model or {}).get("final_bend_rad") is not None:
-        return ""  # a robot that is clamped on a bench does not crawl
     if model and twin:
         return _summary_of_both(metrics, model, twin)
     name = "twin" if twin else "model"
@@ -461,6 +459,9 @@ def _summary(metrics: RunMetrics) -> str:
 
 
 def _summary_of_one(plant: PlantMetrics) -> str:
+    final = plant.get("final_bend_rad")
+    if final is not None:
+        return f"ends with a bend of {final:.3g} rad in its first segment"
     travel = plant.get("travel_speed_m_s")
     if travel is not None:
         return f"travels at {travel:.3g} m/s, {_direction(plant)} of its heading"
@@ -502,7 +503,7 @@ def _summary_of_both(
             f"The twin travels {text}, {_direction(twin)}; the model"
             f" {_direction(model)}."
         )
-    if not both_have("com_speed_m_s"):
+    if both_have("final_bend_rad") or not both_have("com_speed_m_s"):
         bend_rms = (metrics.get("comparison") or {}).get("bend_rms_rad") or 0.0
         return f"The bends of twin and model differ by {bend_rms:.2g} rad RMS."
     text = f"he twin crawls {_crawling(metrics, metrics)}.{_over_segments(metrics)}"

@@ -55,7 +55,7 @@ _ABSENT = {
     **dict.fromkeys(SPATIAL_UNITS, "the robot bends in one plane"),
     **dict.fromkeys(OBJECT_UNITS, "the world has no movable objects"),
     **dict.fromkeys(CONTACT_UNITS, "the world has no obstacles"),
-    "final_bend_rad": "only a run on a bench or with a reference has this metric",
+    "final_bend_rad": "only a run on a bench without a reference has this metric",
 }
 """Reasons why some metrics are undefined for a robot or world, keyed by metric."""
 

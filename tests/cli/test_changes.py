@@ -351,7 +351,8 @@ def test_headline_tells_of_objects_and_of_a_body_that_passes_through_itself():
     assert (
         said == "The twin crawls at 0.1 m/s, straight on; it moves an object by 0.42 m."
     )
-    assert not headline({"plants": {"twin": twin | {"final_bend_rad": 0.1}}})
+    said = headline({"plants": {"twin": twin | {"final_bend_rad": 0.1}}})
+    assert said == "The twin ends with a bend of 0.1 rad in its first segment."
     said = headline({"plants": {"twin": twin}, "body_overlap_m": {"twin": 0.0384}})
     assert "overlap by up to 38 mm (twin)" in said
 

@@ -90,7 +90,7 @@ def ran(document: dict[str, Any], **changes: Any) -> tuple[dict[str, Any], Traje
             {},
             {
                 "settling_5_s": "the run follows no reference",
-                "final_bend_rad": "only a run on a bench or with a reference has",
+                "final_bend_rad": "only a run on a bench without a reference",
                 "periods_to_converge": "the run has no iterative learning",
                 "reading_r_squared": "the run has no sensor, or an ideal sensor",
                 "goal_reached": "no plan",
