@@ -87,7 +87,8 @@ _received: list[int] = []
 def _interrupt(number: int, frame: FrameType | None) -> None:
     if number != signal.SIGALRM:
         _received.append(number)
-        signal.setitimer(signal.ITIMER_REAL, _REPEAT_S, _REPEAT_S)
+        if signal.getsignal(signal.SIGALRM) == _interrupt:
+            signal.setitimer(signal.ITIMER_REAL, _REPEAT_S, _REPEAT_S)
     elif sys.exception() is not None:
         return  # the interrupt may be in progress, and clean-up must not be interrupted
     signal.default_int_handler(number, frame)
@@ -98,13 +99,13 @@ def keep_interrupts(*signals: signal.Signals) -> Iterator[None]:
     """Raise KeyboardInterrupt if a `with` block receives one of the signals.
 
     Libraries may catch this exception or replace it by a different one, for example
-    while their modules are imported. It is then raised again.
+    while their modules are imported. The interrupt is therefore repeated every 0.5 s
+    while no exception is handled, and raised at the end of the block. Signals that the
+    parent process ignores or that have other handlers are not changed.
     """
-    # CI pipelines cancel jobs with SIGTERM. A signal ignored by the parent process
-    # remains ignored.
     before = {
         number: signal.getsignal(number)
-        for number in (*signals, signal.SIGALRM)
+        for number in (signal.SIGALRM, *signals)
         if threading.current_thread() is threading.main_thread()
         and signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL)
     }
@@ -120,10 +121,10 @@ def keep_interrupts(*signals: signal.Signals) -> Iterator[None]:
         show_traceback(error)
         raise KeyboardInterrupt from error
     finally:
-        if before:
+        if before and _received:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             _received.clear()
-        for number, handler in before.items():
+        for number, handler in reversed(before.items()):
             signal.signal(number, handler)
 
 
@@ -131,6 +132,7 @@ def keep_interrupts(*signals: signal.Signals) -> Iterator[None]:
 def interruptible(message: Callable[[], str] | str = "") -> Iterator[None]:
     """On Ctrl-C or SIGTERM, print a message and exit with code `INTERRUPTED`."""
     try:
+        # CI pipelines cancel jobs with SIGTERM.
         with keep_interrupts(signal.SIGINT, signal.SIGTERM):
             yield
     except KeyboardInterrupt as error:
