@@ -475,10 +475,14 @@ def _values_at(
 ) -> list[Value]:
     if not isinstance(values, RangeFile):
         return [values[int(fraction * len(values))] for fraction in fractions]
-    numbers = value_at(fractions, values.start, values.stop, values.scale)
-    if integers:
-        return list(map(int, np.rint(numbers)))
-    return list(map(float, numbers))
+    if not integers:
+        numbers = value_at(fractions, values.start, values.stop, values.scale)
+        return list(map(float, numbers))
+    # All whole numbers in the range are equally likely.
+    low = math.ceil(values.start)
+    high = math.floor(values.stop)
+    numbers = np.rint(value_at(fractions, low - 0.5, high + 0.5, values.scale))
+    return list(map(int, np.clip(numbers, low, high)))
 
 
 Fraction = TypeVar("Fraction", float, np.ndarray)
