@@ -179,7 +179,8 @@ class Document:
                 )
                 self.problems.append((self.values[loc], text))
             if not isinstance(inner, dict | list):
-                inner = [] if isinstance(override.loc[k + 1], int) else {}
+                is_list = inner is None and isinstance(override.loc[k + 1], int)
+                inner = [] if is_list else {}
             data[key] = data = inner
         data[key] = override.value
         self._set_positions(override.loc, override.value, position)

@@ -172,7 +172,7 @@ def validate(
             # The path of an error does not exist in the data if a key is missing or a
             # default value contradicts the given keys.
             loc = _existing_path(item["loc"], data)
-            # A block with errors in its keys matches none of the other alternatives.
+            # A block with wrong keys was not meant as one of the literals.
             if loc in inside and item["type"] == "literal_error":
                 continue
             if item["type"] in _UNION_TAG_ERRORS:
@@ -332,10 +332,8 @@ def _message(item: ErrorDetails, schema: Schema, loc: Loc, data: object) -> str:
 
 def _miscounts(item: ErrorDetails) -> bool:
     # Pydantic counts only the valid entries of a list.
-    return (
-        item["type"] in _COUNT_LIMITS
-        and len(item["input"]) != item["ctx"]["actual_length"]
-    )
+    kind = item["type"]
+    return kind == "too_short" and len(item["input"]) >= item["ctx"]["min_length"]
 
 
 def _describe_wrong_count(item: ErrorDetails, options: Iterable[Schema]) -> str:

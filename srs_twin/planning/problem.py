@@ -155,7 +155,9 @@ def check_problem(problem: Problem) -> None:
     _check_world(problem.world)
     for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
         if hit := obstacle_at(problem.world, x, y):
-            raise InputError(f"{name} ({x:g}, {y:g}) conflicts with {hit}; move it")
+            raise InputError(
+                f"{name} ({x:g}, {y:g}) is not free because of {hit}; move it"
+            )
     if hit := Checker(problem.world, problem.footprint).first_collision(start):
         raise InputError(
             f"start ({start.x:g}, {start.y:g}): the footprint of the straight body"

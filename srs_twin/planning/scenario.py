@@ -246,10 +246,11 @@ class BestFirstFile(PlannerSection):
             return
         for name, x, y in (("world.goal", goal.x, goal.y), ("start", start.x, start.y)):
             if hit := obstacle_at(loading.world, x, y):
-                keys = [parse_path(f"{name}.{axis}_m") for axis in "xy"]
-                # The positions of overrides are negative. Missing keys come last.
-                key = min(keys, key=lambda key: document.values.get(key, (1e9, 0)))
-                document.report(key, f"({x:g}, {y:g}) conflicts with {hit}; move it")
+                axes = [parse_path(f"{name}.{axis}_m") for axis in "xy"]
+                # The positions of overrides are negative, so these come first.
+                loc = min(axes, key=lambda axis: document.values.get(axis, (1e9, 0)))
+                problem = f"({x:g}, {y:g}) is not free because of {hit}; move it"
+                document.report(loc, problem)
 
     def _planner(self, footprint: FootprintFile, loading: Loading) -> ScenarioPlanner:
         planner = super()._planner(footprint, loading)

@@ -468,8 +468,8 @@ def _faults(file: ScenarioFile) -> Iterator[Contradiction]:
                 and fault.from_s <= earlier.from_s
             ):
                 text = (
-                    f"this valve is already stuck {earlier.stuck} from"
-                    f" {earlier.from_s:g} s; remove a fault, or let this one begin later"
+                    f"this fault hides an earlier entry (stuck {earlier.stuck} from"
+                    f" {earlier.from_s:g} s); remove one, or sort them by `from_s`"
                 )
                 yield Contradiction(("faults", k), text)
 

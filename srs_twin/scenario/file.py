@@ -8,12 +8,7 @@ from functools import cache, reduce
 from operator import or_
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self, get_args
 
-from pydantic import (
-    Field,
-    WithJsonSchema,
-    create_model,
-    model_validator,
-)
+from pydantic import Field, WithJsonSchema, create_model, model_validator
 
 from srs_twin.extensions import CONTROLLERS, SECTIONS, installed, load, objects
 from srs_twin.plants.base import TICK_S

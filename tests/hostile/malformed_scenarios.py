@@ -234,7 +234,7 @@ LEARNING_MALFORMED = edited(
             "\n- {kind: stuck_valve, segment: 1, chamber: plus, stuck: open}"
             "\n- {kind: stuck_valve, segment: 1, chamber: plus, stuck: closed, from_s: 1}"
             "\n- {kind: stuck_valve, segment: 1, chamber: plus, stuck: open}",
-            ":7:3: faults[2]: this valve is already stuck closed from 1 s; remove a fault",
+            ":7:3: faults[2]: this fault hides an earlier entry (stuck closed from 1 s)",
         ),
     ],
 )
@@ -245,7 +245,7 @@ FOLLOWING_MALFORMED = edited(
         (
             "x_m: 1.0, y_m: 0.2",
             "x_m: 0.59, y_m: 0.52",
-            ":6:15: world.goal.x_m: (0.59, 0.52) conflicts with polygon 1 (3 corners",
+            ":6:15: world.goal.x_m: (0.59, 0.52) is not free because of polygon 1 (3 corners",
         ),
         (
             "footprint: gen2_section52",

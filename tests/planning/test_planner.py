@@ -299,15 +299,15 @@ def test_spent_budget_asks_for_more_nodes():
     [
         (
             {"start": Pose(5, 0, 0)},
-            r"start \(5, 0\) conflicts with the bounds \(x -1 to 3 m",
+            r"start \(5, 0\) is not free because of the bounds \(x -1 to 3 m",
         ),
         (
             {"world": World((Circle(9, 9, 1), Circle(0, 0.1, 0.2)))},
-            r"start \(0, 0\) conflicts with obstacle 2 \(radius 0.2",
+            r"start \(0, 0\) is not free because of obstacle 2 \(radius 0.2",
         ),
         (
             {"world": World(polygons=(Polygon(((1, -1), (2, -1), (1.5, 1))),))},
-            r"goal .* conflicts with polygon 1 \(3 corners",
+            r"goal .* is not free because of polygon 1 \(3 corners",
         ),
         (
             {"world": World((Circle(0, 0.22, 0.2),))},
