@@ -387,7 +387,7 @@ class PlantVariants:
     def matched(self) -> Plant:
         """Build an analytical model with the friction, inertia and gaps of the twin."""
         on = {"friction law", "wheel track", "rigid gaps", "connector inertia"}
-        # Prescribed bends cannot touch obstacles.
+        # The bends of this model are prescribed, so it cannot have contacts.
         return self.analytical(
             frozenset(on), model="complete", friction_torque=True, contact=False
         )

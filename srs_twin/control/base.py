@@ -63,7 +63,7 @@ class Controller(Claimable, Stateful, ABC):
 
         The result is an int8 array of shape (segments, chambers per segment). An
         optional leading axis divides the tick into time slots of equal length. The
-        arrays of the state are recorded as well, so `step` must not change them.
+        arrays in `state` are also the recorded ones, so `step` must not change them.
         """
 
     def save(self) -> SavedState:

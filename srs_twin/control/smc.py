@@ -110,7 +110,7 @@ class VelocityFilter(Stateful):
         self._cos = decay * np.cos(angle)
         self._sin = decay * np.sin(angle)
         self._last: np.ndarray | None = None
-        # A saved state is restored into arrays of the same number of dimensions.
+        # Restored arrays must have the same number of dimensions as saved ones.
         self.value: np.ndarray = np.zeros(np.atleast_1d(cutoff).shape)
         self.rate: np.ndarray = np.zeros(np.atleast_1d(cutoff).shape)
 

@@ -286,8 +286,9 @@ class Plant(Claimable, Stateful, ABC):
     def restore(self, state: PlantState) -> SnakeState:
         """Continue from a saved state.
 
-        The results of `step` are bit-identical to those of the original run. Scripts
-        that `play` splits at other times agree up to the rounding of switching times.
+        The results of `step` are bit-identical to those of the original run. Those of
+        `play` may differ in the last digits, because it rounds the switching times in
+        each chunk.
 
         Raises:
             InputError: the saved state belongs to another plant or robot.

@@ -147,7 +147,7 @@ class Overlap(NamedTuple):
 
     Attributes:
         number: index of the obstacle or object in the result of `solids`.
-        text: text that follows the name of the obstacle or object in a message.
+        text: problem and remedy, which follow the name in a message.
     """
 
     number: int
@@ -158,7 +158,7 @@ class Overlap(NamedTuple):
 def start_overlaps(
     world: World, lines: np.ndarray, half_width: float, *, allowed: float = TOUCHING_M
 ) -> list[Overlap]:
-    """Return the overlaps of a body and of objects, those of the body first.
+    """Return overlaps of solids with a body, then those of objects with other solids.
 
     Args:
         world: obstacles, and objects at their initial poses.
