@@ -415,7 +415,7 @@ def headline(metrics: RunMetrics) -> str:
         sentences.append(
             _OVERLAP.format(1e3 * max(overlaps.values()), " and ".join(overlaps))
         )
-    return " ".join(filter(None, sentences))
+    return " ".join(sentences)
 
 
 def _contacts(metrics: RunMetrics) -> Iterator[str]:

@@ -25,8 +25,8 @@ _MAX_RUN_CHANGES = 3.5
 
 In chronological order, a late block causes three switches: at its first row, after its
 last row, and after the rows that overtook the block. Independent noise of the time
-stamps caused up to 3.2 switches per backward step in 60,000 simulated recordings. Late blocks
-that overlap caused more than 3.5 in up to 2 % of the simulated recordings.
+stamps caused up to 3.2 switches per backward step in 60,000 simulated recordings. Late
+blocks that overlap caused more than 3.5 in up to 2 % of the simulated recordings.
 """
 _MAX_BACKWARD = 0.05
 """Maximum fraction of backward steps in a file whose rows are not in random order."""

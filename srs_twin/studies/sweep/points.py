@@ -478,7 +478,7 @@ def _values_at(
     if not integers:
         numbers = value_at(fractions, values.start, values.stop, values.scale)
         return list(map(float, numbers))
-    # All whole numbers in the range are equally likely.
+    # With a linear scale, all whole numbers in the range are equally likely.
     low = math.ceil(values.start)
     high = math.floor(values.stop)
     numbers = np.rint(value_at(fractions, low - 0.5, high + 0.5, values.scale))
