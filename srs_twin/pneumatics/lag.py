@@ -278,8 +278,9 @@ class LagPneumatics(LagChambers):
 
     def set_state(self, pressure: np.ndarray, bend: np.ndarray) -> None:
         """Set the pressures (Pa) and the free bends (rad)."""
+        pressure = check_pressure(pressure, self._max_supply)
         self._linear = invert_bend_law(bend - self.rest_bend, self._bend_law)
-        self.pressure = check_pressure(pressure, self._max_supply)
+        self.pressure = pressure
         self.bend = np.array(bend, dtype=float)
 
     def set_supply_pressure(self, supply_pa: float) -> None:

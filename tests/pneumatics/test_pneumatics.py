@@ -19,6 +19,7 @@ pytestmark = pytest.mark.fast
 
 SUPPLY = 50e3
 GAIN = 3e-5
+HELD = np.zeros((1, 2, 2), np.int8)
 
 
 def actuated(
@@ -300,6 +301,22 @@ def test_diverged_chambers_name_value_and_time(attribute, name):
         match=f"^pneumatics 'lag' diverged at t = 0.3 s: the {name} is inf, a value",
     ):
         pneumatics.advance(vent, np.zeros(0))
+
+
+@pytest.mark.parametrize("kind", ["lag", "orifice"])
+def test_a_refused_state_changes_nothing(kind):
+    traces = []
+    for refused in (False, True):
+        spec = actuated(2)
+        chambers = make_pneumatics(kind, spec, supply_pa=SUPPLY, layout="in_out")
+        chambers.set_state(np.full((2, 2), 20e3), np.array([0.2, -0.1]))
+        if refused:
+            with pytest.raises(InputError, match="chamber pressure"):
+                chambers.set_state(np.full((2, 2), 9e9), np.array([0.4, 0.3]))
+        times = np.linspace(0.0, 0.1, 5)
+        traces.append(chambers.advance(chambers.schedule(HELD, 0.1), times))
+    assert np.array_equal(traces[1].bend, traces[0].bend)
+    assert np.array_equal(traces[1].pressure, traces[0].pressure)
 
 
 def test_schedule_merges_equal_slots_and_can_be_sliced_and_joined():
