@@ -463,26 +463,36 @@ def _space_filling_points(
     assert sampling.count is not None, "checked by the file's model"
     engine = qmc.Sobol if sampling.kind == "sobol" else qmc.LatinHypercube
     unit = engine(d=len(vary), rng=sampling.seed or 0).random(sampling.count)
-    columns = [
-        _values_at(values, fractions, name in integer_fields)
-        for (name, values), fractions in zip(vary.items(), unit.T, strict=True)
-    ]
+    columns = []
+    for (name, values), fractions in zip(vary.items(), unit.T, strict=True):
+        integers = name in integer_fields
+        columns.append(_values_at(name, values, fractions, integers=integers))
     return list(zip(*columns, strict=True))
 
 
 def _values_at(
-    values: Sequence[Value] | RangeFile, fractions: np.ndarray, integers: bool
+    name: str,
+    values: Sequence[Value] | RangeFile,
+    fractions: np.ndarray,
+    *,
+    integers: bool,
 ) -> list[Value]:
     if not isinstance(values, RangeFile):
         return [values[int(fraction * len(values))] for fraction in fractions]
     if not integers:
         numbers = value_at(fractions, values.start, values.stop, values.scale)
         return list(map(float, numbers))
-    # With a linear scale, all whole numbers in the range are equally likely.
     low = math.ceil(values.start)
     high = math.floor(values.stop)
-    numbers = np.rint(value_at(fractions, low - 0.5, high + 0.5, values.scale))
-    return list(map(int, np.clip(numbers, low, high)))
+    if low > high:
+        raise InputError(
+            f"{name}: there is no whole number between {values.start:g} and"
+            f" {values.stop:g}"
+        )
+    # Whole numbers are rounded down from a range that extends to `high` + 1. With a
+    # linear scale, they are equally likely.
+    numbers = value_at(fractions, low, high + 1, values.scale)
+    return [min(math.floor(number), high) for number in numbers]
 
 
 Fraction = TypeVar("Fraction", float, np.ndarray)

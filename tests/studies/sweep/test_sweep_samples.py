@@ -79,6 +79,24 @@ def test_samples_use_all_values_of_a_list_equally_often():
     }
 
 
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_whole_numbers_have_the_density_of_their_scale(scale):
+    box = {"a": spread(0.5, 4.5, scale=scale)}
+    hypercube = SamplingFile(kind="latin_hypercube", count=1000, seed=1)
+    drawn = [point[0] for point in sample(box, hypercube, ["a"])]
+    edges = np.arange(1, 6) if scale == "linear" else np.log(np.arange(1, 6))
+    shares = np.diff(edges) / (edges[-1] - edges[0])
+    counts = [drawn.count(k) for k in range(1, 5)]
+    # Each end of an interval may lie anywhere in one of the 1000 strata.
+    assert counts == pytest.approx(1000 * shares, abs=2)
+
+
+def test_a_range_needs_a_whole_number_if_the_field_does():
+    hypercube = SamplingFile(kind="latin_hypercube", count=3, seed=1)
+    with pytest.raises(InputError, match="a: there is no whole number between 1.2"):
+        sample({"a": spread(1.2, 1.4)}, hypercube, ["a"])
+
+
 def test_the_same_seed_gives_the_same_points():
     box = {"a": spread(0, 1), "b": spread(0, 1)}
     first, again, other = (
