@@ -101,17 +101,3 @@ def test_readme_lists_every_tool():
     text = (ROOT / "tools/README.md").read_text("utf-8")
     listed = re.findall(r"^\| `(\w+\.py)` \|", text, re.M)
     assert sorted(listed) == sorted(path.name for path in (ROOT / "tools").glob("*.py"))
-
-
-@pytest.mark.fast
-def test_no_test_imports_a_benchmark():
-    scripts = "|".join(
-        path.stem
-        for folder in ("benchmarks", "benchmarks/common", "tools")
-        for path in (ROOT / folder).glob("*.py")
-    )
-    for path in (ROOT / "tests").rglob("*.py"):
-        imports = re.findall(
-            rf"^\s*(?:from|import) (?:{scripts})\b", path.read_text("utf-8"), re.M
-        )
-        assert not imports, f"{path.name}: {imports}"

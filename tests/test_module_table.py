@@ -6,7 +6,6 @@ tests/scenario.
 
 from __future__ import annotations
 
-import copy
 import json
 
 import pytest
@@ -43,20 +42,7 @@ def test_the_figures_are_of_every_scenario_of_the_chapter():
     assert FIGURES["leak"]["draws"] >= 10
 
 
-def test_a_number_that_changes_changes_the_table():
-    changed = copy.deepcopy(FIGURES)
-    changed["scenarios"]["module_step_direct"]["twin"]["settling_5_s"] = 0.3
-    (cells,) = (
-        line.cells(changed)
-        for line in LINES
-        if "direct, 25° step: settled" in line.what
-    )
-    assert "**0.300 s**" in cells  # later than 0.25 s: not met
-    ours = FIGURES["scenarios"]["module_step_direct"]["analytical"]["settling_5_s"]
-    assert f"{0.3 / ours - 1:.1%}" in cells
-
-
-def test_benches_are_as_close_as_the_issue_asks():
+def test_benches_agree_within_ten_per_cent():
     worst = {}
     for line in LINES:
         cells = line.cells(FIGURES)

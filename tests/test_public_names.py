@@ -96,20 +96,6 @@ def test_function_of_a_script_runs_in_another_process_by_cloudpickle(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.default_cases(1)
-@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
-def test_function_of_a_script_runs_in_a_process_pool(method, tmp_path):
-    pool = f"""
-if __name__ == "__main__":
-    from multiprocessing import get_context
-
-    with get_context("{method}").Pool(1) as pool:
-        print(pool.map(speed, [1.0, 1.5]) == [speed(1.0), speed(1.5)])
-"""
-    assert run_script(tmp_path, SPEED + pool) == "True\n"
-
-
-@pytest.mark.slow
 def test_type_checkers_understand_a_users_script_and_a_new_controller(
     srs_twin, tmp_path, request
 ):

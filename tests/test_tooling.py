@@ -209,8 +209,3 @@ def test_release_script_is_valid_and_part_of_the_release_checklist():
         (ROOT / "CONTRIBUTING.md").read_text("utf-8").partition("## Releases")[2]
     )
     assert "`.ci/release`" in checklist and "`.ci/run`" in checklist
-    # A step that is defined but never called would go unnoticed.
-    text = script.read_text("utf-8")
-    for name in re.findall(r"^(\w+)\(\)", text, re.M):
-        if name not in ("step", "size"):
-            assert re.search(rf'step "?[\w ]+(\$python)?"? {name}\b', text), name

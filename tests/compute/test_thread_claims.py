@@ -155,24 +155,6 @@ def test_methods_claim_the_plant_while_they_run(use):
     elsewhere(lambda: plant.step(VALVES))
 
 
-def test_plant_that_overrides_methods_by_a_mixin_is_claimed():
-    class Waiting:
-        def step(self, valves):
-            pause()
-            return super().step(valves)
-
-    class Snake(Waiting, AnalyticalSnake):
-        pass
-
-    plant = Snake(SPEC)
-    pause = Pause()
-    with (
-        pause.during(lambda: plant.step(VALVES)),
-        pytest.raises(InputError, match=IN_USE),
-    ):
-        plant.step(VALVES)
-
-
 def test_observers_and_controllers_may_use_the_plant_of_their_own_rollout():
     class Reader(Gait):
         def step(self, state):

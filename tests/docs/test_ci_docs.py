@@ -294,20 +294,8 @@ def test_caches_of_the_container_are_private_to_its_user(before, container):
     assert (found == own) == (before in ("nothing", "private"))
 
 
-def test_the_container_starts_with_private_caches():
-    last = CONTAINERFILE.rpartition("FROM ")[2]
-    assert "COPY examples/ci/container.sh /opt/srs-twin/start/srs-twin\n" in last
-    assert "ENV PATH=/opt/srs-twin/start:/opt/srs-twin/bin:$PATH\n" in last
-    assert "CACHE_DIR" not in last
-    assert os.access(ROOT / "examples/ci/container.sh", os.X_OK)
-
-
 def test_containerfile_installs_the_remedies_of_doctor():
     remedies = PROBES["pictures of MuJoCo"].remedy + NO_VULKAN
     asked = re.findall(r"apt-get install((?: [\w-]+)+) \(Debian", remedies)
     (installed,) = re.findall(r"no-install-recommends \\\n +(.*) \\\n", CONTAINERFILE)
     assert set(" ".join(asked).split()) == set(installed.split())
-
-
-def test_readme_leads_here():
-    assert "(docs/ci.md)" in (ROOT / "README.md").read_text("utf-8")

@@ -459,27 +459,6 @@ def test_without_opengl_the_error_names_packages(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["egl", "osmesa"])
-def test_egl_and_osmesa_draw_equal_images(runs, name, tmp_path):
-    """Two implementations, one picture; whichever is chosen, a run looks alike."""
-    if opengl._test(name):
-        pytest.skip(f"{name} does not draw here")
-    code = (
-        "import sys, numpy as np\nfrom srs_twin.experiment import load_run\nfrom"
-        " srs_twin.viewing.mujoco.render import Size, write_image\nrun ="
-        " load_run(sys.argv[1])\nwrite_image(__import__('pathlib').Path('p.png'),"
-        " run.scenario, run.trajectories['twin'], 2.0, size=Size(160, 90))"
-    )
-    python("-c", code, runs / "gen2_straight", cwd=tmp_path, MUJOCO_GL=name)
-    run, stage = staged(runs / "gen2_straight")
-    row = stage.row_at(2.0)
-    with Canvas(stage.model, 160, 90) as canvas:
-        ours = stage.render(canvas, following(run).at(row), row).astype(int)
-    theirs = imread(tmp_path / "p.png")[..., :3] * 255
-    assert np.abs(ours - theirs).mean() < 3.0
-
-
-@pytest.mark.slow
 def test_unclosed_canvas_is_freed_silently_at_exit(opengl_here):
     program = (
         "import mujoco\n"
