@@ -40,6 +40,7 @@ from srs_twin.io.saved_state import SavedState
 from srs_twin.plants.base import (
     Plant,
     PlantState,
+    PneumaticPlant,
     Pose,
     SnakeState,
     SpatialState,
@@ -47,6 +48,7 @@ from srs_twin.plants.base import (
     check_plausible,
 )
 from srs_twin.plants.clearance import PENETRATION_M, TOUCHING_M, check_start, clearance
+from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event, Trajectory
@@ -58,6 +60,9 @@ if TYPE_CHECKING:
 Observer = Callable[[SnakeState], None]
 PlaceFunction = Callable[[Plant, int], SnakeState]
 """Function that takes a plant and a seed, sets the initial state and returns it."""
+
+_AIR_WORK_TOLERANCE = 0.01
+"""Tolerance of the work of the air, relative to the maximum work by the end."""
 
 Policy = Callable[[SnakeState], np.ndarray]
 """Function that maps the states of all twins in a batch to valve commands."""
@@ -149,7 +154,44 @@ def rollout(
                 recorder.add(error.history)
             error.trajectory = recorder.trajectory()
             raise
-        return recorder.trajectory()
+        trajectory = recorder.trajectory()
+        if isinstance(plant, PneumaticPlant):
+            _check_air_work(plant, trajectory)
+        return trajectory
+
+
+def _check_air_work(plant: PneumaticPlant, run: Trajectory) -> None:
+    """Raise an error if the air did more work than isothermal expansion can.
+
+    Stiff chambers whose moment follows the pressure with a delay can feed oscillations
+    (docs/pneumatics.md#damping-with-orifices).
+    """
+    if math.isinf(plant.pneumatics.coupling_step_s):
+        return
+    sides = ("plus", "minus")
+    pressure = np.stack([run.stack(f"pressure_{side}") for side in sides])
+    ratio = pressure.max() / AMBIENT_PA
+    if not ratio > 0:
+        return
+    chamber = plant.spec.chamber
+    size = chamber.dead_volume + chamber.displacement * np.abs(run.stack("bend")[0])
+    drawn = run["pneumatic_energy"] - run["pneumatic_energy"][0]
+    # Expansion to ambient pressure does the work p V (1 + P_a/p) ln(1 + p/P_a).
+    limit = (
+        (1 + 1 / ratio) * math.log1p(ratio) * (drawn + (pressure[:, 0] * size).sum())
+    )
+    work = run["work"] - run["work"][0]
+    is_excessive = work > limit + _AIR_WORK_TOLERANCE * limit[-1]
+    if is_excessive.any():
+        k = int(np.argmax(is_excessive))
+        error = DivergedError(
+            plant.name,
+            float(run.time[k]),
+            f"the air has done {work[k]:.3g} J of work, more than the {limit[k]:.3g} J"
+            " that it can do; the bends need more damping (docs/pneumatics.md)",
+        )
+        error.trajectory = run.between(run.time[0], run.time[max(k - 1, 0)])
+        raise error
 
 
 def _initial_state(

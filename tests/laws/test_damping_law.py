@@ -10,7 +10,14 @@ import pytest
 from free_bends import free_bends
 from snakes import robot
 
-from srs_twin import AnalyticalSnake, Gait, RobotSpec, TwinSnake, rollout
+from srs_twin import (
+    AnalyticalSnake,
+    DivergedError,
+    Gait,
+    RobotSpec,
+    TwinSnake,
+    rollout,
+)
 from srs_twin.pneumatics.orifice import OrificePneumatics
 
 SUPPLY = 48_300.0
@@ -85,3 +92,28 @@ def test_closed_chambers_are_passive(kind, time):
     rounding = 1e-20 * motion[0]
     assert (motion[1:] <= 1.001 * motion[:-1] + rounding).all()
     assert motion[-1] < 1e-2 * motion[0]
+
+
+@pytest.mark.parametrize("mode", [0.00214, 0.001])
+def test_a_delayed_moment_of_closed_chambers_feeds_oscillations(mode):
+    """The delay τ₂ is the cause: with a shorter one, the same damping suffices."""
+    spec = robot()
+    bending = replace(spec.bending, damping_time=0.0007)
+    actuator = replace(spec.actuator, tau_mode=mode)
+    spec = replace(spec, bending=bending, actuator=actuator)
+    plant = TwinSnake(
+        spec,
+        supply_pa=SUPPLY,
+        pneumatics="orifice",
+        hinges_per_segment=4,
+        timestep=5e-4,
+    )
+    if mode == 0.001:
+        run = rollout(plant, Gait(2.0, 0.4), 0.5)
+        assert run["work"][-1] < 0.5 * run["pneumatic_energy"][-1]
+        return
+    with pytest.raises(DivergedError, match="more than the .* J that it can") as caught:
+        rollout(plant, Gait(2.0, 0.4), 0.5)
+    before = caught.value.trajectory
+    assert before.time[-1] < caught.value.time
+    assert before["work"][-1] < 2 * before["pneumatic_energy"][-1]
