@@ -104,7 +104,7 @@ def rollout(
         until: function of the state that ends the run after the first tick at which it
             returns True.
         observers: functions called with the initial state and with the state after
-            every tick.
+            every tick. The arrays in the states are read-only.
         progress: function called at intervals with the time simulated so far, s.
 
     Returns:
@@ -270,6 +270,7 @@ def _step_ticks(
 ) -> None:
     plant = recorder.plant
     controller = recorder.controller
+    state.make_read_only()
     for observe in observers:
         observe(state)
     for k in range(1, ticks + 1):
@@ -279,6 +280,7 @@ def _step_ticks(
         for sample in states:
             check_plausible(plant.name, sample)
         state = states[-1]
+        state.make_read_only()
         recorder.ended_by = _end_of_run(controller, until, state)
         ends = recorder.ended_by is not None
         if k % recorder.stride == 0 or ends:

@@ -342,6 +342,17 @@ def test_observers_are_called_at_the_start_and_every_tick():
     assert second == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
+@pytest.mark.parametrize("time", [0.0, 0.02])
+def test_observers_and_controllers_cannot_change_the_recorded_state(build, time):
+    def shift(state: SnakeState) -> None:
+        if state.time == time:
+            state.measured_bend[:] = 9.0
+
+    with pytest.raises(ValueError, match="read-only"):
+        rollout(build(SPEC), Gait(2.0), 0.04, observers=[shift])
+
+
 @pytest.mark.parametrize("record_hz", [100, 10])
 def test_finished_controller_ends_the_run(record_hz):
     plant = Clock()

@@ -63,7 +63,8 @@ class Controller(Claimable, Stateful, ABC):
 
         The result is an int8 array of shape (segments, chambers per segment). An
         optional leading axis divides the tick into time slots of equal length. The
-        arrays in `state` are also the recorded ones, so `step` must not change them.
+        arrays in `state` are the recorded ones, so they are read-only in a rollout. To
+        modify an array, copy it.
         """
 
     def save(self) -> SavedState:

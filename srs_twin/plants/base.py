@@ -167,6 +167,12 @@ class SnakeState:
         """Return the state at index `k` of a history, or the history in a slice `k`."""
         return type(self)(*(getattr(self, name)[k] for name in self._names()))
 
+    def make_read_only(self) -> None:
+        """Let any later change of an array in this state raise a `ValueError`."""
+        for value in vars(self).values():
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
+
     @staticmethod
     def history(states: Sequence[SnakeState]) -> SnakeState:
         """Concatenate states and histories into one history."""
