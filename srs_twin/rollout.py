@@ -32,6 +32,7 @@ from srs_twin.errors import (
     SamplingGrid,
     count_steps,
     format_exact,
+    named_in_errors,
     nearest_rate,
     shortest_decimal,
 )
@@ -117,8 +118,9 @@ def rollout(
         InputError: the duration or the sampling period is not a multiple of the tick,
             or several of pose, initial_state and resume are given. The error is also
             raised if the controller does not support the robot, the valves or the
-            saved state, if an obstacle overlaps the body at the start, or if another
-            thread uses the plant or the controller.
+            saved state or returns invalid valve states or signals, if an obstacle
+            overlaps the body at the start, or if another thread uses the plant or the
+            controller.
         DivergedError: the plant or the controller diverged. The attribute `trajectory`
             of the error contains the samples before the divergence.
     """
@@ -131,6 +133,7 @@ def rollout(
     ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
     _check_drives(controller, plant)
+    named = named_in_errors(_describe_controller(controller))
     with claim(plant), claim(controller):
         if resume is None:
             state = _initial_state(plant, pose, initial_state, seed)
@@ -140,15 +143,18 @@ def rollout(
             controller.reset(plant.spec, plant.tick, seed=seed)
             state = plant.restore(resume[0])
             controller.restore(resume[1])
-        recorder.add(state)
         observers = tuple(observers)
-        script = None
-        if until is None and not observers:
-            begun = float(state.time)
-            script = _script(controller, begun, ticks * plant.tick)
         try:
-            if script is None or not _play_script(recorder, script, ticks, progress):
-                _step_ticks(recorder, state, ticks, until, observers, progress)
+            with named:
+                recorder.add(state)
+                script = None
+                if until is None and not observers:
+                    begun = float(state.time)
+                    script = _script(controller, begun, ticks * plant.tick)
+                if script is None or not _play_script(
+                    recorder, script, ticks, progress
+                ):
+                    _step_ticks(recorder, state, ticks, until, observers, progress)
         except DivergedError as error:
             if error.history is not None and len(error.history.time):
                 recorder.add(error.history)
@@ -372,18 +378,40 @@ class Recorder:
         self.ended_by: str | None = None
 
     def add(self, state: SnakeState) -> None:
-        """Append one or several states, with the current signals of the controller."""
+        """Append one or several states, with the current signals of the controller.
+
+        Raises:
+            InputError: the signals are invalid.
+        """
+        signals = _flatten_signals(self.controller.signals())
+        if self._signals:
+            wrong = signals.keys() ^ self._signals[0][1].keys()
+        else:
+            columns = self._columns(SnakeState.history([state]), {})
+            wrong = signals.keys() & columns.keys()
+        if wrong:
+            raise _signal_error(f"signal '{min(wrong)}'")
         self._states.append(state)
-        self._signals.append(
-            (np.size(state.time), _flatten_signals(self.controller.signals()))
-        )
+        self._signals.append((np.size(state.time), signals))
 
     def trajectory(
         self, metadata: Mapping[str, object] = MappingProxyType({})
     ) -> Trajectory:
         """Return the trajectory recorded so far, with additional metadata."""
-        states = SnakeState.history(self._states)
+        counts = [count for count, _ in self._signals]
+        signals = {
+            name: np.repeat([values[name] for _, values in self._signals], counts)
+            for name in self._signals[0][1]
+        }
+        return Trajectory(
+            self._columns(SnakeState.history(self._states), signals),
+            events=tuple(self.events),
+            metadata={**self._metadata(), **metadata},
+        )
 
+    def _columns(
+        self, states: SnakeState, signals: Mapping[str, np.ndarray]
+    ) -> dict[str, np.ndarray]:
         def values_of(name: str) -> np.ndarray:
             return np.asarray(getattr(states, name), dtype=float)
 
@@ -414,17 +442,8 @@ class Recorder:
                 columns[f"object_{name}_{k + 1}"] = values_of("qpos")[:, first + axis]
         if self.plant.world is not None and self.plant.world.is_solid:
             columns["clearance"] = clearance(self.plant, states)
-        counts = [count for count, _ in self._signals]
-        for name in self._signals[0][1]:
-            columns[name] = np.repeat(
-                [signals[name] for _, signals in self._signals], counts
-            )
-        columns |= _numbered_columns("qpos_", values_of("qpos"))
-        return Trajectory(
-            columns,
-            events=tuple(self.events),
-            metadata={**self._metadata(), **metadata},
-        )
+        columns |= signals
+        return columns | _numbered_columns("qpos_", values_of("qpos"))
 
     def _metadata(self) -> dict[str, object]:
         plant = self.plant
@@ -487,14 +506,28 @@ def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:
 
 def _flatten_signals(signals: Mapping[str, float | np.ndarray]) -> dict[str, float]:
     flat: dict[str, float] = {}
-    for name, value in signals.items():
-        if np.ndim(value) == 0:
-            flat[name] = float(value)
-        else:
-            flat |= {
-                f"{name}_{i}": float(v) for i, v in enumerate(np.ravel(value), start=1)
-            }
+    wrong = "None"
+    try:
+        for name, value in signals.items():
+            wrong = f"signal '{name}'"
+            if np.ndim(value) == 0:
+                flat[name] = float(value)
+            else:
+                flat |= {
+                    f"{name}_{i}": float(v)
+                    for i, v in enumerate(np.ravel(value), start=1)
+                }
+    except (AttributeError, TypeError, ValueError) as error:
+        raise _signal_error(wrong) from error
     return flat
+
+
+def _signal_error(wrong: str) -> InputError:
+    return InputError(
+        f"{wrong} is not allowed; `signals` must return a mapping to numbers or arrays"
+        " of numbers. Its names must be the same at every tick and differ from the"
+        " columns of the plant"
+    )
 
 
 def _numbered_columns(

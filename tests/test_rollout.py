@@ -300,6 +300,28 @@ def test_columns_have_numbered_names_and_units():
     assert run["reference_1"].tolist() == [0.5] * 6
 
 
+@pytest.mark.parametrize(
+    ("signals", "wrong"),
+    [
+        (lambda count: {"com_x": 0.0}, "signal 'com_x'"),
+        (lambda count: {"time": 0.0}, "signal 'time'"),
+        (lambda count: {"bend": np.zeros(4)}, "signal 'bend_1'"),
+        (lambda count: {"a": 1.0} | ({"b": 1.0} if count else {}), "signal 'b'"),
+        (lambda count: {} if count else {"a": 1.0}, "signal 'a'"),
+        (lambda count: {"a": "text"}, "signal 'a'"),
+        (lambda count: {"a": None}, "signal 'a'"),
+        (lambda count: None, "None"),
+    ],
+)
+def test_invalid_signals_are_named(signals, wrong):
+    controller = Scripted()
+    controller.signals = lambda: signals(controller.count)
+    with pytest.raises(
+        InputError, match=f"^controller 'scripted': {wrong} is not allowed; `signals`"
+    ):
+        rollout(Clock(), controller, 0.1)
+
+
 def test_events_are_kept_at_any_sampling_rate():
     events = rollout(Clock(), Scripted(), 0.4, record_hz=10).events
     assert [event.text for event in events] == [f"tick {k}" for k in (5, 10, 15, 20)]
