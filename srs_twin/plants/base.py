@@ -594,9 +594,16 @@ def check_commands(source: str, time: float, valves: object) -> None:
     The argument `time` is the start of the control tick, s.
 
     Raises:
+        InputError: the commands are not an array.
         DivergedError: a valve state is NaN, infinite or outside the range of int8.
     """
-    states = np.asarray(valves)
+    try:
+        states = np.asarray(valves)
+    except ValueError as error:
+        raise InputError(
+            f"the valves {reprlib.repr(valves)} are not allowed; they must be an array"
+            " of numbers"
+        ) from error
     if states.dtype == np.int8 or states.dtype.kind not in "fiu":
         return
     diverged = states[

@@ -172,11 +172,12 @@ class Pneumatics(Stateful, ABC):
         commands = np.asarray(valves)
         if commands.ndim == 2:
             commands = commands[None]
-        if commands.ndim != 3 or commands.shape[1:] != (self._segments, self._chambers):
+        is_complete = commands.shape[1:] == (self._segments, self._chambers)
+        if not is_complete or len(commands) == 0:
             shape = f"{self._segments}, {self._chambers}"
             raise InputError(
                 f"the valves have the shape {np.shape(valves)}, which is not allowed;"
-                f" it must be ({shape}) or (slots, {shape})"
+                f" it must be ({shape}) or (slots, {shape}) with at least one slot"
             )
         self.check(commands)
         return Schedule.from_slots(commands.astype(np.int8), span)

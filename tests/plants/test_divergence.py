@@ -271,6 +271,8 @@ def test_script_may_have_float_states(build):
     ("valves", "words"),
     [
         (np.full((3, 2), np.int8(1)), r"the valves have the shape \(3, 2\)"),
+        (np.zeros((0, 4, 2)), r"\(0, 4, 2\), .* at least one slot"),
+        ([[1, -1], [1]], r"the valves \[\[1, -1\], \[1\]\] are not allowed"),
         (np.zeros((4, 2)), "valve state 0.0 is not supported by layout 3/2"),
         (np.full((4, 2), 2), "valve state 2 is not supported"),
         (np.full((4, 2), "open"), "valve state open is not supported"),
@@ -278,7 +280,7 @@ def test_script_may_have_float_states(build):
 )
 def test_invalid_finite_commands_are_input_errors(valves, words):
     for plant in (AnalyticalSnake(SPEC), TwinSnake(SPEC)):
-        with pytest.raises(InputError, match=words):
+        with pytest.raises(InputError, match=f"^controller 'runaway': .*{words}"):
             rollout(plant, Runaway(valves), 0.3)
 
 
