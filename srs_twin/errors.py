@@ -54,8 +54,8 @@ class SrsError(Exception):
     """Base class of all errors raised on purpose.
 
     Attributes:
-        exit_code: exit code of the command line, which is 2 for invalid input, 3 for a
-            divergence, or 4 for an internal error.
+        exit_code: exit code of the command line, which is 2 for invalid input or an error
+            in a plug-in, 3 for a divergence, or 4 for an internal error.
     """
 
     exit_code = 4
@@ -207,7 +207,7 @@ class DivergedError(SrsError):
 
 
 class TaskFailedError(SrsError):
-    """Error for an unexpected exception in a worker process, with exit code 4."""
+    """Error for an unexpected exception, with exit code 4, or 2 in a plug-in."""
 
     def __init__(self, error: BaseException) -> None:
         if _is_memory_shortage(error):
@@ -216,16 +216,19 @@ class TaskFailedError(SrsError):
                 " programs or use fewer workers"
             )
             return
+        kind = "internal error"
         fault = (
             "This is a bug in srs-twin, not in your files: please report it with the"
             " command and your files"
         )
         if _frames(error, OUTSIDE):
+            self.exit_code = InputError.exit_code
+            kind = "error in a plug-in"
             fault = (
                 "This file is not part of srs-twin: correct it, or report the error to"
                 " its authors"
             )
-        super().__init__(f"internal error: {describe_error(error)}. {fault}")
+        super().__init__(f"{kind}: {describe_error(error)}. {fault}")
 
 
 _SHORTAGE = (

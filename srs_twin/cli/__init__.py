@@ -64,9 +64,9 @@ def main(argv: list[str] | None = None) -> None:
     """Run `srs-twin` and exit with the exit code of the command.
 
     The exit codes are 0 (success), 1 (an expectation failed under ``--check``), 2
-    (invalid input), 3 (a simulation diverged), 4 (internal error) and 130
-    (interrupted). If stdout is a pipe that the reader closes early (``| head -1``), the
-    command continues and the exit code is unaffected.
+    (invalid input or an error in a plug-in), 3 (a simulation diverged), 4 (internal
+    error) and 130 (interrupted). If stdout is a pipe that the reader closes early (``|
+    head -1``), the command continues and the exit code is unaffected.
 
     Args:
         argv: arguments without the program name, by default from `sys.argv`.
@@ -117,11 +117,9 @@ def main(argv: list[str] | None = None) -> None:
                 f" ({error.strerror})"
             )
             sys.exit(InputError.exit_code)
-        say(
-            f"srs-twin: {TaskFailedError(error)}; `srs-twin --debug …` shows the"
-            " traceback"
-        )
-        sys.exit(SrsError.exit_code)
+        failed = TaskFailedError(error)
+        say(f"srs-twin: {failed}; `srs-twin --debug …` shows the traceback")
+        sys.exit(failed.exit_code)
 
 
 def _with_current_option(argument: str) -> str:

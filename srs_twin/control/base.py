@@ -109,7 +109,8 @@ class Controller(Claimable, Stateful, ABC):
         """Return the signals to record, keyed by signal name.
 
         Each signal is a number or an array, whose elements are recorded under the
-        signal name followed by the element number, counted from 1.
+        signal name followed by the element number, counted from 1. The names must be
+        the same at every tick and differ from the plant's columns.
         """
         return {}
 

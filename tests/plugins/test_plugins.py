@@ -536,9 +536,17 @@ def test_an_error_of_a_plugin_is_not_reported_as_ours(plugin):
     plant = scenario.build_plant("analytical")
     with pytest.raises(ZeroDivisionError) as error:
         srs.rollout(plant, scenario.build_controller(), 0.1)
-    text = str(TaskFailedError(error.value))
-    assert f"({path.name}:" in text and "not part of srs-twin" in text
-    assert "please report it" not in text
+    failed = TaskFailedError(error.value)
+    assert failed.exit_code == 2
+    assert str(failed).startswith("error in a plug-in: ZeroDivisionError")
+    assert f"({path.name}:" in str(failed) and "not part of srs-twin" in str(failed)
+
+
+def test_an_error_of_a_plugin_ends_a_command_with_exit_code_2(plugin, srs_twin):
+    path = plugin(CONTROLLER.replace("self.gain = gain", "1 / 0"))
+    (path.parent / "s.yaml").write_text(SCENARIO.replace("KIND", f"{path.stem}:Damped"))
+    done = srs_twin("run", "s.yaml", "--plugin", path.name, cwd=path.parent)
+    assert done.returncode == 2 and "error in a plug-in: Zero" in done.stderr
 
 
 def test_metrics_of_unknown_modules_are_refused():
