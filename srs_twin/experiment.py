@@ -30,6 +30,7 @@ from srs_twin.comparison.metrics import (
     PartMetrics,
     RunMetrics,
     StoredIntervals,
+    check_plugin_metrics,
     headline,
     plant_metrics,
 )
@@ -131,6 +132,7 @@ class PreparedRun:
         cls, scenario: Scenario, folder: Path, plants: Sequence[str] | None
     ) -> PreparedRun:
         """Build the plants and controllers of a scenario."""
+        check_plugin_metrics()
         kinds = scenario.plants_to_run(plants)
         scenario = scenario.run_on(plants)
         with named_in_errors(scenario.source):

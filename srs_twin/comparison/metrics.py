@@ -316,6 +316,18 @@ def metric_units() -> dict[str, str]:
     }
 
 
+def check_plugin_metrics() -> None:
+    """Raise an `InputError` if a plug-in redefines a metric of the package."""
+    own = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS
+    for module, group in plugin_parts(MetricGroup):
+        for name in group.meanings:
+            if name in own:
+                raise InputError(
+                    f"metric '{module}:{name}' is not allowed, because srs-twin has a"
+                    " metric of this name; rename it"
+                )
+
+
 def all_units() -> dict[str, str]:
     """Return the units of all metrics."""
     return metric_units() | LIST_METRIC_UNITS | COMPARISON_UNITS
@@ -819,7 +831,7 @@ def plant_metrics(
     metrics |= spatial_metrics(trajectory)
     metrics |= object_metrics(trajectory)
     for group in metric_groups():
-        metrics |= group.measure(trajectory)
+        metrics |= group.compute(trajectory)
     metrics |= contact_metrics(trajectory)
     metrics |= dict.fromkeys((*MEASURED_UNITS, "final_bend_rad"))
     if trajectory.metadata.get("base") == "clamped" and not trajectory.has("reference"):

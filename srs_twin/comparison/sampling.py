@@ -204,6 +204,26 @@ class MetricGroup:
         """Unit of each metric."""
         return units_of(self.meanings)
 
+    def compute(self, trajectory: Trajectory) -> dict[str, float | None]:
+        """Return the metrics of a run, with None for values that are not finite.
+
+        Raises:
+            InputError: `measure` returned an unknown metric, or a value that is neither
+                a number nor None.
+        """
+        values = dict(self.measure(trajectory))
+        for name, value in values.items():
+            number = value.item() if isinstance(value, np.generic) else value
+            if name not in self.meanings or not isinstance(number, float | int | None):
+                raise InputError(
+                    f"metric '{self.measure.__module__}:{name}' with the value"
+                    f" {value!r} is not allowed; `measure` must return a number or None"
+                    " for each name in `meanings`"
+                )
+            is_finite = number is not None and np.isfinite(number)
+            values[name] = number if is_finite else None
+        return values
+
 
 @cache
 def extension_groups() -> tuple[MetricGroup, ...]:

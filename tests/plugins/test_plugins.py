@@ -27,7 +27,7 @@ from outside import (
 import srs_twin as srs
 from srs_twin.envs.tasks import make_task
 from srs_twin.errors import InputError, TaskFailedError
-from srs_twin.experiment import load_run, run_scenario
+from srs_twin.experiment import PreparedRun, load_run, run_scenario
 from srs_twin.extensions import PLUGINS, allow_plugin, owners, plugins
 from srs_twin.recordings.formats import identify, read_markers
 from srs_twin.scenario.loading import (
@@ -547,6 +547,41 @@ def test_an_error_of_a_plugin_ends_a_command_with_exit_code_2(plugin, srs_twin):
     (path.parent / "s.yaml").write_text(SCENARIO.replace("KIND", f"{path.stem}:Damped"))
     done = srs_twin("run", "s.yaml", "--plugin", path.name, cwd=path.parent)
     assert done.returncode == 2 and "error in a plug-in: Zero" in done.stderr
+
+
+VALUE = 'float(np.ptp(trajectory["heading"]))'
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (VALUE, "'far'"),
+        (VALUE, "np.zeros(3)"),
+        ('{"heading_range_rad": float', '{"com_speed_m_s": float'),
+    ],
+)
+def test_invalid_values_of_metrics_are_named(before, after, plugin):
+    path = plugin(METRICS.replace(before, after))
+    allow_plugin(path)
+    with pytest.raises(InputError, match=f"metric '{path.stem}:.*' .* is not allowed"):
+        run_scenario(parse_scenario(gait()), plants=["analytical"])
+
+
+@pytest.mark.parametrize("value", ["float('nan')", "np.float32('inf')"])
+def test_metrics_that_are_not_finite_are_undefined(value, plugin):
+    allow_plugin(plugin(METRICS.replace(VALUE, value)))
+    run = run_scenario(parse_scenario(gait()), plants=["analytical"])
+    assert run.metrics["plants"]["analytical"]["heading_range_rad"] is None
+
+
+def test_taken_names_of_metrics_are_refused_before_the_run(plugin):
+    path = plugin(METRICS.replace("heading_range_rad", "com_speed_m_s"))
+    allow_plugin(path)
+    with pytest.raises(
+        InputError,
+        match=f"metric '{path.stem}:com_speed_m_s' is not allowed, because srs-twin",
+    ):
+        PreparedRun.build(parse_scenario(gait()), Path(), None)
 
 
 def test_metrics_of_unknown_modules_are_refused():
