@@ -129,6 +129,9 @@ class Trajectory(HtmlResult):
             raise UnknownColumnError("column", str(name), self.columns)
         return self.columns[name]
 
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
+
     def __len__(self) -> int:
         return len(self.time)
 
@@ -186,7 +189,13 @@ class Trajectory(HtmlResult):
         return name in self.columns or f"{name}_1" in self.columns
 
     def unit(self, name: str) -> str:
-        """Return the unit of a column."""
+        """Return the unit of a column, or of numbered columns such as ``"bend"``.
+
+        Raises:
+            UnknownColumnError: the trajectory has no such column.
+        """
+        if not self.has(name):
+            raise UnknownColumnError("column", name, self.columns)
         return self.units.get(name) or _UNIT_OF_COLUMN.get(
             re.sub(r"(_\d+)+$", "", name), "1"
         )

@@ -13,7 +13,7 @@ from synthetic import Snake
 
 from srs_twin.errors import InputError
 from srs_twin.io import untrusted
-from srs_twin.trajectory import Event, Trajectory
+from srs_twin.trajectory import Event, Trajectory, UnknownColumnError
 
 pytestmark = pytest.mark.fast
 
@@ -93,6 +93,15 @@ def test_bytes_do_not_depend_on_the_order_of_metadata():
     )
 
 
+def test_columns_are_looked_up_by_name():
+    run = Trajectory({"time": np.arange(3.0), "bend_1": np.zeros(3)})
+    assert "bend_1" in run and "bend" not in run
+    assert run.unit("bend_1") == run.unit("bend") == "rad"
+    for look_up in (run.unit, run.__getitem__):
+        with pytest.raises(UnknownColumnError, match="unknown column 'bent_1'; did"):
+            look_up("bent_1")
+
+
 def test_another_process_writes_the_same_bytes():
     program = (
         "import hashlib, io, numpy as np\n"
@@ -131,7 +140,8 @@ def test_numbered_columns_are_stacked():
     [("x_12", "m"), ("pressure_minus_2", "Pa"), ("offset", "rad"), ("duty", "1")],
 )
 def test_unit_follows_from_the_name_unless_given(name, unit):
-    assert Trajectory({"time": np.zeros(1)}, units={"offset": "rad"}).unit(name) == unit
+    run = Trajectory({"time": np.zeros(1), name: np.zeros(1)}, {"offset": "rad"})
+    assert run.unit(name) == unit
 
 
 @few
