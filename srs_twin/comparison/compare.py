@@ -165,14 +165,15 @@ def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
     last = candidate.time[-1] + _TIME_ROUNDING_S
     time = reference.time
     common: np.ndarray = time[(time >= first) & (time <= last)]
-    if len(common) == 0:
+    # A run that has only one sample is compared at this sample.
+    if len(common) < min(2, len(reference), len(candidate)):
         spans = [
             f"{label(t)} covers {t.time[0]:g} to {t.time[-1]:g} s"
             for t in (reference, candidate)
         ]
         raise InputError(
-            "the runs cannot be compared, because they have no times in common"
-            f" ({spans[0]}, {spans[1]})"
+            "the runs cannot be compared, because they have fewer than two times"
+            f" in common ({spans[0]}, {spans[1]})"
         )
     return common
 

@@ -222,8 +222,12 @@ def test_robots_with_equally_many_connectors_can_be_compared():
         ),
         (
             with_columns(Snake().trajectory("twin"), time=np.arange(601) / 100 + 9),
-            "the runs cannot be compared, because they have no times in common"
+            "the runs cannot be compared, because they have fewer than two times in common"
             " (analytical covers 0 to 6 s, twin covers 9 to 15 s",
+        ),
+        (
+            with_columns(Snake().trajectory("twin"), time=np.arange(601) / 100 + 6),
+            "fewer than two times in common (analytical covers 0 to 6 s, twin covers 6",
         ),
         (
             with_columns(Snake().trajectory("twin"), x_2=np.full(601, np.nan)),
