@@ -98,7 +98,8 @@ def rollout(
         initial_state: function that takes the plant and the seed, sets another initial
             state (see `Plant.set_state`) and returns it.
         resume: saved states of plant and controller from which the run continues,
-            including the simulated time.
+            including the simulated time. Settings of a controller that can change
+            during a run, such as the frequency of a gait, are those of the saved state.
         seed: random seed of plant and controller.
         record_hz: sampling rate, Hz. Either the number of samples per tick or the
             number of ticks per sample must be an integer.

@@ -81,6 +81,8 @@ class Controller(Claimable, Stateful, ABC):
         """Restore a saved state.
 
         Call `reset` beforehand, with the robot and the control tick of the saved run.
+        The saved values of `state_attributes`, such as the frequency of a gait, replace
+        those of this object.
 
         Raises:
             InputError: the state belongs to another controller, or `reset` has not been
