@@ -19,7 +19,7 @@ import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -56,6 +56,8 @@ from srs_twin.trajectory import Event, Trajectory
 
 if TYPE_CHECKING:
     from srs_twin.plants.twin.batch import TwinBatch
+else:
+    TwinBatch = Any  # a batch on another engine has another class
 
 
 Observer = Callable[[SnakeState], None]
@@ -209,6 +211,11 @@ def _initial_state(
         check_start(plant, state, TOUCHING_M)
     else:
         state = initial_state(plant, seed)
+        if not isinstance(state, SnakeState):
+            raise InputError(
+                f"rollout: initial_state returned {state!r}, but must return the state"
+                " that it sets, as `plant.set_state` does"
+            )
         # The body may already touch an obstacle in a state from another run.
         check_start(plant, state, PENETRATION_M * plant.spec.scale.length)
     return state
@@ -619,6 +626,7 @@ def run_many(
     return Workers(threads).run(len(jobs), run, progress)
 
 
+@checked
 def run_batch(
     batch: TwinBatch,
     policy: Policy,
@@ -708,6 +716,7 @@ def _finish_batch(
     return results
 
 
+@checked
 def run_scripts(
     batch: TwinBatch,
     controllers: Sequence[Controller],

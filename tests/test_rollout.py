@@ -189,6 +189,8 @@ def test_only_one_start_is_accepted():
     assert not placed
     rollout(Clock(), Scripted(), 0.2, initial_state=begin, seed=3)
     assert placed == [3]
+    with pytest.raises(InputError, match="initial_state returned None, but must"):
+        rollout(Clock(), Scripted(), 0.2, initial_state=lambda plant, seed: None)
 
 
 @pytest.mark.parametrize(

@@ -105,6 +105,14 @@ def test_rollout_of_a_robot_says_how_to_build_a_plant(spec):
         (lambda: srs.plan("follow_fig57"), "plan: problem .* plan_scenario"),
         (lambda: srs.Job("gen2", srs.Gait(2.0), 1.0), "Job: plant 'gen2'"),
         (lambda: srs.run_many([("gen2", 1)]), "run_many: jobs .* each a Job"),
+        (
+            lambda: srs.run_scripts(None, srs.Gait(2.0), 1.0),
+            "run_scripts: controllers of type Gait .* a list, each a Controller",
+        ),
+        (
+            lambda: srs.run_batch(None, srs.Gait(2.0), 1.0),
+            "run_batch: policy .* a func",
+        ),
         (lambda: srs.TwinBatch(["gen2"]), "TwinBatch: specs .* each a RobotSpec"),
         (
             lambda: srs.TwinSnake(srs.load_robot("gen2"), world={}),
