@@ -613,6 +613,6 @@ def check_commands(source: str, time: float, valves: object) -> None:
         raise DivergedError(
             source,
             time,
-            f"the commanded valve state {diverged.flat[0]:g} is not a number from -128"
-            " to 127",
+            f"the commanded valve state {diverged.flat[0]:g} is not allowed; it must be"
+            " -1, 0 or 1",
         )

@@ -240,7 +240,7 @@ def test_diverged_controller_is_named_with_the_time(build, value):
         assert (
             str(caught.value)
             == f"controller 'runaway' diverged at t = {AT} s: the commanded valve"
-            f" state {value:g} is not a number from -128 to 127"
+            f" state {value:g} is not allowed; it must be -1, 0 or 1"
         )
         assert_kept(caught.value, AT)
 
@@ -327,7 +327,7 @@ def test_policy_diverging_for_one_run_ends_that_run_only(value):
     assert (
         str(error)
         == f"policy diverged at t = {AT} s: the commanded valve state {value:g} is not"
-        " a number from -128 to 127"
+        " allowed; it must be -1, 0 or 1"
     )
     assert error.trajectory.time == pytest.approx(np.arange(5) / 100)
 
