@@ -171,7 +171,8 @@ class SnakeState:
         """Let any later change of an array in this state raise a `ValueError`."""
         for value in vars(self).values():
             if isinstance(value, np.ndarray):
-                value.setflags(write=False)
+                # A keyword argument would take twice the time.
+                value.setflags(False)  # type: ignore[call-arg]
 
     @staticmethod
     def history(states: Sequence[SnakeState]) -> SnakeState:
