@@ -6,7 +6,7 @@ import math
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -60,7 +60,7 @@ class LabOptions:
     name: Annotated[str | None, option("--name NAME")] = None
     body: Annotated[list[str] | None, option("--body BODY=CONNECTOR")] = None
     local: Annotated[str, option("--local ADDRESS")] = "127.0.0.1"
-    up: Annotated[str, option("--up AXIS")] = "y"
+    up: Annotated[Literal["y", "z"], option("--up AXIS")] = "y"
     pressure: PressureOption = None
     allow_zero_margin: Annotated[bool, option("--allow-zero-margin")] = False
     duration: Annotated[float | None, option("--duration S", min=0.02)] = None

@@ -147,6 +147,20 @@ def test_without_a_robot_the_command_asks_for_one(srs_twin, tmp_path):
     assert done.returncode == 2 and "no robot is given; give ROBOT" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--up", "x"], "'x' is not one of 'y', 'z'"),
+    ],
+)
+def test_options_without_effect_or_meaning_are_refused(
+    srs_twin, tmp_path, options, words
+):
+    done = srs_twin("shadow", "gen4", *options, cwd=tmp_path)
+    assert done.returncode == 2
+    assert words in " ".join(done.stderr.split())
+
+
 def test_a_session_that_hears_nothing_says_so_with_exit_code_2(
     srs_twin, tmp_path, broker
 ):
