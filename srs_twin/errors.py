@@ -178,7 +178,7 @@ class EngineWarning(UserWarning):
 
 
 class SessionWarning(UserWarning):
-    """Warning that a live twin is too slow, or that a file or a forecast failed."""
+    """Warning that a live twin is too slow, or that a connection or a task failed."""
 
 
 class CacheWarning(UserWarning):

@@ -202,6 +202,13 @@ def emulate(
     elif not quiet:
         ticks = f"{result['ticks']:.0f} ticks of {emulated.tick:g} s"
         say(f"{ticks}, {result['late']:.0f} of them late")
+        say_losses(result["disconnected"])
+
+
+def say_losses(count: float) -> None:
+    """Print how often the connection to the broker was lost, if it was lost."""
+    if count:
+        say(f"lost connections to the broker: {count:.0f}")
 
 
 def _motion_capture(given: str, connectors: int) -> NatNetServer:

@@ -14,6 +14,7 @@ import itertools
 import math
 import re
 import time
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -22,7 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from srs_twin.control.pwm import PulseWidthModulator
-from srs_twin.errors import InputError, UnknownNameError
+from srs_twin.errors import InputError, SessionWarning, UnknownNameError
 from srs_twin.live.commands import SILENT_S, are_states, duty
 from srs_twin.live.links import MqttLink, clock
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, STATUS, SUPPLY, VALVES
@@ -424,8 +425,9 @@ def emulate(
         publishes_supply: whether the supply pressure is also published.
 
     Returns:
-        Number of ticks (``ticks``), and number of ticks that ended more than one tick
-        behind real time (``late``).
+        Number of ticks (``ticks``), number of ticks that ended more than one tick
+        behind real time (``late``), and number of times that the connection to the
+        broker was lost (``disconnected``).
     """
     transport = transport or Transport()
     begun = clock()
@@ -437,6 +439,9 @@ def emulate(
     link.send(STATUS, "running")
     try:
         while done * tick < duration and not stop():
+            if change := link.connection_change():
+                text = f"{done * tick:.1f} s: {change}"
+                warnings.warn(text, SessionWarning, stacklevel=2)
             for message in link.received():
                 if message.kind == COMMAND:
                     command = message.values
@@ -462,4 +467,8 @@ def emulate(
             time.sleep(_LETS_GO_S)
     finally:
         link.send(STATUS, "stopped", wait_s=_GOODBYE_S)
-    return {"ticks": done, "late": late}
+    return {
+        "ticks": done,
+        "late": late,
+        "disconnected": link.counts["disconnected"],
+    }

@@ -70,9 +70,13 @@ class Link(ABC):
     Attributes:
         counts: number of received messages, keyed by message kind. Refused messages are
             counted under the key "bad: REASON".
+        connected: whether the connection to the broker exists. Other sources count as
+            connected.
     """
 
     def __init__(self) -> None:
+        self.connected = True
+        self._was_connected = True
         self.counts: Counter[str] = Counter()
         self._queue: queue.Queue[Message] = queue.Queue(_MOST_WAITING)
 
@@ -88,6 +92,18 @@ class Link(ABC):
     def over(self) -> bool:
         """Whether the source has ended and `received` has returned all messages."""
         return self.counts["over"] > 0 and self._queue.empty()
+
+    def connection_change(self) -> str:
+        """Return a message if the connection was lost or restored since the last call.
+
+        Losses are counted under the key "disconnected".
+        """
+        connected = self.connected  # The thread of the link may change the attribute.
+        if connected == self._was_connected:
+            return ""
+        self._was_connected = connected
+        self.counts["disconnected"] += not connected
+        return f"the connection to the broker is {'back' if connected else 'lost'}"
 
     def clock(self) -> float:
         """Return the current time (s) on the clock that stamps arriving messages."""
@@ -201,9 +217,6 @@ class MqttLink(Link):
     """Link to the topics of one robot on an MQTT broker.
 
     The link reconnects automatically after a lost connection.
-
-    Attributes:
-        connected: whether the link is connected to the broker.
     """
 
     def __init__(

@@ -325,6 +325,7 @@ class Session:
             and not self._over()
         ):
             self._tick(clock(), tick - self._start)
+            self._report_connections(tick - self._start)
             self._collect()
             self._submit(tick)
             if self.estimate is not None and self._is_due("view", tick):
@@ -391,6 +392,11 @@ class Session:
             and self._behind > TOO_SLOW_S
         ):
             self._steering.give_up(TOO_SLOW)
+
+    def _report_connections(self, since: float) -> None:
+        for link in self._links:
+            if change := link.connection_change():
+                self._report(f"{since:.1f} s: {change}")
 
     def _report_senders(self) -> None:
         if self.shadow.interruptions:

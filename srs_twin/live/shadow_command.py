@@ -20,7 +20,7 @@ from srs_twin.cli.options import (
     print_json,
 )
 from srs_twin.errors import InputError
-from srs_twin.live.emulate_command import broker_link, interruption
+from srs_twin.live.emulate_command import broker_link, interruption, say_losses
 
 if TYPE_CHECKING:
     from srs_twin.live.links import Link, MqttLink
@@ -162,11 +162,12 @@ def shadow(
         session, page = _session(stack, lab, options, twin, steering)
         if not quiet:
             _print_start(lab.topic_name, session.resumed, options.keys, page)
-        result = session.run(lab.duration or math.inf, over.is_set)
+        result: dict[str, Any] = session.run(lab.duration or math.inf, over.is_set)
     if as_json:
         print_json(result)
     elif not quiet:
         _print_result(result)
+        say_losses(result["messages"].get("disconnected", 0))
     if "estimate" not in result:
         sources = " and ".join(filter(None, (lab.mqtt or BROKER, lab.natnet)))
         raise InputError(

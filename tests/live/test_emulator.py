@@ -15,7 +15,7 @@ from brokers import free_port, wait
 from srs_twin import Gait, InputError, load_robot
 from srs_twin.live import emulator
 from srs_twin.live.emulator import KINDS, EmulatedRobot, Fault, Simulation
-from srs_twin.live.links import MqttLink
+from srs_twin.live.links import Link, MqttLink
 from srs_twin.live.messages import (
     BENDS,
     COMMAND,
@@ -155,13 +155,14 @@ def test_duties_fill_in_between():
     assert (half[:, 1] < 1e3).all()
 
 
-class Bench:
+class Bench(Link):
     """A robot, its link and a clock that only sleeping moves; the robot keeps when it obeyed."""
 
     tick = 0.02
     valves = np.zeros((4, 2))
 
     def __init__(self, monkeypatch, commands=()):
+        super().__init__()
         self.now = 100.0
         self.obeyed = []
         self.sent = []
@@ -187,6 +188,9 @@ class Bench:
 
     def bends(self):
         return np.zeros(4)
+
+    def close(self):
+        pass
 
 
 def test_robot_vents_a_fifth_of_a_second_after_the_last_command(monkeypatch):
@@ -253,6 +257,24 @@ def test_the_command_emulates_a_robot_until_a_signal(
     assert np.mean(values[SUPPLY]) == pytest.approx(48.3e3, rel=0.01)
     tracked = [body.tracked for body in frames[-1].values()]
     assert tracked == [True, True, True, True, False]
+
+
+def test_the_command_says_that_the_broker_is_gone(srs_twin, tmp_path, broker):
+    with (
+        MqttLink("gen4", 4, broker.access, kinds=(BENDS,)) as link,
+        ThreadPoolExecutor(1) as pool,
+    ):
+
+        def end() -> None:
+            wait(link.received, 120)
+            broker.kill()
+
+        ended = pool.submit(end)
+        words = ("--mqtt", f"127.0.0.1:{broker.port}", "--duration", "2")
+        done = srs_twin("emulate", "gen4", *words, cwd=tmp_path)
+        ended.result()
+    assert done.stderr.count("s: the connection to the broker is lost") == 1
+    assert done.stderr.endswith("lost connections to the broker: 1\n")
 
 
 def test_the_command_says_what_is_wrong(srs_twin, tmp_path):

@@ -36,15 +36,17 @@ def test_a_broker_that_is_killed_and_comes_back(broker):
         MqttLink("r", 1, broker.access, kinds=()) as there,
     ):
         broker.kill()
-        wait(lambda: not here.connected)
+        wait(lambda: here.connection_change() == "the connection to the broker is lost")
         broker.start()
+        wait(lambda: here.connection_change() == "the connection to the broker is back")
 
         def arrives() -> bool:
             there.send(BENDS, np.array([0.5]))
             return bool(here.received())
 
         wait(arrives)
-        assert here.counts["connected"] == 2
+        assert here.connection_change() == ""
+        assert (here.counts["connected"], here.counts["disconnected"]) == (2, 1)
 
 
 def test_who_breaks_off_is_said_to_be_lost(broker):

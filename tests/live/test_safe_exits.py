@@ -233,6 +233,22 @@ def test_a_full_disk_is_reported_once_and_the_session_goes_on(
     assert json.loads((tmp_path / "lab/shadow.json").read_text())["problems"] == words
 
 
+def test_a_lost_connection_is_reported_and_so_is_its_return(machine):
+    found, wire = session()
+
+    def stop() -> bool:
+        wire.connected = len(found.ticks) % 20 < 10
+        return False
+
+    with pytest.warns(SessionWarning, match="connection to the broker"):
+        told = found.run(0.79, stop)
+    assert told["problems"] == [
+        f"{time} s: the connection to the broker is {state}"
+        for time, state in ((0.2, "lost"), (0.4, "back"), (0.6, "lost"))
+    ]
+    assert told["messages"]["disconnected"] == 2
+
+
 def test_a_forecast_that_fails_is_reported_and_the_session_goes_on(
     machine, monkeypatch
 ):
