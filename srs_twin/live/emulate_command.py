@@ -50,10 +50,10 @@ def broker_link(
     """
     from srs_twin.live import links
 
-    if set(robot) & set("/+#") or len(robot) > _LONGEST_NAME:
+    if set(robot) & set("/+#") or not 0 < len(robot) <= _LONGEST_NAME:
         raise InputError(
             f"--name {robot[:80]!r} cannot be part of an MQTT topic; use a name"
-            f" without the characters /, + and #, with at most {_LONGEST_NAME}"
+            f" without the characters /, + and #, with 1 to {_LONGEST_NAME}"
             " characters"
         )
     host, port = links.address(address, links.PORT)
@@ -165,7 +165,7 @@ def emulate(
     from srs_twin.live.messages import COMMAND
 
     emulated = simulated.emulated(robot)
-    known = name or Path(robot).stem
+    known = Path(robot).stem if name is None else name
     over = interruption()
     with ExitStack() as stack:
         link = stack.enter_context(

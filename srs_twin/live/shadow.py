@@ -477,15 +477,21 @@ def frames_of(pairs: Sequence[str], connectors: int) -> dict[str, int]:
     """Parse texts of the form ``BODY=CONNECTOR`` into connector numbers by body name.
 
     Raises:
-        InputError: a pair is malformed, or a connector is unknown.
+        InputError: a pair is malformed, a connector is unknown, or a body or a
+            connector is used twice.
     """
-    frames = {}
+    frames: dict[str, int] = {}
     for pair in pairs:
         name, _, number = pair.rpartition("=")
         if not name or not number.isdigit() or not 1 <= int(number) <= connectors:
             raise InputError(
                 f"--body {pair!r} is not allowed; write BODY=CONNECTOR with a"
                 f" connector between 1 and {connectors}, for example head=1"
+            )
+        if name in frames or int(number) in frames.values():
+            raise InputError(
+                f"the body or the connector of {pair!r} is used twice; give each body a"
+                " connector of its own"
             )
         frames[name] = int(number)
     return frames

@@ -32,6 +32,15 @@ if TYPE_CHECKING:
 
 BROKER = "127.0.0.1:1883"
 
+_NEEDED = {
+    "local": ("natnet",),
+    "up": ("natnet",),
+    "body": ("natnet", "mcap"),
+    "allow_zero_margin": ("follow",),
+    "speed": ("mcap",),
+}
+"""Options of which an option needs at least one to have an effect."""
+
 
 @dataclass(frozen=True)
 class LabOptions:
@@ -86,7 +95,7 @@ class LabOptions:
     @property
     def topic_name(self) -> str:
         """Name of the robot in the MQTT topics."""
-        return self.name or Path(str(self.robot)).stem
+        return Path(str(self.robot)).stem if self.name is None else self.name
 
 
 @dataclass(frozen=True)
@@ -197,6 +206,13 @@ def _checked(
             "no robot is given; give ROBOT, or use --setup with a set-up file that names"
             " the robot"
         )
+    values = vars(lab) | vars(options)
+    for name, needed in _NEEDED.items():
+        if _is_given(context, name) and not any(values[other] for other in needed):
+            raise InputError(
+                f"--{name.replace('_', '-')} has no effect without"
+                f" --{' or --'.join(needed)}; add that option or remove this one"
+            )
     if options.mcap is not None:
         require_file(options.mcap, suffix=".mcap")
     if options.out is not None:

@@ -284,6 +284,7 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
         ((), f"no broker answers at 127.0.0.1:{port}"),
         (("--mqtt", "lab:0"), "'lab:0' is not an address"),
         (("--name", "a/b"), "cannot be part of an MQTT topic"),
+        (("--name", ""), "cannot be part of an MQTT topic"),
         (("--start", "1,2"), "--start '1,2' is not a pose; give x and y in m"),
         (("--chambers", "orifce"), "did you mean orifice?"),
     ):

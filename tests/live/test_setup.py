@@ -151,6 +151,19 @@ def test_without_a_robot_the_command_asks_for_one(srs_twin, tmp_path):
     ("options", "words"),
     [
         (["--up", "x"], "'x' is not one of 'y', 'z'"),
+        (["--up", "z"], "--up has no effect without --natnet"),
+        (["--speed", "1"], "--speed has no effect without --mcap"),
+        (["--allow-zero-margin"], "--allow-zero-margin has no effect without --follow"),
+        (["--body", "a=1"], "--body has no effect without --natnet or --mcap"),
+        (
+            ["--natnet", "lab", "--body", "a=1", "--body", "b=1"],
+            "the body or the connector of 'b=1' is used twice",
+        ),
+        (
+            ["--natnet", "lab", "--body", "a=1", "--body", "a=2"],
+            "the body or the connector of 'a=2' is used twice",
+        ),
+        (["--name", ""], "--name '' cannot be part of an MQTT topic"),
     ],
 )
 def test_options_without_effect_or_meaning_are_refused(
