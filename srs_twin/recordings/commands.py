@@ -305,6 +305,10 @@ def export(
 
     if file and Path(run).suffix[1:] in _FORMATS:
         run, file = file, run
+    if file and out:
+        raise InputError(
+            f"FILE {file} and --out {out} both name the output; remove one of them"
+        )
     out = out or file
     kind = form.chosen(out)
     finished = load_run(run)

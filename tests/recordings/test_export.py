@@ -248,6 +248,10 @@ def test_the_command_writes_each_format(run, exported, tmp_path):
             "the name of a file for --csv must end in .csv",
         ),
         (("--csv", "--plant", "twim"), "did you mean twin"),
+        (
+            ("a.csv", "--out", "b.csv"),
+            "FILE a.csv and --out b.csv both name the output",
+        ),
     ],
 )
 def test_what_cannot_be_exported_is_refused(words, message, exported, tmp_path):
