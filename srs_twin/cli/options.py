@@ -137,6 +137,8 @@ PressureOption = Annotated[
     option(
         "--pressure KPA",
         "Supply pressure (gauge) in kPa. [default: from the robot file]",
+        min=0.1,
+        max=2000.0,
     ),
 ]
 FloorOption = Annotated[

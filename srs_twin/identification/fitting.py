@@ -62,11 +62,6 @@ class DataOptions:
 
     def given(self) -> dict[str, object]:
         """Return the options as arguments for the functions in `calibration`."""
-        if self.pressure is not None and not 0.1 <= self.pressure <= 2000.0:
-            raise InputError(
-                f"--pressure: {self.pressure:g} kPa is not allowed; it must be between"
-                " 0.1 and 2000"
-            )
         given = asdict(self)
         pressure = given.pop("pressure")
         return given if pressure is None else given | {"supply_pa": 1e3 * pressure}

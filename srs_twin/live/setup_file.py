@@ -81,7 +81,7 @@ class SetupFile(Section):
     """Name of the robot in the topics srs/NAME/KIND (default: name of the robot or
     file).
     """
-    supply_kpa: float | None = quantity(0.0, 1000.0, None)
+    supply_kpa: float | None = quantity(0.1, 2000.0, None)
     """Gauge supply pressure (default: nominal supply pressure of the robot)."""
     broker: BrokerFile | None = None
     """MQTT broker (default: 127.0.0.1:1883)."""

@@ -219,7 +219,7 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
         ),
         (
             ["locomotion", "w.csv", "--pressure", "nan"],
-            "--pressure: nan kPa is not allowed",
+            "Invalid value for '--pressure'",
         ),
     ],
 )

@@ -75,7 +75,7 @@ def test_the_command_prints_the_schema(srs_twin, tmp_path):
     )
 
 
-@pytest.mark.default_cases(at=[0, 1, 2, 5])
+@pytest.mark.default_cases(at=[0, 1, 2, 5, 6])
 @pytest.mark.parametrize(
     ("text", "words"),
     [
@@ -97,6 +97,10 @@ def test_the_command_prints_the_schema(srs_twin, tmp_path):
             "must be a whole number from 1",
         ),
         ("name: x\n", "robot: missing"),
+        (
+            "robot: gen4\nsupply_kpa: 0\n",
+            "supply_kpa: must be a number from 0.1 to 2000",
+        ),
     ],
 )
 def test_mistakes_are_shown_where_they_are(tmp_path, srs_twin, text, words):
@@ -163,6 +167,7 @@ def test_without_a_robot_the_command_asks_for_one(srs_twin, tmp_path):
             ["--natnet", "lab", "--body", "a=1", "--body", "a=2"],
             "the body or the connector of 'a=2' is used twice",
         ),
+        (["--pressure", "5000"], "Invalid value for '--pressure'"),
         (["--name", ""], "--name '' cannot be part of an MQTT topic"),
     ],
 )
