@@ -20,7 +20,7 @@ from srs_twin.cli.options import (
     option,
     print_json,
 )
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, InputFileError
 
 if TYPE_CHECKING:
     from srs_twin.live.emulator import EmulatedRobot
@@ -32,6 +32,13 @@ PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105
 
 
 _LONGEST_NAME = 200
+
+_IN_MESSAGES = {
+    "emulate: supply.pressure_kpa": "--pressure",
+    "emulate: pneumatics.kind": "--chambers",
+    ", or set `allow_overpressure: true`": "",
+}
+"""Texts in messages of scenario files, with their replacements for this command."""
 
 
 def broker_link(
@@ -101,18 +108,24 @@ class EmulationOptions:
         """
         from srs_twin.live.emulator import EmulatedRobot, Simulation
 
-        return EmulatedRobot(
-            robot,
-            Simulation(
-                gain_spread=self.spread,
-                pneumatics=self.chambers,
-                supply_kpa=self.pressure,
-            ),
-            seed=self.seed,
-            faults=self.fault or (),
-            noise_rad=self.noise,
-            start=_pose(self.start),
-        )
+        try:
+            return EmulatedRobot(
+                robot,
+                Simulation(
+                    gain_spread=self.spread,
+                    pneumatics=self.chambers,
+                    supply_kpa=self.pressure,
+                ),
+                seed=self.seed,
+                faults=self.fault or (),
+                noise_rad=self.noise,
+                start=_pose(self.start),
+            )
+        except InputFileError as error:
+            text = str(error)
+            for key, replacement in _IN_MESSAGES.items():
+                text = text.replace(key, replacement)
+            raise InputError(text) from error
 
 
 @dataclass(frozen=True)

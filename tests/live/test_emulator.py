@@ -286,10 +286,12 @@ def test_the_command_says_what_is_wrong(srs_twin, tmp_path):
         (("--name", "a/b"), "cannot be part of an MQTT topic"),
         (("--name", ""), "cannot be part of an MQTT topic"),
         (("--start", "1,2"), "--start '1,2' is not a pose; give x and y in m"),
-        (("--chambers", "orifce"), "did you mean orifice?"),
+        (("--chambers", "orifce"), "--chambers: must be one of lag, orifice"),
+        (("--pressure", "500"), "--pressure: 500 kPa is above the limit of gen4"),
     ):
         done = srs_twin(
             "emulate", "gen4", "--mqtt", f"127.0.0.1:{port}", *more, cwd=tmp_path
         )
         assert done.returncode == 2
-        assert why in " ".join(done.stderr.split())
+        said = " ".join(done.stderr.split())
+        assert why in said and "emulate: " not in said and "allow_over" not in said
