@@ -356,5 +356,10 @@ def _print_result(result: dict[str, Any]) -> None:
     )
     for fault in result["faults"]:
         say(f"{fault['time_s']:.1f} s: {fault['part']}: {fault['fault']}")
-    if "following" in result:
+    if "following" not in result:
+        return
+    if result["following"]["seconds"]:
         say(f"following ended: {result['following']['ending']}")
+    else:
+        reason = f": {estimate['lost']}" if estimate["lost"] else ""
+        say(f"following did not begin{reason}")

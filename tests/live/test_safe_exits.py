@@ -23,6 +23,7 @@ from srs_twin.live.links import Link, clock
 from srs_twin.live.messages import BENDS, COMMAND, CONTROL, GO, POSES, STATUS, Message
 from srs_twin.live.session import Session
 from srs_twin.live.shadow import Shadow
+from srs_twin.live.shadow_command import _print_result
 from srs_twin.live.steering import EstimateSteering
 from srs_twin.trajectory import Trajectory
 
@@ -350,6 +351,17 @@ def test_pause_keeps_the_valves_and_vent_vents_until_go(machine, word, by):
     found._steering.control("go")
     steps = [found._steering.step(found.estimate, found.shadow) for _ in range(2)]
     assert not np.array_equal(*steps)
+
+
+@pytest.mark.parametrize(
+    ("word", "words"),
+    [("go", "following ended: stopped\n"), ("vent", "following did not begin\n")],
+)
+def test_a_path_that_was_not_begun_has_not_ended(machine, capsys, word, words):
+    found, _ = session()
+    found._steering.control(word)
+    _print_result(found.run(0.3))
+    assert capsys.readouterr().err.endswith(words)
 
 
 def test_pause_ends_in_venting(machine):
