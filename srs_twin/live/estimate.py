@@ -282,13 +282,17 @@ _STEADY_S = 0.5
 class LiveContact:
     """Contact estimator for a robot with periodic commands.
 
+    A robot with a single segment has no contact estimates.
+
     Attributes:
         estimate: contact estimate from the last sample, or None as in
             `ContactObserver.update`.
     """
 
     def __init__(self, spec: RobotSpec) -> None:
-        self._observer = ContactObserver(spec, SLOT_S)
+        self._observer = None
+        if spec.segments > 1:
+            self._observer = ContactObserver(spec, SLOT_S)
         self._sample: int | None = None
         self._period = 0
         self._repeated = 0
@@ -299,23 +303,24 @@ class LiveContact:
         found = {
             message.kind: message for message in messages if message.kind in _NEEDED
         }
-        if found.keys() != _NEEDED:
+        observer = self._observer
+        if observer is None or found.keys() != _NEEDED:
             return
-        self._update_period(commands.period())
+        self._update_period(observer, commands.period())
         # The number of a sample is computed from the sending time, so that lost
         # messages do not shift the phase of the gait.
         sample = round(found[BENDS].sent / SLOT_S)
         if self._sample is not None and sample > self._sample:
-            self._observer.skip(sample - self._sample - 1)
+            observer.skip(sample - self._sample - 1)
         self._sample = sample
-        self.estimate = self._observer.update(
+        self.estimate = observer.update(
             found[VALVES].values, found[PRESSURES].values, found[BENDS].values
         )
 
-    def _update_period(self, period: int) -> None:
+    def _update_period(self, observer: ContactObserver, period: int) -> None:
         if not period:
             return
         self._repeated = self._repeated + 1 if period == self._period else 0
         self._period = period
-        if self._repeated * SLOT_S >= _STEADY_S and period != self._observer.period:
-            self._observer.set_period(period)
+        if self._repeated * SLOT_S >= _STEADY_S and period != observer.period:
+            observer.set_period(period)

@@ -9,7 +9,15 @@ from srs_twin import load_robot
 from srs_twin.live.commands import SLOT_S, CommandPeriod
 from srs_twin.live.contact_observer import ContactEstimate
 from srs_twin.live.estimate import LiveContact
-from srs_twin.live.messages import BENDS, PRESSURES, VALVES, Message, encode_contact
+from srs_twin.live.messages import (
+    BENDS,
+    COMMAND,
+    PRESSURES,
+    VALVES,
+    Message,
+    encode_contact,
+)
+from srs_twin.live.shadow import Shadow
 from srs_twin.pneumatics.chambers import air_bend
 
 GEN2 = load_robot("gen2")
@@ -40,6 +48,20 @@ def test_square_wave_gets_estimates_after_learning_although_a_shorter_period_fit
     # The period is known after three seconds; learning takes 12 s, the window 0.3 s.
     assert first is not None and first < 16.0
     assert not contact.estimate.touched
+
+
+def test_a_robot_with_one_segment_is_observed_without_contacts(srs_twin, tmp_path):
+    srs_twin("new", "robot", "one", "--segments", "1", cwd=tmp_path)
+    shadow = Shadow(load_robot(tmp_path / "one.yaml"), members=8)
+    for k in range(50):
+        time = k * SLOT_S
+        values = {kind: np.ones((1, 2)) for kind in (COMMAND, VALVES, PRESSURES)}
+        sent = [
+            Message(kind, "one", time, time, value)
+            for kind, value in (values | {BENDS: np.zeros(1)}).items()
+        ]
+        estimate = shadow.update(time, sent)
+    assert np.isfinite(estimate.bend).all() and shadow.contact.estimate is None
 
 
 def test_message_has_null_for_force_and_place_without_a_contact():
