@@ -125,8 +125,9 @@ class Fault:
             )
         most = segments + (part == "connector")
         if number and not 1 <= int(number) <= most:
+            numbered = part.replace("chamber", "segment")
             raise InputError(
-                f"{text!r}: {part} {number} does not exist; the robot has {most} of"
+                f"{text!r}: {numbered} {number} does not exist; the robot has {most} of"
                 " them"
             )
         return cls(
