@@ -325,8 +325,8 @@ class PictureOptions:
         part = whole.between(low, high)
         if len(part) < _MIN_SAMPLES:
             raise InputError(
-                f"the interval --from {low:g} --to {high:g} is outside the run; choose"
-                f" times from {first:g} to {last:g} s"
+                f"the interval from {low:g} to {high:g} s has fewer than two samples;"
+                f" choose a start and a later end from {first:g} to {last:g} s"
             )
         return part
 

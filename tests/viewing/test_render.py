@@ -332,11 +332,11 @@ def test_scale_bar_has_the_stated_length(runs):
         (("--video", "a.avi"), "a.avi: the name of the file must end in .mp4"),
         (
             ("--strobe", "--from", "30"),
-            "the interval --from 30 --to 3 is outside the run; choose times from 0 to",
+            "from 30 to 3 s has fewer than two samples; choose a start and a later end",
         ),
         (
             ("--strobe", "--from", "2", "--to", "1"),
-            "the interval --from 2 --to 1 is outside the run",
+            "from 2 to 1 s has fewer than two samples",
         ),
         (
             ("--image", "t=1", "--to", "1"),
