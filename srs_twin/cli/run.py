@@ -332,7 +332,7 @@ def _viewing_hint(folder: Path) -> str:
     from srs_twin.experiment import RECORDING
 
     if (folder / RECORDING).is_file():
-        return f"`srs-twin view {folder}` shows the run"
+        return f"`srs-twin view {shlex.quote(str(folder))}` shows the run"
     return "no recording was written, because rerun-sdk is not installed"
 
 

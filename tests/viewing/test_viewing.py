@@ -6,6 +6,7 @@ import base64
 import io
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -660,10 +661,12 @@ def test_viewer_errors_name_alternatives(tmp_path, recording, monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    spaced = shutil.copy(recording, tmp_path / "my run.rrd")
     with pytest.raises(
-        InputError, match=r"no display .* Open .*report\.html in a browser"
+        InputError,
+        match=r"no display .* Open .*report\.html in a browser.*my run\.rrd' --web",
     ):
-        open_recording(recording)
+        open_recording(spaced)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     with pytest.raises(
         InputError,

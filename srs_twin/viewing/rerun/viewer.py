@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -71,9 +72,9 @@ def open_recording(path: str | Path) -> None:
         raise InputError(
             "no display was found for the viewer, because neither DISPLAY nor"
             f" WAYLAND_DISPLAY is set. Open {recording.parent / 'report.html'} in a"
-            f" browser, serve the recording with `srs-twin view {recording} --web`, or"
-            f" copy {recording} to a machine with a screen and run 'rerun"
-            f" {recording.name}' there"
+            " browser, serve the recording with `srs-twin view"
+            f" {shlex.quote(str(recording))} --web`, or copy {recording} to a"
+            f" machine with a screen and run 'rerun {recording.name}' there"
         )
     # The default address would accept connections from the network.
     exit_code = subprocess.run(
