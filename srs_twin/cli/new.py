@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+import shlex
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -79,7 +80,7 @@ class NewRobotOptions:
 
     length: float | None = None
     mass: float | None = None
-    segments: Annotated[int | None, OptionRange(max=63)] = None
+    segments: Annotated[int | None, OptionRange(1, 63)] = None
     pressure: float | None = None
     bend: float | None = None
     skin: bool = False
@@ -202,7 +203,7 @@ def robot(
         "robot.yaml", name, out, load_robot, doubts=doubts, title=title, **values
     )
     say(*(f"warning: {doubt}" for doubt in doubts))
-    _print_next_command(path, f"srs-twin new scenario {name}_straight --robot {path}")
+    _print_next_command(path, "new", "scenario", f"{name}_straight", "--robot", path)
 
 
 _CHAMBER_SOURCES = {
@@ -288,7 +289,7 @@ def scenario(
         frequency=frequency,
         duration=duration,
     )
-    _print_next_command(path, f"srs-twin compare {path}")
+    _print_next_command(path, "compare", path)
 
 
 def study(
@@ -306,7 +307,7 @@ def study(
     path = _write(
         "study.yaml", name, out, check, title=title, scenario=json.dumps(scenario)
     )
-    _print_next_command(path, f"srs-twin optimize {path}")
+    _print_next_command(path, "optimize", path)
 
 
 def controller(name: NameArgument, out: OutOption = None) -> None:
@@ -331,7 +332,7 @@ def controller(name: NameArgument, out: OutOption = None) -> None:
         path.unlink()
         raise
     say(f"wrote {path}; it is valid")
-    _print_next_command(scenario, f"srs-twin compare {scenario} --plugin {path}")
+    _print_next_command(scenario, "compare", scenario, "--plugin", path)
 
 
 for _command in (robot, scenario, controller, study):
@@ -371,7 +372,10 @@ def _write(
             " use only lower-case letters, digits and _"
         )
     # A template of a Python file has the suffix .txt.
-    path = Path(out or f"{name}{Path(template).suffix}".replace(".txt", ".py"))
+    suffix = Path(template).suffix.replace(".txt", ".py")
+    path = Path(out or f"{name}{suffix}")
+    if suffix == ".py" != path.suffix:
+        raise InputError(f"--out {path}: the name of the file must end in .py")
     if path.exists():
         raise InputError(
             f"{path} already exists; choose another name, or another path with --out"
@@ -402,6 +406,6 @@ def _filled(template: str, values: dict[str, object]) -> str:
     return Template(text).substitute(texts)
 
 
-def _print_next_command(path: Path, command: str) -> None:
+def _print_next_command(path: Path, *words: str | Path) -> None:
     say(f"wrote {path}; it is valid")
-    print(f"next: {launcher()}{command}")
+    print(f"next: {launcher()}srs-twin {shlex.join(map(str, words))}")

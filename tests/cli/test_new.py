@@ -123,8 +123,9 @@ def test_a_new_study_and_controller_are_valid(srs_twin, tmp_path):
         ),
         (
             "robot worm --segments 0",
-            "--segments 0 is not allowed; it must be above 0 and finite",
+            "Invalid value for '--segments'",
         ),
+        ("controller b --out x.yaml", "x.yaml: the name of the file must end in .py"),
         (
             "robot worm --servo --pressure 40",
             "a robot with servos has no supply pressure; remove --pressure",
@@ -138,6 +139,11 @@ def test_bad_input_leaves_no_file(words, message, srs_twin, tmp_path):
     done = srs_twin("new", *words.split(" "), cwd=tmp_path)
     assert done.returncode == 2 and message in done.stderr, done.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_printed_commands_quote_their_paths(srs_twin, tmp_path):
+    done = srs_twin("new", "scenario", "walk", "--out", "my walk.yaml", cwd=tmp_path)
+    assert "next: srs-twin compare 'my walk.yaml'" in done.stdout
 
 
 def test_an_existing_file_is_kept(srs_twin, tmp_path):
