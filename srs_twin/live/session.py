@@ -223,7 +223,7 @@ class Session:
         ticks: durations of the ticks, s.
         lag: maximum age of an estimate at the time when its command is sent, s.
         latency: times between the arrival of bend readings and the estimates that use
-            them, s.
+            them, s. Empty for replayed journals.
         resumed: whether the state of an earlier session was restored from the output
             folder.
     """
@@ -470,18 +470,18 @@ class Session:
         work_s = math.inf if self._commands is None else _WORK_S
         estimate = self.shadow.update(now, messages, work_s=work_s)
         self.estimate = estimate
-        hold = self.shadow.buffer.hold
-        # The latency includes the time for which the buffer holds a message.
-        self.latency.extend(
-            now - message.arrived + hold
-            for message in messages
-            if message.kind == BENDS
-        )
         if estimate is not None:
             for fault in estimate.faults:
                 self.faults.setdefault((fault.part, fault.name), since)
             self._rows.append(estimate_row(since, estimate))
         if self._commands is not None:
+            hold = self.shadow.buffer.hold
+            # The latency includes the time for which the buffer holds a message.
+            self.latency.extend(
+                now - message.arrived + hold
+                for message in messages
+                if message.kind == BENDS
+            )
             self._send(self._commands, now)
 
     def _receive(self) -> list[Message]:

@@ -498,6 +498,7 @@ def test_every_message_of_a_journal_is_used_at_any_speed(tmp_path, monkeypatch):
         told = found.run(60.0)
     assert len(used) == 20 and told["skipped_s"] == 0
     assert told["messages"] == {BENDS: 20, "over": 1}
+    assert told["latency_ms"]["median"] is None
 
 
 def test_a_killed_session_loses_only_messages_since_the_last_flush(tmp_path):
