@@ -254,15 +254,25 @@ class FootprintFile(StrictModel):
         measured = self.curvature_per_m.source.startswith(MEASURED_ON_TWIN)
         return self.contact or (UNSTATED_CONTACT if measured else None)
 
-    def mismatch(self, contact: ContactName) -> str | None:
-        """Return a warning if the footprint was measured with another contact model."""
+    def mismatch(self, robot: str, contact: ContactName | None) -> str | None:
+        """Return a warning if the footprint is of another robot or contact model.
+
+        `contact` is the contact model of the twin, or None if no twin runs.
+        """
         own = self.twin_contact
-        if own in (None, contact):
+        option = f" --contact {contact}" if contact else ""
+        if robot != self.robot:
+            problem = f"is a footprint of {self.robot}, but the robot here is {robot}"
+        elif contact and own not in (None, contact):
+            problem = (
+                f"was measured on a twin with contact {own}, but this twin has"
+                f" contact {contact}"
+            )
+        else:
             return None
         return (
-            f"{self.name} was measured on a twin with contact {own}, but this twin has"
-            f" contact {contact}; `srs-twin calibrate footprint {self.robot} --contact"
-            f" {contact}` measures a suitable footprint"
+            f"{self.name} {problem}; `srs-twin calibrate footprint {robot}{option}`"
+            " measures a suitable footprint"
         )
 
     def footprint(self) -> Footprint:

@@ -116,7 +116,8 @@ class PlannerSection(ExtensionSection):
         except InputError as error:
             document.report(("planner", "footprint"), str(error).splitlines()[0])
             return None
-        if file.plants.twin and (text := footprint.mismatch(file.plants.twin.contact)):
+        contact = file.plants.twin.contact if file.plants.twin else None
+        if text := footprint.mismatch(loading.robot.name, contact):
             loading.warnings.append(f"planner.footprint: {text}")
         try:
             return self._planner(footprint, loading)

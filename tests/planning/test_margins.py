@@ -146,7 +146,19 @@ def test_footprint_of_another_contact_causes_a_warning():
         " but this twin has contact preloaded; `srs-twin calibrate footprint gen2"
         " --contact preloaded` measures a suitable footprint"
     ]
-    assert warned("preloaded", "gen4_table8") == []
+    assert warned("preloaded", "gen2_section52") == []
+
+
+def test_footprint_of_another_robot_causes_a_warning():
+    changes = {"planner.footprint": "gen4_table8"}
+    assert (
+        "planner.footprint: gen4_table8 is a footprint of gen4, but the robot here is"
+        " gen2; `srs-twin calibrate footprint gen2 --contact loaded` measures a suitable"
+        " footprint"
+    ) in load_scenario("plan_fig54_3", set=changes).warnings
+    assert "footprint gen4` measures" in load_footprint_file("gen2_gait").mismatch(
+        "gen4", None
+    )
 
 
 def test_a_footprint_file_without_a_contact_is_of_a_preloaded_twin(tmp_path):
@@ -156,8 +168,8 @@ def test_a_footprint_file_without_a_contact_is_of_a_preloaded_twin(tmp_path):
     save_footprint(before, tmp_path / "before.yaml")
     again = load_footprint_file(tmp_path / "before.yaml")
     assert again.contact is None and again.twin_contact == "preloaded"
-    assert "contact preloaded, but this twin has" in again.mismatch("loaded")
-    assert again.mismatch("preloaded") is None
+    assert "contact preloaded, but this twin has" in again.mismatch("gen2", "loaded")
+    assert again.mismatch("gen2", "preloaded") is None
 
 
 @pytest.mark.parametrize("name", ["gen2_gait", "gen2_orifice", "gen4_ilc"])
