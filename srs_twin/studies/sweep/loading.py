@@ -218,7 +218,6 @@ class _Loader:
         before = len(self._document.problems)
         self._check_names()
         self._check_planning()
-        self._check_metrics()
         values = None
         experiment = Experiment(
             self._scenario,
@@ -230,7 +229,9 @@ class _Loader:
         with self._document.report_errors("vary"):
             integer_fields = self._integer_fields(experiment)
             values = sample(file.vary, file.sampling, integer_fields)
-        if values is None or len(self._document.problems) > before:
+        contradictory = len(self._document.problems) > before
+        known_metrics = self._check_metrics()
+        if values is None or contradictory:
             return None
         base = experiment.with_fixed(file.fixed)
         if changes := changed_fields(
@@ -253,6 +254,9 @@ class _Loader:
         )
         for loc, problem in problems_at(self._test_points(sweep)):
             self._report_problem(loc, problem)
+        # A plot may be right if a field or metric that it names is misspelt elsewhere.
+        if len(self._document.problems) == before:
+            self._check_plots(known_metrics)
         if len(self._document.problems) > before:
             return None
         return sweep
@@ -326,15 +330,19 @@ class _Loader:
                 )
                 self._document.report((key,), text, at_key=True)
 
-    def _check_metrics(self) -> None:
+    def _check_metrics(self) -> list[str]:
+        """Report unknown metrics, and return the known metrics."""
         known = [*PLANNING_UNITS]
         if self._plants:
             known = [*metric_units(), *LIST_METRIC_UNITS]
         if len(self._plants) == len(PLANTS):
             known += COMPARISON_UNITS
-        metrics = self._file.metrics
-        for i, metric in enumerate(metrics or ()):
+        for i, metric in enumerate(self._file.metrics or ()):
             self._check_metric(("metrics", i), metric, known)
+        return known
+
+    def _check_plots(self, known: list[str]) -> None:
+        metrics = self._file.metrics
         plotted = known if metrics is None else metrics
         for i, plot in enumerate(self._file.plots):
             self._check_metric(("plots", i, "metric"), plot.metric, plotted)

@@ -289,3 +289,15 @@ def test_errors_of_the_scenario_name_its_file(tmp_path, monkeypatch):
         InputError, match=r"^bad.yaml:3:40: controller.frequency_hz: must be a number"
     ):
         load_sweep(write(tmp_path, SMALL.replace("gen2_straight", "bad.yaml")))
+
+
+def test_plots_are_judged_only_with_valid_fields_and_metrics(tmp_path):
+    text = SMALL.replace("frequency_hz", "frequncy_hz") + (
+        "metrics: [com_speed]\n"
+        "plots: [{kind: line, x: controller.frequency_hz, metric: com_speed_m_s}]\n"
+    )
+    with pytest.raises(InputError) as error:
+        load_sweep(write(tmp_path, text))
+    vary, metric = str(error.value).splitlines()
+    assert "unknown key; did you mean frequency_hz?" in vary
+    assert "did you mean com_speed_m_s?" in metric
