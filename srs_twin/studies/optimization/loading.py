@@ -330,6 +330,9 @@ def load_study(
         document.apply(replace(change, loc=loc))
     complete = locate_files(document)
     file = validate(StudyFile, document, document.data)
+    if file is None and document.get("budget"):
+        # A wrong budget must not hide problems of the fields.
+        file = validate(StudyFile, Document(""), {**document.data, "budget": {}})
     scenario, scenario_errors = base_scenario(document) if file else (None, ())
     loaded = None
     if complete and file is not None and scenario is not None:

@@ -586,6 +586,13 @@ def test_invalid_studies_are_refused_with_their_location(tmp_path, old, new, mes
     assert message in str(error.value) and "question.yaml:" in str(error.value)
 
 
+def test_a_wrong_budget_does_not_hide_wrong_fields(tmp_path):
+    with pytest.raises(InputFileError) as error:
+        study(tmp_path, twin=3, old="frequency_hz", new="frequncy_hz")
+    field, budget = error.value.lines
+    assert "did you mean frequency_hz?" in field and "budget.twin" in budget
+
+
 @pytest.mark.slow
 def test_the_best_scenario_of_the_command_can_be_run(srs_twin, tmp_path):
     path = tmp_path / "question.yaml"
