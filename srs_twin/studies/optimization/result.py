@@ -213,7 +213,17 @@ class StudyResult:
 
     @property
     def warning(self) -> str | None:
-        """Warning that the budget was too small, or None."""
+        """Warning that the search ended too early, or None."""
+        budget = self.study.file.budget
+        parts = [run.part for run in self.runs]
+        if parts.count("twin") < budget.twin:
+            text = (
+                f"The search ended after {parts.count('twin')} of {budget.twin} runs of"
+                " the twin, because no other design was left"
+            )
+            if parts.count("compliant") >= budget.compliant:
+                text += " among those of the model compliant; raise budget.compliant"
+            return f"{text}."
         if self.improvement is None or self.improvement <= MAX_IMPROVEMENT:
             return None
         gain = f"{100 * self.improvement:.1f} %"

@@ -473,11 +473,12 @@ class _Search:
             new = self._screened_candidates(count)
         else:
             new = self._neighbours(count)
-        if (
-            self._compliant_runs
-            and len(self._compliant_runs) + count <= self._study.file.budget.compliant
+        left = max(self._study.file.budget.compliant - len(self._compliant_runs), 0)
+        # A part of the usual number is simulated only if the search would end without.
+        if self._compliant_runs and (
+            count <= left or not self._untried(self._compliant_runs)
         ):
-            self._run("compliant", self._study.space.snapped(new))
+            self._run("compliant", self._study.space.snapped(new[:left]))
         candidates = self._compliant_runs
         if not candidates:
             designs = self._study.space.snapped(
@@ -486,6 +487,10 @@ class _Search:
             candidates = [
                 Run("twin", fractions, Row("", DONE)) for fractions in designs
             ]
+        return self._untried(candidates)
+
+    def _untried(self, candidates: Sequence[Run]) -> list[Run]:
+        """Return the candidates that the twin has not simulated."""
         finished = [run.fractions for run in self._twin_runs]
         return [run for run in candidates if _is_far(run.fractions, finished)]
 

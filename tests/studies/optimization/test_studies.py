@@ -491,6 +491,27 @@ def test_searches_with_infeasible_constraints_or_exhausted_spaces_end(tmp_path):
     }
 
 
+@pytest.mark.parametrize(
+    ("twin", "warning"),
+    [
+        (4, ""),
+        (
+            40,
+            "of 40 runs of the twin, because no other design was left among those of"
+            " the model compliant; raise budget.compliant.",
+        ),
+    ],
+)
+def test_the_budget_is_used_or_the_result_says_why_not(tmp_path, twin, warning):
+    line = "  controller.phase_step_rad: {low: 0.4, high: 2.6}\n"
+    question = study(tmp_path, twin=twin, compliant=8, old=line)
+    with StudyRuns(question, tmp_path / "out", Engine()) as runs:
+        result = StudyResult.evaluate(question, search(question, runs), runs)
+    document = result.document()
+    assert (document["evaluations"]["twin"] < twin) == bool(warning)
+    assert (document["warning"] or "").endswith(warning)
+
+
 def test_a_study_whose_twin_always_fails_is_refused_with_the_reason(tmp_path):
     class Broken(Engine):
         def __call__(self, experiment, points):
