@@ -41,7 +41,7 @@ from srs_twin.identification.locomotion import (
     gait_run,
     measured_length,
 )
-from srs_twin.identification.parameters import with_values
+from srs_twin.identification.parameters import free_parameters, with_values
 from srs_twin.identification.static_tables import (
     StaticTable,
     fit_static,
@@ -53,7 +53,7 @@ from srs_twin.identification.static_tables import (
 from srs_twin.io.arguments import checked
 from srs_twin.io.file_sets import replace_files
 from srs_twin.io.files import StrPath, check_file_name, path_from
-from srs_twin.recordings.formats import UnknownFormatError
+from srs_twin.recordings.formats.base import UnknownFormatError
 from srs_twin.recordings.recording import Recording
 from srs_twin.recordings.takes import RecordingReader, logs_of
 from srs_twin.robot.file import load_robot
@@ -161,7 +161,8 @@ def calibrate_friction(
             weighted RMS so far.
 
     Raises:
-        InputError: a file cannot be read, or the data are not sufficient for the fit.
+        InputError: a file cannot be read, the data are not sufficient for the fit, or
+            pulls give an implausible coefficient.
     """
     task = _Task(calibrate_friction, locals())
     if task.all_are(is_pull_table, "table of pulls", "recording of a coasting test"):
@@ -407,6 +408,23 @@ def _read_pulls(task: _Task) -> list[Pulls]:
     return [read_pull_table(path) for path in task.files]
 
 
+def _fit_pulls(
+    pulls: Sequence[Pulls], spec: RobotSpec, watch: Watch | None, **settings: Any
+) -> FitEstimate:
+    fit = fit_pulls(*pulls, **settings)
+    for limits in free_parameters(spec, [each.name for each in fit.parameters]):
+        value = fit[limits.name].value
+        if value is not None and not limits.low <= value <= limits.high:
+            raise InputError(
+                f"{pulls[0].name}: the pulls give {limits.name} = {value:.3g}, but it"
+                f" must be between {limits.low:g} and {limits.high:g}; check"
+                f" `spring_n_per_m` {pulls[0].stiffness:g} and `mass_kg`"
+                f" {pulls[0].mass:g} ({spec.name} has a mass of"
+                f" {spec.mass.total:.3g} kg)"
+            )
+    return fit
+
+
 def _read_coasting_tests(task: _Task) -> list[CoastingTest]:
     tests = []
     for path in task.files:
@@ -481,7 +499,7 @@ _PULLS = _Kind(
     "pulls",
     "Friction of {spec.name} from pulls",
     _read_pulls,
-    lambda pulls, spec, watch, **settings: fit_pulls(*pulls, **settings),
+    _fit_pulls,
 )
 _COASTING_TESTS = _Kind(
     "coasting",

@@ -105,8 +105,13 @@ def test_equal_readings_have_the_error_of_their_resolution(tmp_path):
     assert found.standard_error / found.value == pytest.approx(0.01 / 12**0.5 / 4.6)
 
 
-def test_table_without_columns_of_pulls_is_refused_with_these_columns(tmp_path, capsys):
-    path = pulls_file(tmp_path, "direction,force_n\nahead,0.05\n")
+@pytest.mark.parametrize(
+    "text", ["direction,force_n\nahead,0.05\n", "time_s,bend_rad\n0,0.03\n1,0.02\n"]
+)
+def test_table_without_columns_of_pulls_is_refused_with_these_columns(
+    tmp_path, capsys, text
+):
+    path = pulls_file(tmp_path, text)
     with pytest.raises(SystemExit, match="^2$"):
         main(["calibrate", "friction", str(path), "--robot", "gen2"])
     assert (
@@ -187,6 +192,12 @@ def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
             ["friction", "p.csv", "h.csv"],
             "p.csv is a table of pulls, but h.csv is a recording of a coasting test",
         ),
+        (
+            ["friction", "grams.csv"],
+            "grams.csv: the pulls give friction.mu_t = 5.64e-05, but it must be between"
+            " 0.001 and 5; check `spring_n_per_m` 30 and `mass_kg` 150 (gen2 has a mass"
+            " of 0.15 kg)",
+        ),
         (["friction", "p.csv", "--name", "No"], "--name: 'No' is not allowed"),
         (
             ["friction", "p.csv", "--out", "My-Fit.yaml"],
@@ -228,6 +239,7 @@ def test_unsuitable_options_and_data_are_refused(
 ):
     pulls_file(tmp_path, name="p.csv")
     pulls_file(tmp_path, PULLS.replace("3,", "3.1,"), name="q.csv")
+    pulls_file(tmp_path, PULLS.replace("0.15", "150"), name="grams.csv")
     (tmp_path / "h.csv").write_bytes((EXAMPLE / "held.csv").read_bytes())
     (tmp_path / "w.csv").write_bytes((EXAMPLE / "walk_straight.csv").read_bytes())
     monkeypatch.chdir(tmp_path)

@@ -14,7 +14,13 @@ from pathlib import Path
 from srs_twin import extensions
 from srs_twin.errors import InputError
 from srs_twin.io.files import StrPath, escape_unprintable
-from srs_twin.recordings.formats.base import Format, MarkerTable, Unstated, in_unit
+from srs_twin.recordings.formats.base import (
+    Format,
+    MarkerTable,
+    UnknownFormatError,
+    Unstated,
+    in_unit,
+)
 from srs_twin.recordings.formats.topics import Bag, RecordedTopics
 from srs_twin.recordings.recorded_file import (
     AS_FOUND,
@@ -83,10 +89,6 @@ _OTHERS: tuple[tuple[str | bytes, str, str], ...] = (
     (rb"\x80[\x02-\x05]", "a Python pickle", _TABLE),
     (rb"HIERARCHY", "a BVH file, which holds joint angles and no markers,", _EXPORT),
 )
-
-
-class UnknownFormatError(InputError):
-    """Error for a file in an unknown format."""
 
 
 def identify(path: StrPath, dialect: Dialect = AS_FOUND) -> str:

@@ -45,6 +45,10 @@ _NOT_A_POSITION = re.compile(
 """Words that exclude a column with an axis letter from the positions."""
 
 
+class UnknownFormatError(InputError):
+    """Error for a file in an unknown format, or for a plain table without positions."""
+
+
 class Unstated(NamedTuple):
     """Information from a map or from options that a file may lack.
 

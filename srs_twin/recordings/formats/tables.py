@@ -22,6 +22,7 @@ from srs_twin.recordings.csv_table import (
 from srs_twin.recordings.formats.base import (
     Format,
     MarkerTable,
+    UnknownFormatError,
     Unstated,
     announced,
     axis_columns,
@@ -344,9 +345,8 @@ def _marker_columns(
         }
     if not markers:
         required = "columns x_1,y_1,x_2,y_2,… (head first) or NAME_x,NAME_y"
-        raise file.error(
-            f"the file contains no positions; it must have {required}", line
-        )
+        problem = f"the file contains no positions; it must have {required}"
+        raise UnknownFormatError(str(file.error(problem, line)))
     used = {column.place for axes in markers.values() for column in axes.values()}
     for place, name in enumerate(names):
         if file.names.count(name) > 1:
