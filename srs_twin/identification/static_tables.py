@@ -355,8 +355,11 @@ def read_static_table(path: StrPath, spec: RobotSpec) -> StaticTable:
         values[:, column.number - 1, names.index(column.name)] = cells[:, k]
     pressure = values[..., :2]
     bend = values[..., 2]
-    if np.isnan(pressure).any():
-        raise table.file.error("a pressure is missing; give all pressures in every row")
+    missing = np.isnan(pressure).any(axis=(1, 2))
+    if missing.any():
+        line = table.file.line_of_row(int(missing.argmax()), table.file.header_lines)
+        problem = "a pressure is missing; give all pressures in every row"
+        raise table.file.error(problem, line)
     if not np.isfinite(bend).any():
         raise table.file.error("the columns of bends contain no number")
     name = table.file.name

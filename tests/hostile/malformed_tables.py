@@ -236,6 +236,11 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
         ":1:1: pressure_plus_1_ata: unknown unit 'ata'",
     ),
     Malformed(
+        "no pressure",
+        STATIC.replace(b"10,0", b",0"),
+        ":4: a pressure is missing; give all pressures in every row",
+    ),
+    Malformed(
         "a word", STATIC.replace(b"10,0", b"ten,0"), ":4:1: 'ten' is not a number"
     ),
     Malformed(
