@@ -46,6 +46,8 @@ _DESCRIPTIONS = {
     "Controller": "a Controller, such as Gait(2.0)",
     "Trajectory": "a Trajectory, which rollout returns",
     "Scenario": "a Scenario, such as load_scenario('gen2_straight')",
+    "Pose": "a Pose, such as Pose(0, 0, 0)",
+    "Footprint": "a Footprint, such as load_footprint('gen2_gait')",
     "Problem": "a Problem; plan_scenario plans a scenario",
 }
 """Descriptions of types in messages, keyed by type name."""

@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from srs_twin.errors import InputError
+from srs_twin.io.arguments import check_types
 from srs_twin.planning.arcs import Primitives
 from srs_twin.planning.collision import Checker, obstacle_at
 from srs_twin.planning.footprint import Footprint, validate_footprint
@@ -133,6 +134,9 @@ class Problem:
         world: obstacles and bounds.
         footprint: area that the body covers in each possible turn.
         primitives: motion primitives, or None if the planner chooses them.
+
+    Raises:
+        InputError: an argument has a wrong type.
     """
 
     start: Pose
@@ -140,6 +144,9 @@ class Problem:
     world: World
     footprint: Footprint
     primitives: Primitives | None = None
+
+    def __post_init__(self) -> None:
+        check_types("Problem", Problem, vars(self))
 
 
 def check_problem(problem: Problem) -> None:

@@ -12,6 +12,7 @@ import srs_twin as srs
 from srs_twin.errors import InputError
 from srs_twin.io.arguments import checked
 from srs_twin.io.validation import describe_schema
+from srs_twin.robot.world import Goal, Pose, World
 
 pytestmark = pytest.mark.fast
 
@@ -103,6 +104,16 @@ def test_rollout_of_a_robot_says_how_to_build_a_plant(spec):
         ),
         (lambda: srs.compare(3), "compare: reference 3"),
         (lambda: srs.plan("follow_fig57"), "plan: problem .* plan_scenario"),
+        (
+            lambda: srs.Problem((0, 0), Goal(1, 0, None, 0.1), World(), "gen2_gait"),
+            r"Problem: start \(0, 0\) .* a Pose, such as Pose\(0, 0, 0\)",
+        ),
+        (
+            lambda: srs.Problem(
+                Pose(0, 0, 0), Goal(1, 0, None, 0.1), World(), "gen2_gait"
+            ),
+            r"Problem: footprint 'gen2_gait' .* load_footprint\('gen2_gait'\)",
+        ),
         (lambda: srs.Job("gen2", srs.Gait(2.0), 1.0), "Job: plant 'gen2'"),
         (lambda: srs.run_many([("gen2", 1)]), "run_many: jobs .* each a Job"),
         (
