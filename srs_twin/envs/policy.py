@@ -226,7 +226,11 @@ class _Baseline(ABC):
         values = dict(zip(self._names, map(float, observation), strict=True))
         action = self._action(values)
         self._steps += 1
-        return self._task.from_physical(action)
+        allowed = [
+            min(max(value, signal.low), signal.high)
+            for value, signal in zip(action, self._task.actions, strict=True)
+        ]
+        return self._task.from_physical(allowed)
 
     @abstractmethod
     def _action(self, values: Mapping[str, float]) -> Sequence[float]:

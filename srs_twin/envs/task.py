@@ -267,6 +267,8 @@ class Task(ABC):
         selected = self._requested_groups
         if selected is None:
             selected = tuple(groups)
+        elif isinstance(selected, str):
+            selected = (selected,)
         check_names("group of observations", selected, groups)
         if not selected:
             raise InputError(
@@ -311,10 +313,25 @@ class Task(ABC):
         ]
 
     def from_physical(self, values: Sequence[float]) -> np.ndarray:
-        """Convert values in physical units to an action scaled from −1 to 1."""
+        """Convert values in physical units to an action scaled from −1 to 1.
+
+        Raises:
+            InputError: the number of values is wrong, or a value is outside its range.
+        """
         low = lower_bounds(self.actions).astype(float)
         high = upper_bounds(self.actions).astype(float)
-        scaled = 2 * (np.asarray(values, dtype=float) - low) / (high - low) - 1
+        given = as_finite_array(values, low.shape)
+        scaled = None if given is None else 2 * (given - low) / (high - low) - 1
+        # The tolerance covers rounding errors, also of `to_physical`.
+        if scaled is None or (abs(scaled) > 1 + 1e-6).any():
+            ranges = [
+                f"{each.name} from {each.low:g} to {each.high:g}"
+                for each in self.actions
+            ]
+            raise InputError(
+                f"the physical values {abbreviate(values)} are not allowed; give"
+                f" {len(ranges)} numbers ({', '.join(ranges)})"
+            )
         return np.asarray(scaled, dtype=np.float32)
 
     @property

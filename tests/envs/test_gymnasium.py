@@ -90,6 +90,15 @@ def test_actions_from_minus_1_to_1_span_the_physical_bounds(task):
     assert env.task.to_physical(-beyond) == [signal.low for signal in env.task.actions]
 
 
+@pytest.mark.parametrize("values", [[0.1, 2.0, 48300], [0.1, 2.0], [0.1, 2.0, np.nan]])
+def test_physical_values_outside_the_ranges_of_actions_are_refused(values):
+    with pytest.raises(
+        InputError,
+        match="give 3 numbers .offset from -0.4 to 0.4, .* pressure_kpa from 41",
+    ):
+        SnakeEnv("GoTo").task.from_physical(values)
+
+
 @pytest.mark.parametrize("task", MARKED_TASKS)
 def test_same_seed_gives_the_same_episode_after_other_episodes(task):
     fresh = SnakeEnv(task)
@@ -357,10 +366,13 @@ def test_selected_observations_equal_those_of_all():
         other = some.step(np.ones(3))[0]
         assert equal_bits(one[[names.index(name) for name in chosen]], other)
     assert some.observation_space.contains(other)
-    with pytest.raises(
-        InputError, match="unknown group of observations 'goals'; did you mean goal"
-    ):
-        SnakeEnv("GoTo", observations=("goals",))
+    single = SnakeEnv("GoTo", observations="goal")
+    assert single.observation_space.shape == (2,)
+    for unknown in ("goals", ("goals",)):
+        with pytest.raises(
+            InputError, match="unknown group of observations 'goals'; did you mean goal"
+        ):
+            SnakeEnv("GoTo", observations=unknown)
     with pytest.raises(
         InputError,
         match="no group of observations is selected; give at least one of pose, goal",
