@@ -250,6 +250,10 @@ class Document:
         ``stiffness`` of the robot override.
         """
         existing = self.existing_prefix(prefix + loc)
+        missing = (prefix + loc)[len(existing) :]
+        if missing[:1] == ("value",):
+            # A list may be written without the key `value`.
+            existing = self.existing_prefix(existing + missing[1:])
         if len(existing) > len(prefix) + 1 or existing == prefix + loc:
             return existing
         return prefix + loc

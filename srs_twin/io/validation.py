@@ -487,6 +487,8 @@ def _describe_list(schema: Schema, root: Schema, brief: bool) -> str:
     text = "a list"
     if schema.get("minItems") == schema.get("maxItems", -1):
         text += f" of {schema['minItems']}"
+    elif schema.get("minItems", 0) > 1 and "maxItems" in schema:
+        text += f" of {schema['minItems']} to {schema['maxItems']}"
     if inner := describe_schema(schema.get("items", {}), root, brief=brief):
         text += f" (each {inner})"
     return text

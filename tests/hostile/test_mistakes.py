@@ -271,6 +271,14 @@ POSITIONS = [
     ),
     (
         "gen2\n",
+        "{base: gen2, modules: {gain: [1.2, 0.8]}}\n",
+        (
+            "2:38: robot.modules.gain[0]: must be a list of 2 to 8 (each a number from"
+            " 0.1 to 10), not 1.2"
+        ),
+    ),
+    (
+        "gen2\n",
         "gen2\nrobot: gen3\n",
         "3:1: robot: the key is given twice; the first one is on line 2",
     ),
