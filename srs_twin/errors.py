@@ -151,7 +151,9 @@ class TimeStepError(InputError):
         divisor = _longest_round_divisor(period_s, step_s)
         longer = shortest_decimal(multiple, lambda time: _is_whole(time / step_s))
         shorter = shortest_decimal(divisor, lambda time: _is_whole(period_s / time))
-        super().__init__(f"{self.problem}; use {longer} s or {step_name} {shorter} s")
+        super().__init__(
+            f"{self.problem}; use {longer} s, or set {step_name} to {shorter} s"
+        )
 
 
 class InputFileError(InputError):

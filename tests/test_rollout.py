@@ -126,7 +126,7 @@ def test_samples_are_evenly_spaced_and_include_both_ends(options, step):
     [
         (
             lambda: rollout(Clock(), Scripted(), 1.01),
-            "duration 1.01 s is not a multiple of tick 0.02 s; use 1 s or tick",
+            "duration 1.01 s is not a multiple of tick 0.02 s; use 1 s, or set tick to",
         ),
         (
             lambda: rollout(Clock(), Scripted(), 1.0, record_hz=70),
@@ -200,8 +200,8 @@ def test_suggested_times_are_accepted(period, step):
     with pytest.raises(InputError) as refused:
         count_steps("duration", period, "tick", step)
     printed, longer, shorter = re.fullmatch(
-        r"duration (\S+) s is not a multiple of tick \S+ s; use (\S+) s or tick"
-        r" (\S+) s",
+        r"duration (\S+) s is not a multiple of tick \S+ s; use (\S+) s, or set"
+        r" tick to (\S+) s",
         str(refused.value),
     ).groups()
     with pytest.raises(InputError):  # the printed digits show the problem
