@@ -68,7 +68,13 @@ def load_scenario(
             return scenario
         return parse_scenario(scenario.document, name=scenario.name, set=set)
     path = find_file("scenario", scenario)
-    return _scenario(load_yaml(path), results_name(path), set)
+    document = load_yaml(path)
+    if document.get("geometry") and not document.get("robot"):
+        raise InputError(
+            f"{document.name}: this is a robot file; give a scenario that contains"
+            f" `robot: {document.name}`"
+        )
+    return _scenario(document, results_name(path), set)
 
 
 def parse_scenario(

@@ -7,6 +7,7 @@ import os
 from typing import Annotated
 
 import pytest
+from conftest import ROOT
 from malformed_scenarios import SCENARIO
 from malformed_yaml import NOT_NUMBERS
 from pydantic import Field
@@ -28,6 +29,10 @@ plants: {analytical: {}, twin: {}}
 # Command line, and part of the message.
 COMMANDS = [
     ("run mine.yml", "mine.yml: no such file"),
+    (
+        f"run {ROOT}/calibration/robots/gen2.yaml",
+        "gen2.yaml: this is a robot file; give a scenario that contains `robot: ",
+    ),
     ("compare gen2_straight --explian", "--explain"),
     ("compare gen2_straight --set robot.mu_t=0.2", "did you mean robot.friction.mu_t?"),
     (
