@@ -49,6 +49,9 @@ def plan(
     from srs_twin.scenario.modified import left_out_line
 
     loaded = load_scenario(scenario, set=changed.changes())
+    # The other warnings concern the simulation.
+    warnings = [text for text in loaded.warnings if text.startswith("planner.")]
+    say(*(f"warning: {text}" for text in warnings), quiet=quiet)
     folder = Path(out) if out else RUNS_FOLDER / loaded.name
     planned = plan_scenario(loaded, out=folder)
     result = planned.plan

@@ -161,6 +161,12 @@ def test_footprint_of_another_robot_causes_a_warning():
     )
 
 
+def test_the_command_plan_warns_of_the_footprint_of_another_robot(srs_twin, tmp_path):
+    options = ("--set", "planner.footprint=gen4_table8", "--out", "out")
+    done = srs_twin("plan", "plan_fig54_3", *options, cwd=tmp_path)
+    assert done.stderr.startswith("warning: planner.footprint: gen4_table8 is a foot")
+
+
 def test_a_footprint_file_without_a_contact_is_of_a_preloaded_twin(tmp_path):
     file = load_footprint_file("gen2_gait")
     assert file.contact == file.twin_contact == "loaded"
