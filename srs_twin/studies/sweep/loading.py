@@ -231,6 +231,7 @@ class _Loader:
             values = sample(file.vary, file.sampling, integer_fields)
         contradictory = len(self._document.problems) > before
         known_metrics = self._check_metrics()
+        reported = len(self._document.problems)
         if values is None or contradictory:
             return None
         base = experiment.with_fixed(file.fixed)
@@ -254,8 +255,8 @@ class _Loader:
         )
         for loc, problem in problems_at(self._test_points(sweep)):
             self._report_problem(loc, problem)
-        # A plot may be right if a field or metric that it names is misspelt elsewhere.
-        if len(self._document.problems) == before:
+        # A plot may be right if a field that it names is misspelt in `vary`.
+        if len(self._document.problems) == reported:
             self._check_plots(known_metrics)
         if len(self._document.problems) > before:
             return None
@@ -342,8 +343,10 @@ class _Loader:
         return known
 
     def _check_plots(self, known: list[str]) -> None:
-        metrics = self._file.metrics
-        plotted = known if metrics is None else metrics
+        plotted = self._file.metrics
+        # Likewise for a metric that is misspelt in `metrics`.
+        if plotted is None or not {*plotted} <= {*known}:
+            plotted = known
         for i, plot in enumerate(self._file.plots):
             self._check_metric(("plots", i, "metric"), plot.metric, plotted)
             allowed = {*self._file.vary}
