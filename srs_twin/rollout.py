@@ -175,7 +175,7 @@ def _check_air_work(plant: PneumaticPlant, run: Trajectory) -> None:
     Stiff chambers whose moment follows the pressure with a delay can feed oscillations
     (docs/pneumatics.md#damping-with-orifices).
     """
-    if math.isinf(plant.pneumatics.coupling_step_s):
+    if not plant.pneumatics.depends_on_bend:
         return
     sides = ("plus", "minus")
     pressure = np.stack([run.stack(f"pressure_{side}") for side in sides])
@@ -184,11 +184,10 @@ def _check_air_work(plant: PneumaticPlant, run: Trajectory) -> None:
         return
     chamber = plant.spec.chamber
     size = chamber.dead_volume + chamber.displacement * np.abs(run.stack("bend")[0])
+    stored = (pressure[:, 0] * size).sum() + plant.pneumatics.line_energy
     drawn = run["pneumatic_energy"] - run["pneumatic_energy"][0]
     # Expansion to ambient pressure does the work p V (1 + P_a/p) ln(1 + p/P_a).
-    limit = (
-        (1 + 1 / ratio) * math.log1p(ratio) * (drawn + (pressure[:, 0] * size).sum())
-    )
+    limit = (1 + 1 / ratio) * math.log1p(ratio) * (stored + drawn)
     work = run["work"] - run["work"][0]
     is_excessive = work > limit + _AIR_WORK_TOLERANCE * limit[-1]
     if is_excessive.any():

@@ -73,6 +73,8 @@ class Pneumatics(Stateful, ABC):
         bend: current free bends, shape (segments,), rad.
         pneumatic_energy: pneumatic energy consumed since `reset`, which is the gauge
             supply pressure times the volume of the consumed air at this pressure, J.
+        line_energy: maximum energy p V of the air in the supply line, which the chambers
+            can use in addition to `pneumatic_energy`, J.
         measures_air: whether `pneumatic_energy` and `openings` are meaningful.
         openings: number of times that each inlet has opened since `reset`, shape
             (segments, 2).
@@ -95,6 +97,7 @@ class Pneumatics(Stateful, ABC):
     stuck: tuple[StuckValve, ...] = ()
     depends_on_bend = False
     max_pressure_ratio = 1.0
+    line_energy = 0.0
     measures_air = True
     coupling_step_s = math.inf
     stiffness = 0.0

@@ -215,6 +215,8 @@ class OrificePneumatics(Pneumatics):
         # step of 1 ms.
         self.coupling_step_s = (0.00025 if limited else 0.001) * spec.scale.time
         self.stiffness = _closed_stiffness(spec, supply_pa)
+        if limited:
+            self.line_energy = supply_pa * valves.line_volume
         nominal = conductances(spec, critical)
         self._capacity = nominal.capacity
         self._max_supply = supply_pa
