@@ -38,10 +38,10 @@ from srs_twin.errors import (
 )
 from srs_twin.io.arguments import check_types, checked
 from srs_twin.io.saved_state import SavedState
+from srs_twin.plants.air_work import excessive_air_work
 from srs_twin.plants.base import (
     Plant,
     PlantState,
-    PneumaticPlant,
     Pose,
     SnakeState,
     SpatialState,
@@ -49,7 +49,6 @@ from srs_twin.plants.base import (
     check_plausible,
 )
 from srs_twin.plants.clearance import PENETRATION_M, TOUCHING_M, check_start, clearance
-from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.pneumatics.valves import Schedule
 from srs_twin.robot.spec import RobotSpec
 from srs_twin.trajectory import Event, Trajectory
@@ -63,9 +62,6 @@ else:
 Observer = Callable[[SnakeState], None]
 PlaceFunction = Callable[[Plant, int], SnakeState]
 """Function that takes a plant and a seed, sets the initial state and returns it."""
-
-_AIR_WORK_TOLERANCE = 0.01
-"""Tolerance of the work of the air, relative to the maximum work by the end."""
 
 Policy = Callable[[SnakeState], np.ndarray]
 """Function that maps the states of all twins in a batch to valve commands."""
@@ -164,42 +160,9 @@ def rollout(
             error.trajectory = recorder.trajectory()
             raise
         trajectory = recorder.trajectory()
-        if isinstance(plant, PneumaticPlant):
-            _check_air_work(plant, trajectory)
+        if excess := excessive_air_work(plant, trajectory):
+            raise excess
         return trajectory
-
-
-def _check_air_work(plant: PneumaticPlant, run: Trajectory) -> None:
-    """Raise an error if the air did more work than isothermal expansion can.
-
-    Stiff chambers whose moment follows the pressure with a delay can feed oscillations
-    (docs/pneumatics.md#damping-with-orifices).
-    """
-    if not plant.pneumatics.depends_on_bend:
-        return
-    sides = ("plus", "minus")
-    pressure = np.stack([run.stack(f"pressure_{side}") for side in sides])
-    ratio = pressure.max() / AMBIENT_PA
-    if not ratio > 0:
-        return
-    chamber = plant.spec.chamber
-    size = chamber.dead_volume + chamber.displacement * np.abs(run.stack("bend")[0])
-    stored = (pressure[:, 0] * size).sum() + plant.pneumatics.line_energy
-    drawn = run["pneumatic_energy"] - run["pneumatic_energy"][0]
-    # Expansion to ambient pressure does the work p V (1 + P_a/p) ln(1 + p/P_a).
-    limit = (1 + 1 / ratio) * math.log1p(ratio) * (stored + drawn)
-    work = run["work"] - run["work"][0]
-    is_excessive = work > limit + _AIR_WORK_TOLERANCE * limit[-1]
-    if is_excessive.any():
-        k = int(np.argmax(is_excessive))
-        error = DivergedError(
-            plant.name,
-            float(run.time[k]),
-            f"the air has done {work[k]:.3g} J of work, more than the {limit[k]:.3g} J"
-            " that it can do; the bends need more damping (docs/pneumatics.md)",
-        )
-        error.trajectory = run.between(run.time[0], run.time[max(k - 1, 0)])
-        raise error
 
 
 def _initial_state(
@@ -711,7 +674,8 @@ def _finish_batch(
         )
         if error is not None:
             error.trajectory = trajectory
-        results.append(error or trajectory)
+        excess = excessive_air_work(recorder.plant, trajectory)
+        results.append(error or excess or trajectory)
     return results
 
 

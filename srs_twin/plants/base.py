@@ -435,6 +435,16 @@ class PneumaticPlant(Plant):
         self._supply = supply
         return supply
 
+    @property
+    def supply_pa(self) -> float:
+        """Gauge supply pressure with which the plant was built, Pa."""
+        return self._supply
+
+    @property
+    def has_coupled_air(self) -> bool:
+        """Whether the pressures depend on the actual bends."""
+        return self.pneumatics.depends_on_bend
+
     def identity(self) -> dict[str, object]:
         """Return the settings as in `Plant.identity`, but without stuck valves."""
         settings = super().identity()

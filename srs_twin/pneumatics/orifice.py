@@ -175,7 +175,13 @@ class OrificePneumatics(Pneumatics):
     """
 
     kind = "orifice"
-    state_attributes = ("_state", "_amounts", "parameters", "_energy_per_amount")
+    state_attributes = (
+        "_state",
+        "_amounts",
+        "parameters",
+        "_energy_per_amount",
+        "_energy_offset",
+    )
     depends_on_bend = True
     # A closed chamber is compressed when the opposite chamber bends the segment. In
     # gen3, the pressure ratio then reaches 1.6.
@@ -250,6 +256,7 @@ class OrificePneumatics(Pneumatics):
         """Vent all chambers, close all inlets, and set the initial line pressure."""
         super().reset()
         self._state = np.zeros((self._segments, 3))
+        self._energy_offset = 0.0
         self._fill(self.pressure, self.parameters.bias)
         # The entries are the air in the line, the delivered air and the lost air.
         self._amounts = np.array(
@@ -280,7 +287,10 @@ class OrificePneumatics(Pneumatics):
         self.parameters = self.parameters._replace(
             supply=supply_pa + AMBIENT_PA, band=band
         )
+        before = self._energy_per_amount
         self._energy_per_amount = supply_pa / (supply_pa + AMBIENT_PA)
+        # The air that was drawn before keeps its energy.
+        self._energy_offset += (before - self._energy_per_amount) * self.drawn
 
     def leak(self, segment: int, side: int, per_s: float) -> None:
         """Set the leak of one chamber. The leak persists after `reset`.
@@ -333,11 +343,12 @@ class OrificePneumatics(Pneumatics):
             actual.bend[:] = bend
             actual.rate[:] = 0.0 if bend_rate is None else bend_rate
         simulate(now, schedule, times, self._substep, actual, self.parameters, trace)
-        np.multiply(
-            trace.pneumatic_energy, self._energy_per_amount, out=trace.pneumatic_energy
-        )
+        energy = trace.pneumatic_energy
+        np.multiply(energy, self._energy_per_amount, out=energy)
+        np.add(energy, self._energy_offset, out=energy)
         self._state, self._amounts, self.pressure, self.bend = now
-        self.pneumatic_energy = self._energy_per_amount * self.drawn
+        energy_drawn = self._energy_per_amount * self.drawn
+        self.pneumatic_energy = energy_drawn + self._energy_offset
         return trace
 
 

@@ -237,7 +237,7 @@ class AnalyticalSnake(PneumaticPlant):
     def _chunks(
         self, schedule: Schedule, steps: TimeSteps
     ) -> Iterator[tuple[Schedule, TimeSteps]]:
-        if not self._coupled:
+        if not self.has_coupled_air:
             yield schedule, steps
             return
         for begin, end, piece in steps.chunks(self._coupling_step):
@@ -306,8 +306,9 @@ class AnalyticalSnake(PneumaticPlant):
         return LumpedSegments(self.spec)
 
     @property
-    def _coupled(self) -> bool:
-        return self.pneumatics.depends_on_bend and self.body.compliant
+    def has_coupled_air(self) -> bool:
+        """See `PneumaticPlant.has_coupled_air`."""
+        return super().has_coupled_air and self.body.compliant
 
     @property
     def _coupling_step(self) -> float:
@@ -337,7 +338,7 @@ class AnalyticalSnake(PneumaticPlant):
             samples: number of equally spaced samples, each at the end of a step.
         """
         longest = self.timestep
-        if self._coupled:
+        if self.has_coupled_air:
             longest = min(longest, self._coupling_step)
         return TimeSteps.between(
             schedule.span,

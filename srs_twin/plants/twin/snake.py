@@ -344,7 +344,7 @@ class TwinSnake(PneumaticPlant):
         return history
 
     def _advance(self, schedule: Schedule, steps: int) -> tuple[Trace, StepBatch]:
-        if not self.pneumatics.depends_on_bend:
+        if not self.has_coupled_air:
             interval = steps
         elif self.physics.stepper is not None:
             # Closed chambers act as stiff springs. The simulation is unstable unless
