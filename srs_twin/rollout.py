@@ -15,8 +15,10 @@ which computes the valve commands of all twins at every tick.
 from __future__ import annotations
 
 import math
+import reprlib
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -132,7 +134,6 @@ def rollout(
     ticks = count_steps("duration", duration, "tick", plant.tick)
     recorder = Recorder(plant, controller, record_hz, duration)
     _check_drives(controller, plant)
-    named = named_in_errors(_describe_controller(controller))
     with claim(plant), claim(controller):
         if resume is None:
             state = _initial_state(plant, pose, initial_state, seed)
@@ -142,21 +143,19 @@ def rollout(
             controller.reset(plant.spec, plant.tick, seed=seed)
             state = plant.restore(resume[0])
             controller.restore(resume[1])
+        recorder.add(state)
         observers = tuple(observers)
+        script = None
+        if until is None and not observers:
+            begun = float(state.time)
+            script = _script(controller, begun, ticks * plant.tick)
         try:
-            with named:
-                recorder.add(state)
-                script = None
-                if until is None and not observers:
-                    begun = float(state.time)
-                    script = _script(controller, begun, ticks * plant.tick)
-                if script is None or not _play_script(
-                    recorder, script, ticks, progress
-                ):
-                    _step_ticks(recorder, state, ticks, until, observers, progress)
+            if script is None or not _play_script(recorder, script, ticks, progress):
+                _step_ticks(recorder, state, ticks, until, observers, progress)
         except DivergedError as error:
             if error.history is not None and len(error.history.time):
-                recorder.add(error.history)
+                with suppress(InputError):
+                    recorder.add(error.history)
             error.trajectory = recorder.trajectory()
             raise
         trajectory = recorder.trajectory()
@@ -220,11 +219,12 @@ def _play_script(
         end = recorded if is_recorded else ticks
         count = min(chunk, end - done)
         commands = script.slice(done * plant.tick, (done + count) * plant.tick)
-        check_commands(controller, done * plant.tick, commands.states)
         samples = 1
         if is_recorded:
             samples = count * recorder.samples // stride
-        history = plant.play(commands, samples)
+        with named_in_errors(controller):
+            check_commands(controller, done * plant.tick, commands.states)
+            history = plant.play(commands, samples)
         if history is None:
             return False
         check_plausible(plant.name, history)
@@ -246,13 +246,15 @@ def _step_ticks(
 ) -> None:
     plant = recorder.plant
     controller = recorder.controller
+    name = _describe_controller(controller)
     state.make_read_only()
     for observe in observers:
         observe(state)
     for k in range(1, ticks + 1):
         valves = controller.step(state)
-        check_commands(_describe_controller(controller), (k - 1) * plant.tick, valves)
-        states = plant.advance(valves, recorder.samples)
+        with named_in_errors(name):
+            check_commands(name, (k - 1) * plant.tick, valves)
+            states = plant.advance(valves, recorder.samples)
         for sample in states:
             check_plausible(plant.name, sample)
         state = states[-1]
@@ -353,14 +355,15 @@ class Recorder:
         Raises:
             InputError: the signals are invalid.
         """
-        signals = _flatten_signals(self.controller.signals())
-        if self._signals:
-            wrong = signals.keys() ^ self._signals[0][1].keys()
-        else:
-            columns = self._columns(SnakeState.history([state]), {})
-            wrong = signals.keys() & columns.keys()
-        if wrong:
-            raise _signal_error(f"signal '{min(wrong)}'")
+        with named_in_errors(_describe_controller(self.controller)):
+            signals = _flatten_signals(self.controller.signals())
+            if self._signals:
+                wrong = signals.keys() ^ self._signals[0][1].keys()
+            else:
+                columns = self._columns(SnakeState.history([state]), {})
+                wrong = signals.keys() & columns.keys()
+            if wrong:
+                raise _signal_error(f"signal '{min(wrong, key=str)}'")
         self._states.append(state)
         self._signals.append((np.size(state.time), signals))
 
@@ -476,7 +479,7 @@ def _spatial_columns(states: SpatialState) -> dict[str, np.ndarray]:
 
 def _flatten_signals(signals: Mapping[str, float | np.ndarray]) -> dict[str, float]:
     flat: dict[str, float] = {}
-    wrong = "None"
+    wrong = reprlib.repr(signals)
     try:
         for name, value in signals.items():
             wrong = f"signal '{name}'"
@@ -487,7 +490,7 @@ def _flatten_signals(signals: Mapping[str, float | np.ndarray]) -> dict[str, flo
                     f"{name}_{i}": float(v)
                     for i, v in enumerate(np.ravel(value), start=1)
                 }
-    except (AttributeError, TypeError, ValueError) as error:
+    except (AttributeError, OverflowError, TypeError, ValueError) as error:
         raise _signal_error(wrong) from error
     return flat
 

@@ -313,6 +313,7 @@ def test_columns_have_numbered_names_and_units():
         (lambda count: {"a": "text"}, "signal 'a'"),
         (lambda count: {"a": None}, "signal 'a'"),
         (lambda count: None, "None"),
+        (lambda count: [1], r"\[1\]"),
     ],
 )
 def test_invalid_signals_are_named(signals, wrong):
@@ -322,6 +323,14 @@ def test_invalid_signals_are_named(signals, wrong):
         InputError, match=f"^controller 'scripted': {wrong} is not allowed; `signals`"
     ):
         rollout(Clock(), controller, 0.1)
+
+
+def test_errors_of_observers_do_not_name_the_controller():
+    def refuse(state: SnakeState) -> None:
+        raise InputError("not now")
+
+    with pytest.raises(InputError, match="^not now$"):
+        rollout(Clock(), Scripted(), 0.1, observers=[refuse])
 
 
 def test_events_are_kept_at_any_sampling_rate():

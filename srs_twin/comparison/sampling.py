@@ -211,8 +211,8 @@ class MetricGroup:
             InputError: `measure` returned an unknown metric, or a value that is neither
                 a number nor None.
         """
-        values = dict(self.measure(trajectory))
-        for name, value in values.items():
+        values = {}
+        for name, value in self.measure(trajectory).items():
             number = value.item() if isinstance(value, np.generic) else value
             if name not in self.meanings or not isinstance(number, float | int | None):
                 raise InputError(

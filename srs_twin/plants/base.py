@@ -624,6 +624,5 @@ def check_commands(source: str, time: float, valves: object) -> None:
         raise DivergedError(
             source,
             time,
-            f"the commanded valve state {diverged.flat[0]:g} is not allowed; it must be"
-            " -1, 0 or 1",
+            f"the commanded value {diverged.flat[0]:g} is no valve state",
         )

@@ -239,14 +239,14 @@ def test_diverged_controller_is_named_with_the_time(build, value):
             rollout(build(SPEC), Runaway(valves), 0.3)
         assert (
             str(caught.value)
-            == f"controller 'runaway' diverged at t = {AT} s: the commanded valve"
-            f" state {value:g} is not allowed; it must be -1, 0 or 1"
+            == f"controller 'runaway' diverged at t = {AT} s: the commanded"
+            f" value {value:g} is no valve state"
         )
         assert_kept(caught.value, AT)
 
 
 def test_integer_commands_can_diverge():
-    with pytest.raises(DivergedError, match=r"the commanded valve state 1e\+15"):
+    with pytest.raises(DivergedError, match=r"the commanded value 1e\+15"):
         rollout(AnalyticalSnake(SPEC), Runaway(np.full((4, 2), 10**15)), 0.3)
 
 
@@ -326,8 +326,8 @@ def test_policy_diverging_for_one_run_ends_that_run_only(value):
     assert isinstance(error, DivergedError)
     assert (
         str(error)
-        == f"policy diverged at t = {AT} s: the commanded valve state {value:g} is not"
-        " allowed; it must be -1, 0 or 1"
+        == f"policy diverged at t = {AT} s: the commanded value {value:g} is no valve"
+        " state"
     )
     assert error.trajectory.time == pytest.approx(np.arange(5) / 100)
 
