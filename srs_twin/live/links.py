@@ -69,7 +69,8 @@ class Link(ABC):
 
     Attributes:
         counts: number of received messages, keyed by message kind. Refused messages are
-            counted under the key "bad: REASON".
+            counted under the key "bad: REASON", and losses of the connection under the
+            key "disconnected".
         connected: whether the connection to the broker exists. Other sources count as
             connected.
     """
@@ -94,15 +95,11 @@ class Link(ABC):
         return self.counts["over"] > 0 and self._queue.empty()
 
     def connection_change(self) -> str:
-        """Return a message if the connection was lost or restored since the last call.
-
-        Losses are counted under the key "disconnected".
-        """
+        """Return a message if the connection was lost or restored since the last call."""
         connected = self.connected  # The thread of the link may change the attribute.
         if connected == self._was_connected:
             return ""
         self._was_connected = connected
-        self.counts["disconnected"] += not connected
         return f"the connection to the broker is {'back' if connected else 'lost'}"
 
     def clock(self) -> float:
@@ -346,6 +343,7 @@ class MqttLink(Link):
         self._answered.set()
 
     def _on_disconnect(self, *_: object) -> None:
+        self.counts["disconnected"] += self.connected
         self.connected = False
 
     def _on_message(

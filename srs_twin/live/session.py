@@ -325,7 +325,7 @@ class Session:
             and not self._over()
         ):
             self._tick(clock(), tick - self._start)
-            self._report_connections(tick - self._start)
+            self._report_connections()
             self._collect()
             self._submit(tick)
             if self.estimate is not None and self._is_due("view", tick):
@@ -393,10 +393,10 @@ class Session:
         ):
             self._steering.give_up(TOO_SLOW)
 
-    def _report_connections(self, since: float) -> None:
+    def _report_connections(self) -> None:
         for link in self._links:
             if change := link.connection_change():
-                self._report(f"{since:.1f} s: {change}")
+                self._report(change)
 
     def _report_senders(self) -> None:
         if self.shadow.interruptions:

@@ -39,7 +39,7 @@ _NEEDED = {
     "allow_zero_margin": ("follow",),
     "speed": ("mcap",),
 }
-"""Options of which an option needs at least one to have an effect."""
+"""For each option, the options of which at least one is required."""
 
 
 @dataclass(frozen=True)
@@ -361,5 +361,4 @@ def _print_result(result: dict[str, Any]) -> None:
     if result["following"]["seconds"]:
         say(f"following ended: {result['following']['ending']}")
     else:
-        reason = f": {estimate['lost']}" if estimate["lost"] else ""
-        say(f"following did not begin{reason}")
+        say("following did not begin")
