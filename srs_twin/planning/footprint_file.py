@@ -24,7 +24,7 @@ from pydantic import Field, model_validator
 
 from srs_twin.errors import InputError
 from srs_twin.io.documents import Document, Loc, dump_yaml
-from srs_twin.io.files import StrPath, find_file, write_text
+from srs_twin.io.files import StrPath, find_file, shipped_names, write_text
 from srs_twin.io.validation import StrictModel, load_model
 from srs_twin.planning.footprint import COLUMNS, Footprint, Transient, find_problems
 from srs_twin.plants.twin.mjcf.numerics import UNSTATED_CONTACT, ContactName
@@ -270,10 +270,12 @@ class FootprintFile(StrictModel):
             )
         else:
             return None
-        return (
-            f"{self.name} {problem}; `srs-twin calibrate footprint {robot}{option}`"
-            " measures a suitable footprint"
-        )
+        if robot in shipped_names("robot"):
+            problem += (
+                f"; `srs-twin calibrate footprint {robot}{option}` measures a suitable"
+                " footprint"
+            )
+        return f"{self.name} {problem}"
 
     def footprint(self) -> Footprint:
         """Return the footprint table without units, status and sources."""

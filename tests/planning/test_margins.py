@@ -161,6 +161,11 @@ def test_footprint_of_another_robot_causes_a_warning():
     )
 
 
+def test_no_command_is_suggested_for_a_robot_that_is_not_shipped():
+    text = load_footprint_file("gen2_gait").mismatch("own", None)
+    assert text.endswith("is a footprint of gen2, but the robot here is own")
+
+
 def test_the_command_plan_warns_of_the_footprint_of_another_robot(srs_twin, tmp_path):
     options = ("--set", "planner.footprint=gen4_table8", "--out", "out")
     done = srs_twin("plan", "plan_fig54_3", *options, cwd=tmp_path)
