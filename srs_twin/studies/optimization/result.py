@@ -219,7 +219,7 @@ class StudyResult:
         if parts.count("twin") < budget.twin:
             text = (
                 f"The search ended after {parts.count('twin')} of {budget.twin} runs of"
-                " the twin, because no other design was left"
+                " the twin, because no other design was found"
             )
             if parts.count("compliant") >= budget.compliant:
                 text += " among those of the model compliant; raise budget.compliant"

@@ -161,7 +161,7 @@ def search(study: OptimizationStudy, runs: StudyRuns) -> Optimum:
     if "compliant" in study.experiments:
         state.search_compliant()
     state.run_initial_designs()
-    while state.budget_left() and state.iterate():
+    while state.budget_left() > 0 and state.iterate():
         pass
     improvement = state.expected_improvement()
     return Optimum(state.best(), tuple(runs.requested), improvement)
@@ -473,10 +473,12 @@ class _Search:
             new = self._screened_candidates(count)
         else:
             new = self._neighbours(count)
-        left = max(self._study.file.budget.compliant - len(self._compliant_runs), 0)
-        # A part of the usual number is simulated only if the search would end without.
-        if self._compliant_runs and (
-            count <= left or not self._untried(self._compliant_runs)
+        left = self._study.file.budget.compliant - len(self._compliant_runs)
+        # Fewer than `count` designs are simulated only if no candidate is left otherwise.
+        if (
+            left > 0
+            and self._compliant_runs
+            and (count <= left or not self._untried(self._compliant_runs))
         ):
             self._run("compliant", self._study.space.snapped(new[:left]))
         candidates = self._compliant_runs

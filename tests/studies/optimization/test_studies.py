@@ -497,7 +497,7 @@ def test_searches_with_infeasible_constraints_or_exhausted_spaces_end(tmp_path):
         (4, ""),
         (
             40,
-            "of 40 runs of the twin, because no other design was left among those of"
+            "of 40 runs of the twin, because no other design was found among those of"
             " the model compliant; raise budget.compliant.",
         ),
     ],
