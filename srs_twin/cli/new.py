@@ -374,7 +374,7 @@ def _write(
     # A template of a Python file has the suffix .txt.
     suffix = Path(template).suffix.replace(".txt", ".py")
     path = Path(out or f"{name}{suffix}")
-    if suffix == ".py" != path.suffix:
+    if suffix == ".py" and path.suffix != ".py":
         raise InputError(f"--out {path}: the name of the file must end in .py")
     if path.exists():
         raise InputError(

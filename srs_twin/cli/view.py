@@ -326,7 +326,7 @@ class PictureOptions:
         if len(part) < _MIN_SAMPLES:
             raise InputError(
                 f"the interval from {low:g} to {high:g} s has fewer than two samples;"
-                f" choose a start and a later end from {first:g} to {last:g} s"
+                f" choose --from and a later --to from {first:g} to {last:g} s"
             )
         return part
 

@@ -33,7 +33,7 @@ PASSWORD = "SRS_TWIN_MQTT_PASSWORD"  # noqa: S105
 
 _LONGEST_NAME = 200
 
-_IN_MESSAGES = {
+_OPTION_NAMES = {
     "emulate: supply.pressure_kpa": "--pressure",
     "emulate: pneumatics.kind": "--chambers",
     ", or set `allow_overpressure: true`": "",
@@ -60,8 +60,7 @@ def broker_link(
     if set(robot) & set("/+#") or not 0 < len(robot) <= _LONGEST_NAME:
         raise InputError(
             f"--name {robot[:80]!r} cannot be part of an MQTT topic; use a name"
-            f" without the characters /, + and #, with 1 to {_LONGEST_NAME}"
-            " characters"
+            f" of 1 to {_LONGEST_NAME} characters without /, + and #"
         )
     host, port = links.address(address, links.PORT)
     broker = links.BrokerAccess(host, port, user, os.environ.get(PASSWORD), ca)
@@ -123,7 +122,7 @@ class EmulationOptions:
             )
         except InputFileError as error:
             text = str(error)
-            for key, replacement in _IN_MESSAGES.items():
+            for key, replacement in _OPTION_NAMES.items():
                 text = text.replace(key, replacement)
             raise InputError(text) from error
 

@@ -127,8 +127,8 @@ class Fault:
         if number and not 1 <= int(number) <= most:
             numbered = part.replace("chamber", "segment")
             raise InputError(
-                f"{text!r}: {numbered} {number} does not exist; the robot has {most} of"
-                " them"
+                f"{text!r}: {numbered} {number} does not exist; the robot has {most}"
+                f" {numbered}s"
             )
         return cls(
             kind,

@@ -91,8 +91,8 @@ def test_faults_of_valves_and_chambers_do_what_they_say():
         ("stuck_valv:2+@5", "unknown fault 'stuck_valv'"),
         ("stuck_valve:2@5", "affects one chamber; write it as stuck_valve:2\\+@5"),
         ("low_supply_pressure:2@5", "write it as low_supply_pressure@5"),
-        ("dead_sensor:5@1", "segment 5 does not exist; the robot has 4 of them"),
-        ("stuck_valve:9+@5", "segment 9 does not exist; the robot has 4 of them"),
+        ("dead_sensor:5@1", "segment 5 does not exist; the robot has 4 segments"),
+        ("stuck_valve:9+@5", "segment 9 does not exist; the robot has 4 segments"),
         ("stuck_valve:2+=shut@5", "unknown variant of stuck_valve 'shut'"),
     ],
 )

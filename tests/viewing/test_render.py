@@ -332,7 +332,7 @@ def test_scale_bar_has_the_stated_length(runs):
         (("--video", "a.avi"), "a.avi: the name of the file must end in .mp4"),
         (
             ("--strobe", "--from", "30"),
-            "from 30 to 3 s has fewer than two samples; choose a start and a later end",
+            "from 30 to 3 s has fewer than two samples; choose --from and a later --to",
         ),
         (
             ("--strobe", "--from", "2", "--to", "1"),

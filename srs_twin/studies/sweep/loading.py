@@ -344,7 +344,7 @@ class _Loader:
 
     def _check_plots(self, known: list[str]) -> None:
         plotted = self._file.metrics
-        # Likewise for a metric that is misspelt in `metrics`.
+        # A plot may also be right if its metric is misspelt in `metrics`.
         if plotted is None or not {*plotted} <= {*known}:
             plotted = known
         for i, plot in enumerate(self._file.plots):
