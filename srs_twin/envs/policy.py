@@ -34,7 +34,7 @@ from srs_twin.envs.crawling import (
 )
 from srs_twin.envs.module import ModuleTask
 from srs_twin.envs.observed import STEP_S
-from srs_twin.envs.task import Task
+from srs_twin.envs.task import Task, lower_bounds, upper_bounds
 from srs_twin.errors import InputError, UnknownNameError
 from srs_twin.io.files import StrPath, atomic_write, data_root
 from srs_twin.io.untrusted import read_arrays
@@ -226,11 +226,9 @@ class _Baseline(ABC):
         values = dict(zip(self._names, map(float, observation), strict=True))
         action = self._action(values)
         self._steps += 1
-        allowed = [
-            min(max(value, signal.low), signal.high)
-            for value, signal in zip(action, self._task.actions, strict=True)
-        ]
-        return self._task.from_physical(allowed)
+        actions = self._task.actions
+        allowed = np.clip(action, lower_bounds(actions), upper_bounds(actions))
+        return self._task.from_physical(allowed.tolist())
 
     @abstractmethod
     def _action(self, values: Mapping[str, float]) -> Sequence[float]:
