@@ -40,10 +40,10 @@ from srs_twin.errors import (
 )
 from srs_twin.io.arguments import check_types, checked
 from srs_twin.io.saved_state import SavedState
-from srs_twin.plants.air_work import excessive_air_work
 from srs_twin.plants.base import (
     Plant,
     PlantState,
+    PneumaticPlant,
     Pose,
     SnakeState,
     SpatialState,
@@ -159,9 +159,17 @@ def rollout(
             error.trajectory = recorder.trajectory()
             raise
         trajectory = recorder.trajectory()
-        if excess := excessive_air_work(plant, trajectory):
+        if excess := _excessive_air_work(plant, trajectory):
             raise excess
         return trajectory
+
+
+def _excessive_air_work(plant: Plant, run: Trajectory) -> DivergedError | None:
+    if not isinstance(plant, PneumaticPlant) or not plant.has_coupled_air:
+        return None
+    from srs_twin.plants.air_work import excessive_air_work
+
+    return excessive_air_work(plant, run)
 
 
 def _initial_state(
@@ -677,7 +685,7 @@ def _finish_batch(
         )
         if error is not None:
             error.trajectory = trajectory
-        excess = excessive_air_work(recorder.plant, trajectory)
+        excess = _excessive_air_work(recorder.plant, trajectory)
         results.append(error or excess or trajectory)
     return results
 

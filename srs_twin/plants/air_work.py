@@ -20,20 +20,18 @@ import math
 import numpy as np
 
 from srs_twin.errors import DivergedError
-from srs_twin.plants.base import Plant, PneumaticPlant
+from srs_twin.plants.base import PneumaticPlant
 from srs_twin.pneumatics.chambers import AMBIENT_PA, chamber_gains
 from srs_twin.trajectory import Trajectory
 
 
-def excessive_air_work(plant: Plant, run: Trajectory) -> DivergedError | None:
+def excessive_air_work(plant: PneumaticPlant, run: Trajectory) -> DivergedError | None:
     """Return an error if the air did more work than it can, or None.
 
-    Plants whose pressures do not depend on the actual bends are not checked, nor are
-    runs that begin with bent segments. The attribute `trajectory` of the error contains
-    the samples before the excess.
+    The pressures of the plant depend on the actual bends. Runs that begin with bent
+    segments are not checked. The attribute `trajectory` of the error contains the
+    samples before the excess.
     """
-    if not isinstance(plant, PneumaticPlant) or not plant.has_coupled_air:
-        return None
     supply = plant.supply_pa
     if supply == 0.0:
         return None
