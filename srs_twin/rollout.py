@@ -157,6 +157,8 @@ def rollout(
                 with suppress(InputError):
                     recorder.add(error.history)
             error.trajectory = recorder.trajectory()
+            if excess := _excessive_air_work(plant, error.trajectory):
+                raise excess from error
             raise
         trajectory = recorder.trajectory()
         if excess := _excessive_air_work(plant, trajectory):
