@@ -208,11 +208,17 @@ class MetricGroup:
         """Return the metrics of a run, with None for values that are not finite.
 
         Raises:
-            InputError: `measure` returned an unknown metric, or a value that is neither
-                a number nor None.
+            InputError: `measure` returned no mapping, an unknown metric, or a value that
+                is neither a number nor None.
         """
+        measured = self.measure(trajectory)
+        if not isinstance(measured, Mapping):
+            raise InputError(
+                f"`measure` of {self.measure.__module__} returned {measured!r}, but must"
+                " return a mapping"
+            )
         values = {}
-        for name, value in self.measure(trajectory).items():
+        for name, value in measured.items():
             number = value.item() if isinstance(value, np.generic) else value
             if name not in self.meanings or not isinstance(number, float | int | None):
                 raise InputError(

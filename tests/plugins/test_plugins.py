@@ -567,6 +567,18 @@ def test_invalid_values_of_metrics_are_named(before, after, plugin):
         run_scenario(parse_scenario(gait()), plants=["analytical"])
 
 
+def test_metrics_that_are_no_mapping_are_refused(plugin):
+    path = plugin(METRICS.replace("return {", "return None; {"))
+    allow_plugin(path)
+    with pytest.raises(InputError, match=f"`measure` of {path.stem} returned None"):
+        run_scenario(parse_scenario(gait()), plants=["analytical"])
+
+
+def test_plugins_may_import_metrics_of_the_package(plugin):
+    allow_plugin(plugin(METRICS, "from srs_twin.planning.metrics import METRICS"))
+    PreparedRun.build(parse_scenario(gait()), Path(), None)
+
+
 @pytest.mark.parametrize("value", ["float('nan')", "np.float32('inf')"])
 def test_metrics_that_are_not_finite_are_undefined(value, plugin):
     allow_plugin(plugin(METRICS.replace(VALUE, value)))
