@@ -167,7 +167,9 @@ def rollout(
 
 
 def _excessive_air_work(plant: Plant, run: Trajectory) -> DivergedError | None:
-    if not isinstance(plant, PneumaticPlant) or not plant.has_coupled_air:
+    if not isinstance(plant, PneumaticPlant) or not plant.measures_air:
+        return None
+    if not plant.has_coupled_air:
         return None
     from srs_twin.plants.air_work import excessive_air_work
 
