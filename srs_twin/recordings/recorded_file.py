@@ -267,10 +267,11 @@ class RecordedFile:
         if width > MAX_COLUMNS or count * width > MAX_VALUES:
             limit = f"at most {MAX_COLUMNS} columns and {MAX_VALUES} cells are allowed"
             raise self.error(f"the file has {count} rows of {width} cells, but {limit}")
-        cut = memoryview(raw)[start:stop]
         table = []
         if count:
-            table = self._parsed(cut, header_lines, columns, width, times=times)
+            table = self._parsed(
+                header_lines, columns, width, section=section, times=times
+            )
         if not table or not len(table[0]):
             raise self.error(
                 "no rows follow the header; record or export the file again",
@@ -278,7 +279,7 @@ class RecordedFile:
             )
         return np.stack([column.to_numpy() for column in table], axis=1), notes
 
-    def _end_of(self, start: int, *, section: bool = False) -> int:
+    def _end_of(self, start: int, *, section: bool) -> int:
         end = _EMPTY_LINE.search(self.raw, start) if section else None
         return max(start, end.start() if end else self.raw.rfind(b"\n") + 1)
 
@@ -293,8 +294,6 @@ class RecordedFile:
 
         top = self.header_lines
         width = len(self.names)
-        start = self.offset_of(top)
-        cut = memoryview(self.raw)[start : self._end_of(start)]
         first = self.head(1, top)[0]
         if clock < len(first) and _DATE.match(first[clock]):
             notes: list[str] = []
@@ -303,7 +302,7 @@ class RecordedFile:
                 notes.append("the times state no time zone, so UTC is assumed")
                 zone = None
             kind = pa.timestamp("ns", zone)
-            (dates,) = self._parsed(cut, top, [clock], width, kind, times=True)
+            (dates,) = self._parsed(top, [clock], width, kind, times=True)
             exact = dates.cast(pa.int64()).to_pylist()
             self._check_times([value is None for value in exact], clock)
             return _since_1970(exact, "ns", notes)
@@ -321,10 +320,9 @@ class RecordedFile:
         """Return the cells of a column of a plain table, with decimal points."""
         import pyarrow as pa
 
-        top = self.header_lines
-        start = self.offset_of(top)
-        cut = memoryview(self.raw)[start : self._end_of(start)]
-        (texts,) = self._parsed(cut, top, [column], len(self.names), pa.string())
+        (texts,) = self._parsed(
+            self.header_lines, [column], len(self.names), pa.string()
+        )
         return [text.replace(self.decimal, ".") for text in texts.to_pylist()]
 
     def _check_times(self, missing: list[bool], clock: int) -> None:
@@ -334,17 +332,19 @@ class RecordedFile:
 
     def _parsed(
         self,
-        cut: memoryview,
         header_lines: int,
         columns: Sequence[int],
         width: int,
         kind: pa.DataType | None = None,
         *,
+        section: bool = False,
         times: bool = False,
     ) -> list[pa.ChunkedArray]:
         import pyarrow as pa
         from pyarrow.csv import ConvertOptions, ParseOptions, ReadOptions, read_csv
 
+        start = self.offset_of(header_lines)
+        cut = memoryview(self.raw)[start : self._end_of(start, section=section)]
         names = [str(k) for k in range(width)]
         chosen = [names[k] for k in columns]
         uneven: list[InvalidRow] = []
