@@ -73,10 +73,11 @@ class _Contents:
         return np.frombuffer(words.tobytes(), "<f4") / 4
 
     def number(self, key: str, header_byte: int) -> float:
+        data = self.data[header_byte : header_byte + 4]
         parameter = self.parameters.get(key)
-        if parameter is None or len(parameter.data) < 4:
-            return float(self.floats(self.data[header_byte : header_byte + 4])[0])
-        return float(self.floats(parameter.data[:4])[0])
+        if parameter is not None and len(parameter.data) >= 4:
+            data = parameter.data[:4]
+        return float(self.floats(data)[0])
 
     def integer(self, key: str) -> int:
         parameter = self.parameters.get(key)
@@ -244,7 +245,7 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     header is 65,535 and no larger number is stated, the file is read to the end.
     """
     scale = contents.number("POINT:SCALE", 12)
-    is_float = scale < 0
+    value_bytes = 4 if scale < 0 else 2
     count = contents.integer("POINT:USED") or contents.header_word(2)
     block = contents.header_word(16) or contents.integer("POINT:DATA_START")
     data = file.data[max(block - 1, 1) * _BLOCK :]
@@ -262,8 +263,8 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
     counts = [number for number in stated if number > 0]
     if not count or not counts:
         raise file.error("the C3D file has no points; export marker trajectories")
-    values = 4 * count + _analog_values(file, contents, count, counts, len(data))
-    width = values * (4 if is_float else 2)
+    analog = _analog_values(file, contents, count, counts, value_bytes, len(data))
+    width = value_bytes * (4 * count + analog)
     room = len(data) // width
     announced = max((number for number in counts if number <= room), default=counts[0])
     overflow = last == _MAX_COUNTED and announced in (by_header, _MAX_COUNTED)
@@ -274,7 +275,7 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
             f" and {_MAX_FRAMES}; record or export it again"
         )
     data = data[: frames * width]
-    if is_float:
+    if scale < 0:
         numbers = contents.floats(data)
     else:
         numbers = np.frombuffer(data, f"{contents.order}i2")
@@ -292,7 +293,12 @@ def _frames(file: RecordedFile, contents: _Contents) -> _Frames:
 
 
 def _analog_values(
-    file: RecordedFile, contents: _Contents, count: int, counts: list[int], size: int
+    file: RecordedFile,
+    contents: _Contents,
+    count: int,
+    counts: list[int],
+    value_bytes: int,
+    size: int,
 ) -> int:
     """Return the number of analog values per frame.
 
@@ -305,13 +311,9 @@ def _analog_values(
     by_parameters = contents.integer("ANALOG:USED") * contents.header_word(18)
     if by_parameters == by_header:
         return by_header
-    if contents.number("POINT:SCALE", 12) < 0:
-        bytes_per_value = 4
-    else:
-        bytes_per_value = 2
 
     def fills(analog: int) -> bool:
-        width = (4 * count + analog) * bytes_per_value
+        width = value_bytes * (4 * count + analog)
         return any(0 <= size - frames * width < _BLOCK for frames in counts)
 
     filling = [analog for analog in (by_header, by_parameters) if fills(analog)]
