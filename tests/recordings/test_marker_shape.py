@@ -59,15 +59,6 @@ def test_impossible_curvature_gives_a_half_circle():
     assert np.abs(arc_between(front, rear, np.array(0.0))[:, 1]).max() < 1e-15
 
 
-@given(st.floats(-1e3, 1e3), st.floats(-5, 5), st.integers(1, 7), st.integers(0, 99))
-def test_slope_of_a_line_is_exact_everywhere(start, slope, half, seed):
-    time = start + np.cumsum(np.random.default_rng(seed).uniform(0.005, 0.02, 30))
-    assert (
-        np.abs(moving_derivative(time, 3 + slope * time[:, None], half) - slope).max()
-        < 1e-7
-    )
-
-
 @pytest.mark.parametrize("rate", [15.0, 120.0])
 def test_oscillation_is_attenuated_as_stated_without_lag(rate):
     time = np.arange(400) / rate

@@ -172,21 +172,18 @@ HALF_WIDTH = 5
 """Number n of frames on each side of a sample in the line fit."""
 
 
-def moving_derivative(
-    time: np.ndarray, values: np.ndarray, half_width: int = HALF_WIDTH
-) -> np.ndarray:
+def moving_derivative(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Return time derivatives as the slopes of fitted lines.
 
-    Each line is fitted to a sample and its `half_width` neighbours on each side, or to
+    Each line is fitted to a sample and its `HALF_WIDTH` neighbours on each side, or to
     fewer neighbours near the ends of the signal.
     """
-    n = half_width
     frames = len(time)
     flat = np.asarray(values, dtype=float).reshape(frames, -1)
     # Times and values are relative to the middle sample, so that large times cause no
     # rounding errors.
     sums = np.zeros((frames, 3 + 2 * flat.shape[1]))
-    for shift in range(-n, n + 1):
+    for shift in range(-HALF_WIDTH, HALF_WIDTH + 1):
         middle = slice(max(0, -shift), frames - max(0, shift))
         shifted = slice(max(0, shift), frames + min(0, shift))
         t = (time[shifted] - time[middle])[:, None]
