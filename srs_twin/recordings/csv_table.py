@@ -18,13 +18,7 @@ import numpy as np
 
 from srs_twin.errors import InputError, UnknownNameError, named_in_errors
 from srs_twin.io.files import StrPath
-from srs_twin.recordings.recorded_file import (
-    AS_FOUND,
-    Dialect,
-    RecordedFile,
-    laid_out,
-    read_file,
-)
+from srs_twin.recordings.recorded_file import RecordedFile, laid_out, read_file
 from srs_twin.recordings.signals.units import (
     TIMES,
     Meaning,
@@ -62,9 +56,9 @@ class TimedRows(NamedTuple):
     epoch_ns: int | None
 
 
-def first_line_names(path: StrPath, dialect: Dialect = AS_FOUND) -> list[str]:
+def first_line_names(path: StrPath) -> list[str]:
     """Return the column names of a table in lower case (empty without a header)."""
-    return [name.lower() for name in laid_out(read_file(path), dialect).names]
+    return [name.lower() for name in laid_out(read_file(path)).names]
 
 
 @dataclass(frozen=True)
@@ -278,8 +272,7 @@ def read_table(
             )
             raise file.error(problem, line, place + 1)
     table = CsvTable(file, tuple(columns.values()), tuple(unused), tuple(notes))
-    groups = list(known.values())
-    for units in [own for k, own in enumerate(groups) if own not in groups[:k]]:
+    for units in known.values():
         table.check_units(
             [column for column in table.columns if known[column.name] == units]
         )
