@@ -437,17 +437,16 @@ def _fixed_length_states(
     bend = -np.diff(sign * alternating)
     # The mean of (−1)^j q_j is ±2 ε.
     mean = (bend * sign[:-1]).mean(axis=1, keepdims=True)
-    costs = []
-    bends = [bend - sign[:-1] * (mean - 2 * epsilon) for epsilon in _ALTERNATING_STARTS]
-    for epsilon, turn in zip(_ALTERNATING_STARTS, bends, strict=True):
-        gaps = placement.geometry.rigid_gap * np.cos(turn / 2)
-        chord = prior.length_mean * np.abs(_mean_direction(turn)[0]) + gaps
-        error = (chord - np.abs(span)) ** 2
-        cost = error.sum(axis=1) / (2 * prior.noise**2 + prior.length_std**2)
-        costs.append(cost + (epsilon / prior.alternating_std) ** 2)
+    epsilon = _ALTERNATING_STARTS[:, None, None]
+    bends = bend - sign[:-1] * (mean - 2 * epsilon)
+    gaps = placement.geometry.rigid_gap * np.cos(bends / 2)
+    chord = prior.length_mean * np.abs(_mean_direction(bends)[0]) + gaps
+    error = (chord - np.abs(span)) ** 2
+    costs = error.sum(axis=2) / (2 * prior.noise**2 + prior.length_std**2)
+    costs += (epsilon[:, 0] / prior.alternating_std) ** 2
     best = np.argmin(costs, axis=0)
     first = measured[:, order[0]]
     heading = alpha[:, 0] - mean[:, 0] / 2 + _ALTERNATING_STARTS[best]
-    bend = np.stack(bends)[best, np.arange(len(measured))]
+    bend = bends[best, np.arange(len(measured))]
     length = np.tile(prior.length_mean, (len(measured), 1))
     return np.column_stack([first.real, first.imag, heading, bend, length])
