@@ -27,22 +27,25 @@ if TYPE_CHECKING:
     from srs_twin.trajectory import Trajectory
 
 
-_LOGS = (
-    "Log of valve states or pressures. Repeat the option for each FILE, and then for"
-    " each --validate file. [default: NAME.valves.csv in the folder of the recording]"
-)
+ValvesOption = Annotated[
+    list[str] | None,
+    option(
+        "--valves LOG",
+        "Log of valve states or pressures. Repeat the option for each FILE, and then"
+        " for each --validate file. [default: NAME.valves.csv in the folder of the"
+        " recording]",
+    ),
+]
 
 
-ValvesOption = Annotated[list[str] | None, option("--valves LOG", _LOGS)]
-
-
-_OFFSET = (
-    "Clock offset in seconds that is added to the times of the logs. [default:"
-    " estimated]"
-)
-
-
-OffsetOption = Annotated[float | None, option("--offset S", _OFFSET)]
+OffsetOption = Annotated[
+    float | None,
+    option(
+        "--offset S",
+        "Clock offset in seconds that is added to the times of the logs. [default:"
+        " estimated]",
+    ),
+]
 
 
 FrequencyOption = Annotated[

@@ -50,11 +50,7 @@ WORLD = "world"
 
 _NS = 1_000_000_000
 _SIDES = ("plus", "minus")
-_NUMBERED = (
-    "bend",
-    *(f"pressure_{side}" for side in _SIDES),
-    *(f"valve_{side}" for side in _SIDES),
-)
+_NUMBERED = ("bend", "pressure_plus", "pressure_minus", "valve_plus", "valve_minus")
 
 _CHORDS = 6
 _LEVEL = np.array([0.0, 0.0, 0.0, 1.0])

@@ -62,10 +62,8 @@ class RecordedPressures(Pneumatics):
         self._tau = spec.actuator.tau_mode
         self._bend_law = bend_law_of(spec)
         self._drive = (self._measured * chamber_gains(spec) * [1.0, -1.0]).sum(axis=-1)
-        self._derivative = np.zeros_like(self._drive)
-        self._derivative[:-1] = (
-            np.diff(self._drive, axis=0) / np.diff(self._time)[:, None]
-        )
+        slopes = np.diff(self._drive, axis=0) / np.diff(self._time)[:, None]
+        self._derivative = np.pad(slopes, ((0, 1), (0, 0)))
         self._linear = _linear_bend_at_samples(
             self._time, self._drive, self._derivative, self._tau
         )

@@ -258,10 +258,7 @@ class Recording:
             busy = (log.values > (0 if log.kind == "valve" else _MAX_EMPTY_PA)).any(
                 axis=(1, 2)
             )
-            if busy.any():
-                moves = log.time[np.argmax(busy)]
-            else:
-                moves = trajectory.time[-1]
+            moves = log.time[busy].min(initial=trajectory.time[-1])
         still = trajectory.time <= max(moves, trajectory.time[0]) + _STILL_S
         x, y = trajectory.com[still].mean(axis=0)
         return float(x), float(y), float(trajectory["heading"][still].mean())
@@ -297,8 +294,9 @@ def read_motion(
         Longest part of the motion in which all marker positions are known.
 
     Raises:
-        InputError: the file cannot be used, or `longest_gap_s` is out of range.
-        UnknownNameError: the value of `up`, `layout` or `head` is unknown.
+        InputError: the file cannot be used, `up` is unknown, or `longest_gap_s` is out
+            of range.
+        UnknownNameError: the value of `layout` or `head` is unknown.
     """
     if not 0 <= longest_gap_s <= 10:
         raise InputError(

@@ -355,4 +355,4 @@ def _named_places(markers: CapturedMarkers, spec: RobotSpec) -> Places:
             f"{_station_name(last)} does not exist, because {spec.name} has"
             f" {spec.geometry.connectors} connectors"
         )
-    return {int(marker): places[main[marker]] for marker in np.argsort(main)}
+    return {main.index(column): place for column, place in enumerate(places)}

@@ -80,7 +80,7 @@ def stream_messages(data: memoryview) -> Iterator[BagMessage]:
                     channels[number], log_time, content[_MESSAGE_HEAD.size :]
                 )
             elif kind == _McapRecord.SCHEMA:
-                kinds[int.from_bytes(content[:2], "little")] = _text(content, 2)[0]
+                kinds[_number(content[:2])] = _text(content, 2)[0]
             elif kind == _McapRecord.CHANNEL:
                 number, schema = struct.unpack_from("<HH", content)
                 name, place = _text(content, 4)
@@ -111,7 +111,7 @@ def _unpacked_chunk(chunk: memoryview) -> memoryview:
 
 
 def _text(content: memoryview, place: int) -> tuple[str, int]:
-    end = place + 4 + int.from_bytes(content[place : place + 4], "little")
+    end = place + 4 + _number(content[place : place + 4])
     if end > len(content):
         raise ChunkError("a string is longer than its record")
     return str(content[place + 4 : end], "utf-8", "replace"), end

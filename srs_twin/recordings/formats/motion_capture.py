@@ -122,10 +122,10 @@ def _kind_to_read(file: RecordedFile, columns: _Columns) -> tuple[str, list[str]
             f" {', '.join(MOTIVE_KINDS)} (the file has positions of the types {types})",
             columns.header_lines,
         )
-    skipped = sorted((other, count) for other, count in kinds.items() if other != kind)
     notes = [
         f"{count} columns with positions of type {other} were skipped"
-        for other, count in skipped
+        for other, count in sorted(kinds.items())
+        if other != kind
     ]
     if kind != MOTIVE_KINDS[0]:
         notes.append(
@@ -145,7 +145,7 @@ def _columns(file: RecordedFile, lines: list[list[str]]) -> _Columns:
             count + 1,
         )
     axes = lines[last]
-    width = len(lines[last])
+    width = len(axes)
     if width < 2 or not axes[1].startswith("Time"):
         raise file.error(
             "the cell 'Time (Seconds)' is missing after 'Frame'; export the file again",
@@ -223,7 +223,7 @@ class Vicon(Format):
             )
         rate = frame_rate(file, "".join(lines[0][:1]), above + 1)
         axes = lines[2]
-        width = len(lines[2])
+        width = len(axes)
         names, units = ((line + [""] * width)[:width] for line in (lines[1], lines[3]))
         positions = [k for k in range(2, width - 2) if axes[k : k + 3] == position_axes]
         if not positions:

@@ -500,10 +500,7 @@ def _decoder(topic: Topic) -> tuple[str, str, Callable[[bytes], Decoded] | None]
         kind in _BODIES or _SIGNALS.fullmatch(kind)
     ):
         store = _definitions(topic.encoding)
-        if topic.encoding == "cdr":
-            deserialize = store.deserialize_cdr
-        else:
-            deserialize = store.deserialize_ros1
+        deserialize = getattr(store, f"deserialize_{topic.encoding}")
         decode = partial(deserialize, typename=kind.replace("/", "/msg/"))
     return escape_unprintable(topic.name[:200]), kind, decode
 

@@ -105,11 +105,9 @@ def estimate_offset(
     error = float("inf")
     shift = 0.0
     left, middle, right = np.pad(loss, 1, constant_values=np.inf)[best : best + 3]
-    if np.isfinite(left + right):
-        curvature = float(left - 2 * middle + right)
-    else:
-        curvature = 0.0
-    if curvature > 0:
+    # The curvature is infinite if a neighbour lies outside the compared delays.
+    curvature = float(left - 2 * middle + right)
+    if 0 < curvature < np.inf:
         shift = float(np.clip((left - right) / (2 * curvature), -0.5, 0.5))
         fraction = _independent_fraction(bends, model, int(lags[best]))
         independent = max(1.0, count[best] * bends.shape[1] * fraction)

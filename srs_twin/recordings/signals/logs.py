@@ -215,8 +215,8 @@ def read_valves(
         "the column 'time' is missing; a log has the columns"
         " time,valve_plus_1,valve_minus_1,… or pressures"
     )
-    names = {column.name for column in table.columns if column is not clock}
-    kinds = sorted({name.partition("_")[0] for name in names})
+    logged = (column for column in table.columns if column is not clock)
+    kinds = sorted({column.name.partition("_")[0] for column in logged})
     if len(kinds) != 1:
         given = ", ".join(kinds) or "none of them"
         raise file.error(
