@@ -33,7 +33,7 @@ _LOG_KEYS = (
 )
 _SEPARATORS = {"tab": "\t", "space": " "}
 _PLACE = re.compile(
-    r"ignore|(?P<kind>connector|middle) (?P<number>\d{1,3})"
+    r"ignore|(?P<kind>connector|middle) (?P<number>[1-9]\d{0,2})"
     r"(?: (?P<side>ahead|behind|left|right))?"
 )
 

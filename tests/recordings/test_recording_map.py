@@ -206,10 +206,11 @@ def test_options_have_precedence_over_the_map_file(tmp_path):
     assert found.markers["base"].station == (0, "ahead")
     assert found.markers["tip"].station == (8, "")
     assert found.markers["lamp"] == "ignore"
-    with pytest.raises(
-        InputError, match="--marker 'base:1' is not allowed; use NAME=connector 1"
-    ):
-        given_map(None, {}, ["base:1"])
+    for place in ("base:1", "base=connector 0"):
+        with pytest.raises(
+            InputError, match=f"--marker '{place}' is not allowed; use NAME=connector 1"
+        ):
+            given_map(None, {}, [place])
     with pytest.raises(InputError, match="--rate: rate_hz: must be a number above 0"):
         TableOptions(rate_hz=0).map_data()
     assert given_map(None, {"units": None}, []) == {}
