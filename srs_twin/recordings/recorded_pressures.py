@@ -53,9 +53,13 @@ class RecordedPressures(Pneumatics):
                 f"the recorded pressures have the shape {pressure.shape}, but"
                 f" {spec.name} needs the shape ({len(time)}, {spec.segments}, 2)"
             )
-        if not ((np.diff(time) > 0).all() and np.isfinite(pressure).all()):
+        if not (np.diff(time) > 0).all():
+            raise InputError("the times of the recorded pressures must increase")
+        finite = np.isfinite(pressure).all(axis=(1, 2))
+        if not finite.all():
             raise InputError(
-                "the recorded pressures must be finite, and their times must increase"
+                "the recorded pressures must be finite, but row"
+                f" {finite.argmin() + 1} lacks a finite pressure"
             )
         self._time = np.asarray(time, float)
         self._measured = np.asarray(pressure, float)

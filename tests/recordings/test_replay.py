@@ -90,10 +90,12 @@ def test_invalid_recorded_pressures_are_refused():
         InputError, match=r"shape \(2, 1, 2\), but gen2 needs the shape \(2, 4, 2\)"
     ):
         RecordedPressures(SPEC, time, np.zeros((2, 1, 2)), supply_pa=SUPPLY)
-    with pytest.raises(
-        InputError, match="must be finite, and their times must increase"
-    ):
-        RecordedPressures(SPEC, time[::-1], np.zeros((2, 4, 2)), supply_pa=SUPPLY)
+    pressure = np.zeros((2, 4, 2))
+    with pytest.raises(InputError, match="times of the recorded pressures must incr"):
+        RecordedPressures(SPEC, 0 * time, pressure, supply_pa=SUPPLY)
+    pressure[1, 2, 0] = np.nan
+    with pytest.raises(InputError, match="row 2 lacks a finite pressure"):
+        RecordedPressures(SPEC, time, pressure, supply_pa=SUPPLY)
 
 
 def test_both_plants_follow_recorded_pressures():
