@@ -465,6 +465,24 @@ def test_a_missing_library_is_reported_with_its_installation(tmp_path, monkeypat
     with pytest.raises(
         InputError,
         match=r"install it with .*uv sync --extra recordings.*srs-twin\[recordings\]",
+def test_implausible_positions_are_missing():
+    """Each marker has one kind of position on its first frames."""
+    points = np.full((9, 5, 3), 5.0)
+    points[:2, 0] = points[:3, 1] = 0.0
+    points[:4, 2, 1] = np.inf
+    points[:5, 3, 2] = -1000.0
+    points[:6, 4, 2] = -1000.1
+    file = RecordedFile("take.data", b"")
+    found = marker_table(file, "x", np.arange(9), points, [""] * 5, [])
+    assert np.isnan(found.points).all(axis=2).sum(axis=0).tolist() == [0, 3, 4, 0, 6]
+    assert found.labels[4] == "point 5"
+    assert found.corrections == (
+        "3 positions are exactly 0, 0, 0 and are read as missing",
+        "4 positions lack a finite coordinate and are read as missing",
+        "6 positions are over 1000 m away and are read as missing",
+    )
+
+
     ):
         read_markers(written(tmp_path, FILES["MCAP"]()))
 

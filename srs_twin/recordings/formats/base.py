@@ -300,7 +300,7 @@ def marker_table(
     finite = np.isfinite(points)
     incomplete = ~finite.all(axis=-1) & finite.any(axis=-1)
     with np.errstate(invalid="ignore"):
-        far = (np.abs(points) > MAX_DISTANCE).any(axis=-1)
+        far = (np.abs(points) > MAX_DISTANCE).any(axis=-1) & ~incomplete
     points[incomplete | far] = np.nan
     for samples, reason in (
         (unseen, "are exactly 0, 0, 0"),
