@@ -244,11 +244,6 @@ STATIC_MALFORMED: tuple[Malformed, ...] = (
         "a word", STATIC.replace(b"10,0", b"ten,0"), ":4:1: 'ten' is not a number"
     ),
     Malformed(
-        "a row without pressure",
-        STATIC.replace(b"10,0", b",0"),
-        ": a pressure is missing; give all pressures in every row",
-    ),
-    Malformed(
         "degrees as radians",
         STATIC.replace(b"_deg", b""),
         ":4:3: bend_1: 10.5 is not allowed; a bend must be between",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import struct
 import warnings
 
@@ -13,7 +12,6 @@ import numpy as np
 import pytest
 
 from srs_twin import InputError
-from srs_twin.cli import main
 from srs_twin.recordings.formats import read_markers
 from srs_twin.recordings.formats.base import Unstated
 
@@ -29,10 +27,10 @@ def walk(frames=60, markers=4, scale=300.0):
     )
 
 
-def by_ezc3d(path, points, *, first=0, units=("mm",), analog=0, kinds=None, rate=RATE):
+def by_ezc3d(path, points, *, first=0, units=("mm",), analog=0, kinds=None):
     file = ezc3d.c3d()
     count = points.shape[1]
-    file["parameters"]["POINT"]["RATE"]["value"] = [rate]
+    file["parameters"]["POINT"]["RATE"]["value"] = [RATE]
     file["parameters"]["POINT"]["LABELS"]["value"] = [f"m{k}" for k in range(count)]
     file["parameters"]["POINT"]["UNITS"]["value"] = list(units)
     if kinds:
@@ -42,7 +40,7 @@ def by_ezc3d(path, points, *, first=0, units=("mm",), analog=0, kinds=None, rate
         [points.transpose(2, 1, 0), np.ones((1, count, len(points)))]
     )
     if analog:
-        file["parameters"]["ANALOG"]["RATE"]["value"] = [10 * rate]
+        file["parameters"]["ANALOG"]["RATE"]["value"] = [10 * RATE]
         file["parameters"]["ANALOG"]["LABELS"]["value"] = [
             f"a{k}" for k in range(analog)
         ]
@@ -93,7 +91,6 @@ def by_hand(
     processor,
     *,
     step=None,
-    first=1,
     analog=0,
     units="mm",
     more=(),
@@ -146,9 +143,9 @@ def by_hand(
     ]
     said = b"".join(said) + b"\0\0"
     blocks = -(-(4 + len(said)) // 512)
-    last = first + (counted or frames) - 1
+    last = counted or frames
     head = struct.pack("BB", 2, 80) + b"".join(
-        map(word, (count, analog, first, min(last, 65535), 10))
+        map(word, (count, analog, 1, min(last, 65535), 10))
     )
     head += scale + word(2 + blocks) + word(1) + number(RATE)
     data = []
@@ -269,17 +266,6 @@ def test_parameters_in_conflict_with_the_file_are_ignored(tmp_path):
     same(tmp_path / "a.c3d", points)
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize(
-    ("first", "begins"), [(0, 0.0), (1, 0.0), (2, 0.01), (9000, 89.99)]
-)
-def test_first_frame_sets_the_start_time(tmp_path, first, begins):
-    """Frame 1 is at 0 s, and so is frame 0 of programs that count from 0."""
-    points = walk()
-    (tmp_path / "a.c3d").write_bytes(by_hand(points, 84, first=first))
-    same(tmp_path / "a.c3d", points, first=begins)
-
-
 def test_units_of_points_are_converted(tmp_path):
     points = walk(20, 3)
     by_ezc3d(tmp_path / "m.c3d", points / 1e3, units=("m",))
@@ -293,26 +279,6 @@ def test_units_of_points_are_converted(tmp_path):
         match=r"the unit of length \(POINT:UNITS\) is missing; give it with --units",
     ):
         read_markers(tmp_path / "none.c3d")
-    by_ezc3d(tmp_path / "odd.c3d", points, units=("furlong",))
-    with pytest.raises(
-        InputError, match="odd.c3d: the unit of length 'furlong' is not known"
-    ):
-        read_markers(tmp_path / "odd.c3d")
-
-
-def test_missing_analog_scales_are_ignored(tmp_path, capsys):
-    """Other readers need these scales; `inspect --json` prints the contents of the file."""
-    points = walk(50, 3)
-    by_ezc3d(tmp_path / "a.c3d", points)
-    file = ezc3d.c3d(str(tmp_path / "a.c3d"))
-    file["parameters"]["ANALOG"]["SCALE"]["value"] = [-1.0]
-    file.write(str(tmp_path / "b.c3d"))
-    same(tmp_path / "b.c3d", points)
-    with pytest.raises(SystemExit) as left:
-        main(["inspect", str(tmp_path / "b.c3d"), "--json"])
-    (facts,) = json.loads(capsys.readouterr().out)
-    assert not left.value.code and facts["announced_frames"] == facts["frames"] == 50
-    assert len(facts["markers"]) == 3 and facts["rate_hz"] == pytest.approx(RATE)
 
 
 def test_angles_are_skipped(tmp_path):

@@ -15,8 +15,6 @@ from srs_twin.control.gait import PitchWave
 from srs_twin.experiment import load_run, run_scenario
 from srs_twin.pneumatics.chambers import AMBIENT_PA
 from srs_twin.recordings.export import foxglove_layout, recording_map, write_mcap
-from srs_twin.recordings.facts import in_words
-from srs_twin.recordings.inspection import inspect_file
 from srs_twin.recordings.recording_map import read_map
 from srs_twin.recordings.takes import RecordingReader
 from srs_twin.scenario.loading import load_scenario
@@ -180,24 +178,6 @@ def test_the_file_reads_back_as_a_recording_of_the_robot(run, file):
     sides = [twin.stack("pressure_plus"), twin.stack("pressure_minus")]
     assert time - time[0] == pytest.approx(twin.time, abs=1e-9)
     assert values == pytest.approx(np.stack(sides, axis=-1), abs=1e-6)
-
-
-def test_inspection_needs_no_further_map_for_mapped_signals(run, file):
-    given = read_map(recording_map("twin", run.trajectories["twin"]))
-    facts, _ = inspect_file(file, given, None)
-    understood = {signal.name for signal in facts.signals if signal.understood}
-    assert understood == {
-        f"/twin/pressure_{side}_{j}.fluid_pressure"
-        for side in ("plus", "minus")
-        for j in range(1, 5)
-    }
-    needing = {
-        line.split(":")[0].strip()
-        for line in in_words(facts).split("\n")
-        if "(needs a map)" in line
-    }
-    assert "/twin/valves.data[0]" in needing
-    assert needing.isdisjoint(understood)
 
 
 @pytest.fixture

@@ -166,6 +166,7 @@ def test_quantities_are_known_by_names_and_units(tmp_path):
         "theta1 (deg)": ([-3.0, 2.0], "angle, deg"),
         "theta2 (deg)": ([-3.0, 2.0], "angle, deg"),
     }
+        "P1 (MPa)": ([0.0, 0.03], "pressure, MPa: 0 to 30 kPa"),
     columns = {name: values * 50 for name, (values, _) in known.items()}
     table = pd.DataFrame({"time": 0.01 * np.arange(100), **columns})
     table.to_csv(tmp_path / "log.csv", index=False)
@@ -176,15 +177,6 @@ def test_quantities_are_known_by_names_and_units(tmp_path):
     assert '# bend_3: "theta2 (deg)"' in proposed_map([facts])
     battery = facts.signals[10]
     assert (battery.low, battery.high, battery.distinct) == (7.2, 8.1, 2)
-
-
-def test_openings_of_a_carrier_are_counted(tmp_path):
-    path = tmp_path / "log.csv"
-    time = np.arange(4000) / 1000
-    rows = np.column_stack([time, time * 30 % 1 < 0.4])
-    path.write_text(csv_text(["time", "valve_plus_1"], rows))
-    signal = inspect_file(path, NO_MAP, None)[0].signals[0]
-    assert signal.openings_per_s == pytest.approx(30, rel=0.03)
 
 
 def test_a_bag_has_bodies_and_signals(tmp_path):

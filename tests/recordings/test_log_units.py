@@ -29,7 +29,6 @@ from srs_twin.recordings.signals.units import (
     looks_absolute,
     stated_unit,
 )
-from srs_twin.recordings.takes import RecordingReader
 
 pytestmark = pytest.mark.fast
 
@@ -405,20 +404,6 @@ def facts_of(path, text, **known):
     return inspect_file(path, RecordingMap(**known), None)[0]
 
 
-@pytest.mark.parametrize(
-    ("column", "values", "said"),
-    [
-        ("P1 (MPa)", [0.0, 0.03], "pressure, MPa: 0 to 30 kPa"),
-        ("P1", [101.0, 131.0], "unknown"),
-        ("bend_1_deg", [0.0, 1.0], "angle, deg"),
-    ],
-)
-def test_inspect_prefers_units_in_the_header(tmp_path, column, values, said):
-    rows = "".join(f"{k},{value}\n" for k, value in enumerate((*values, values[0])))
-    facts = facts_of(tmp_path / "log.csv", f"time,{column}\n{rows}")
-    assert facts.signals[0].looks_like.startswith(said)
-
-
 def test_absolute_pressures_are_noted_and_converted(tmp_path):
     path = log(tmp_path, "time,pressure_plus_1_kpa,P2 (kPa)", 101.3 + 30 * RAW)
     path.write_text(path.read_text().replace(",0\n", ",101.3\n"))
@@ -489,18 +474,6 @@ def test_log_of_a_microcontroller(tmp_path):
     assert read_valves(path, MODULE, given).time[-1] == pytest.approx(3.99)
 
 
-def test_duties_in_per_cent_are_recognised_by_name(tmp_path):
-    path = log(
-        tmp_path,
-        "time,duty_plus_1 (%),duty_minus_1 (%)",
-        np.array([0.0, 0.5, 1.0, 0.0]),
-    )
-    found = read_valves(path, MODULE, read_map({"log": {"carrier_hz": 10.0}}))
-    assert (
-        found.at(np.arange(0.1005, 0.2, 0.001))[:, 0, 0] == 1
-    ).sum() <= 1  # half a per cent
-
-
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     """Return a bag whose topic /p contains arrays of two numbers as JSON."""
@@ -537,15 +510,3 @@ def test_a_signal_of_a_bag_without_a_unit_is_refused(bag):
         InputError, match=r"unit of the column '/p.data\[0\]' is not known"
     ):
         read_valves(bag, MODULE, given)
-
-
-def test_bench_log_in_bar_contains_30_kpa(tmp_path):
-    time = 0.01 * np.arange(200)
-    rows = [time, 10 * np.sin(6 * time), 0.3 * (time > 0.5), 0 * time]
-    path = tmp_path / "bar.csv"
-    header = ["time", "bend_1_deg", "P1 (bar)", "P2 (bar)"]
-    path.write_text(csv_text(header, np.column_stack(rows)))
-    given = mapped(pressure_kpa_plus_1="P1 (bar)", pressure_kpa_minus_1="P2 (bar)")
-    found = RecordingReader(map=given).take(str(path), str(path), MODULE).trajectory
-    assert found["pressure_plus_1"][[0, -1]] == pytest.approx([0, 3e4])
-    assert found["bend_1"].max() == pytest.approx(np.radians(10), rel=1e-3)

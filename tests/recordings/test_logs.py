@@ -82,21 +82,6 @@ def test_markers_that_come_back_in_other_columns_are_tracked(tmp_path, layout, s
     assert place[measured].max() < 8 * NOISE
 
 
-@pytest.mark.default_cases(1)
-@pytest.mark.parametrize("layout", ["head", "pair"])
-def test_curvature_is_continuous(tmp_path, layout):
-    """No bend changes by more than the motion and the noise between frames, also in filled gaps."""
-    found = recorded(
-        tmp_path,
-        Take(layout=layout, swaps=30, lost=0.05, gap_frames=2, noise=1e-4, seed=1),
-    )
-    fastest = np.abs(np.diff(motion().stack("bend"), axis=0)).max()
-    assert (
-        np.abs(np.diff(found.trajectory.stack("bend"), axis=0)).max()
-        < 1.5 * fastest + 0.1
-    )
-
-
 @pytest.mark.parametrize("rate", first_by_default(1, [120.0, 30.0, 60.0, 240.0]))
 def test_motion_is_recovered_at_any_frame_rate(tmp_path, rate):
     found = recorded(tmp_path, Take(layout="pair", rate_hz=rate, swaps=10, noise=0.0))
@@ -149,9 +134,8 @@ def test_a_floor_tilted_by_more_than_three_degrees_is_levelled(degrees, levelled
     assert (np.ptp(found.points[..., 2]) < 0.01) == levelled
 
 
-@pytest.mark.parametrize("across", [False, True])
-def test_pairs_along_and_across_the_body_are_read(tmp_path, across):
-    found = recorded(tmp_path, Take(layout="pair", across=across, noise=0.0))
+def test_pairs_across_the_body_are_read(tmp_path):
+    found = recorded(tmp_path, Take(layout="pair", across=True, noise=0.0))
     near(found.trajectory.stack("bend"), motion().stack("bend"), 1e-4)
 
 
@@ -375,20 +359,6 @@ def test_metadata_and_units(tmp_path):
     again = Trajectory.from_parquet(path)
     assert again.metadata == about and list(again.columns) == list(
         found.trajectory.columns
-    )
-
-
-def test_gait_metrics_of_a_recording_are_those_of_the_motion(tmp_path):
-    from srs_twin.comparison.metrics import plant_metrics
-
-    found = recorded(
-        tmp_path, Take(layout="pair", swaps=10, lost=0.02), gait_frequency_hz=2.0
-    )
-    measured = plant_metrics(found.trajectory)
-    true = plant_metrics(motion())
-    assert measured["com_speed_m_s"] == pytest.approx(true["com_speed_m_s"], rel=0.005)
-    assert measured["bend_amplitude_rad"] == pytest.approx(
-        true["bend_amplitude_rad"], rel=0.05
     )
 
 

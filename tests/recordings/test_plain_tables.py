@@ -208,12 +208,6 @@ def test_layout_options_of_the_command(tmp_path, monkeypatch, capsys):
     assert (
         "note: the cells are separated by semicolons, and decimal marks are commas"
     ) in said
-    (tmp_path / "map.yaml").write_text(
-        f"columns: [{', '.join(COLUMNS)}]\nseparator: ';'\ndecimal: ','\n"
-    )
-    with pytest.raises(SystemExit) as left:
-        main(["inspect", "x.csv", "--map", "map.yaml"])
-    assert left.value.code == 0 and "60 frames, 100 Hz" in capsys.readouterr().out
 
 
 def test_given_names_apply_only_to_files_without_names(tmp_path):
@@ -225,11 +219,6 @@ def test_given_names_apply_only_to_files_without_names(tmp_path):
         "the file has column names, so the names in --columns or in the map are"
         " ignored" in found.corrections
     )
-    path.write_text("0;1;0\n1,5;0;1\n")
-    found = read_valves(
-        path, MODULE, read_map({"columns": ["time", "valve_plus_1", "valve_minus_1"]})
-    )
-    assert found.time.tolist() == [0.0, 1.5]
 
 
 def test_rotations_and_rates_are_not_markers(tmp_path):

@@ -301,7 +301,6 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
             ":3:2: valve_plus_1: 2 is not allowed; it must be -1 (vent), 0 (hold)",
         ),
         ("1.0,-1", "1.0,", "valves.csv:3:2: valve_plus_1: the value is missing"),
-        ("1.0,", ",", "valves.csv:3:1: the row has no time"),
         ("1.0,-1", "\n\n1.0,2", "valves.csv:5:2: valve_plus_1: 2 is not allowed"),
         ("time,valve_plus_1", "# a\ntime,x", "valves.csv:2: the column 'valve_plus_1'"),
         (
@@ -314,7 +313,6 @@ def test_states_0_and_1_mean_venting_and_filling(tmp_path):
             "pressure_plus_1_kpa (abs)",
             "valves.csv:1:2: pressure_plus_1_kpa (abs): unknown unit 'abs'",
         ),
-        ("1.0,", "one,", "valves.csv:3:1: 'one' is not a number"),
     ],
 )
 def test_errors_of_a_log_name_their_place(tmp_path, monkeypatch, old, new, says):
