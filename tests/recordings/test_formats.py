@@ -118,11 +118,11 @@ def deeplabcut(*, animals=False):
     head.append(["bodyparts", *(part for part in parts for _ in "xyl")])
     head.append(["coords"] + ["x", "y", "likelihood"] * MARKERS)
     rows = []
-    lost = ["", "", ""] if animals else ["7", "8", "0.1"]
+    lost = ["", "", ""] if animals else ["7", "8", "0.59"]
     for k in range(FRAMES):
         row = [f"{k}"]
         for x, y in flat[k]:
-            row += lost if np.isnan(x) else [f"{x:.6f}", f"{y:.6f}", "0.99"]
+            row += lost if np.isnan(x) else [f"{x:.6f}", f"{y:.6f}", "0.6"]
         rows.append(row)
     return ("\n".join(",".join(line) for line in [*head, *rows]) + "\n").encode()
 
@@ -299,7 +299,13 @@ def test_deeplabcut_positions_are_scaled(tmp_path, animals):
     assert found.labels == (
         ("s0:head", "s0:tail", "s1:head", "s1:tail") if animals else tuple(NAMES)
     )
-    assert "y is reversed, because it points down in images" in found.corrections
+    # Markers 1 and 3 are hidden on 4 and 10 frames.
+    for note in (
+        f"{0 if animals else 14} samples with a likelihood below 0.6 are read as",
+        "y is reversed, because it points down in images",
+        "the coordinates are multiplied by 0.002 to convert them to m",
+    ):
+        assert note in " ".join(found.corrections)
     with pytest.raises(InputError, match=r"give `rate_hz` .* and `scale_m` "):
         read_markers(path)
     with pytest.raises(InputError, match=r"give `scale_m` "):
@@ -319,7 +325,15 @@ def test_motive_rigid_bodies_have_rotations(tmp_path, version):
     found = read_markers(written(tmp_path, text))
     same(found)
     assert np.allclose(found.rotations, turns, rtol=0, atol=1e-6, equal_nan=True)
-    assert read_markers(written(tmp_path, motive(TIME, TRUTH))).rotations is None
+    used = "the file has no columns of type Marker, so positions of type Rigid Body are"
+    assert used in found.corrections[0]
+    markers = motive(TIME, TRUTH)
+    assert read_markers(written(tmp_path, markers)).rotations is None
+    two_kinds = markers.replace(b",Marker" * 6, b",Marker" * 3 + b",Rigid Body" * 3)
+    found = read_markers(written(tmp_path, two_kinds))
+    assert found.labels == ("snake0", "snake2")
+    skipped = "2 columns with positions of type Rigid Body were skipped"
+    assert found.corrections == (skipped,)
 
 
 def test_truncated_c3d_keeps_its_whole_frames(tmp_path):
@@ -451,20 +465,6 @@ def test_a_recording_without_frames_is_refused():
         marker_table(file, "JSON", np.zeros(0), np.zeros((0, 1, 3)), ["head"], [])
 
 
-def test_missing_files_are_reported(tmp_path):
-    with pytest.raises(InputError, match="no such file"):
-        identify(tmp_path / "none.c3d")
-    with pytest.raises(InputError, match="a folder; give one file"):
-        identify(tmp_path)
-
-
-def test_a_missing_library_is_reported_with_its_installation(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
-    topics._decoder.cache_clear()
-    topics._definitions.cache_clear()
-    with pytest.raises(
-        InputError,
-        match=r"install it with .*uv sync --extra recordings.*srs-twin\[recordings\]",
 def test_implausible_positions_are_missing():
     """Each marker has one kind of position on its first frames."""
     points = np.full((9, 5, 3), 5.0)
@@ -483,6 +483,20 @@ def test_implausible_positions_are_missing():
     )
 
 
+def test_missing_files_are_reported(tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        identify(tmp_path / "none.c3d")
+    with pytest.raises(InputError, match="a folder; give one file"):
+        identify(tmp_path)
+
+
+def test_a_missing_library_is_reported_with_its_installation(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
+    topics._decoder.cache_clear()
+    topics._definitions.cache_clear()
+    with pytest.raises(
+        InputError,
+        match=r"install it with .*uv sync --extra recordings.*srs-twin\[recordings\]",
     ):
         read_markers(written(tmp_path, FILES["MCAP"]()))
 

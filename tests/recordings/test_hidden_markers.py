@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from srs_twin import load_robot
-from srs_twin.recordings.body.frame_fit import MarkerPlacement
-from srs_twin.recordings.body.layout import robot_markers
+from srs_twin import InputError, load_robot
+from srs_twin.recordings.body.frame_fit import MarkerPlacement, marker_offsets
+from srs_twin.recordings.body.layout import body_order, rigid_pairs, robot_markers
 from srs_twin.recordings.body.shape import LengthModel, fit_shape
 from srs_twin.recordings.body.tracking import track_markers
 
@@ -45,6 +46,53 @@ def test_a_marker_with_a_hidden_neighbour_belongs_to_the_robot():
     points[30:, 1] = np.nan
     layouts, chosen = robot_markers(points, count, pitch, "auto", 0)
     assert (layouts, chosen.tolist()) == (["single"], list(range(count)))
+
+
+STRAIGHT = [0.0, -0.055, -0.11]
+
+
+@pytest.mark.parametrize(
+    ("angle", "sides", "expected"),
+    [
+        (24.0, ("", ""), [0.01, -0.01]),
+        (114.0, ("", ""), [0.01j, -0.01j]),
+        (26.0, ("", ""), "makes an angle of 26° with the body"),
+        (26.0, ("left", "right"), [0.01j, -0.01j]),
+        (26.0, ("behind", ""), [-0.02, 0.0]),
+        (26.0, ("ahead", "left"), [0.02 / 2**0.5, 0.02j / 2**0.5]),
+        (26.0, ("left", "left"), "a and b are on the same side of one connector"),
+    ],
+)
+def test_two_markers_of_a_connector_lie_along_or_across_the_body(
+    angle, sides, expected
+):
+    """Markers a and b at the middle connector are 20 mm apart."""
+    pair = STRAIGHT[1] + np.exp(1j * np.radians(angle)) * np.array([0.01, -0.01])
+    places = np.array([STRAIGHT[0], *pair, STRAIGHT[2]])
+    points = np.tile(np.stack([places.real, places.imag], axis=-1), (5, 1, 1))
+    stations = [(0, ""), (2, sides[0]), (2, sides[1]), (4, "")]
+    hidden = np.zeros((5, 4), dtype=bool)
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=expected):
+            marker_offsets(points, hidden, stations, "_abc")
+    else:
+        found = marker_offsets(points, hidden, stations, "_abc")
+        assert found == pytest.approx([0.0, *expected, 0.0])
+    said = r"3 markers are assigned to one place .* \(a, b, c\), but at most two are"
+    with pytest.raises(InputError, match=said):
+        marker_offsets(points, hidden, [*stations[:3], (2, "")], "_abc")
+
+
+def test_a_body_has_two_ends_and_rigid_pairs():
+    star = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
+    with pytest.raises(InputError, match="connections have 3 ends instead of 2"):
+        body_order(np.tile(star, (20, 1, 1)))
+    # The distance is 1 with quartiles of 0.7 and 1.3: 0.74 times 0.6 is 44 %.
+    apart = np.tile([0.7, 0.7, 1.0, 1.3, 1.3], 4)
+    points = np.zeros((20, 2, 2))
+    points[:, 1, 0] = apart
+    with pytest.raises(InputError, match="the distance of one pair changes by 44 %"):
+        rigid_pairs(points, 1)
 
 
 def test_body_is_recovered_while_a_marker_is_hidden():

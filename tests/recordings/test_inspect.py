@@ -38,6 +38,7 @@ def test_facts_of_a_marker_recording(tmp_path):
     assert facts.rate_hz == pytest.approx(RATE)
     assert facts.frames == len(motion())
     assert facts.noise_mm == pytest.approx(1e3 * NOISE, rel=0.2)
+    assert facts.markers[0].noise_mm == pytest.approx(1e3 * facts.markers[0].noise_m)
     assert facts.order == ["snake:ahead", *(f"snake:{k}" for k in range(1, 6))]
     assert facts.rigid_pairs == [["snake:ahead", "snake:1"]]
     assert {each.marker for each in facts.head} == {"snake:ahead"}
@@ -61,6 +62,8 @@ def test_facts_of_a_marker_recording(tmp_path):
     assert scene.rigid == ((0, 1),)
     for line in (
         "401 frames, 100 Hz, 4 s",
+        f"up: x; noise {facts.noise_mm:.2g} mm; 6 persistent markers",
+        "head: snake:ahead (the only end with a second marker on a rigid part); snake",
         "snake:1: seen in 100.0 % of the frames, 0 gaps up to 0 s, noise 0.",
         " mm, 30 mm high",
         f"snake:ahead to snake:1: {pair.median_mm:.1f} mm, varies by 0.",
@@ -163,10 +166,10 @@ def test_quantities_are_known_by_names_and_units(tmp_path):
         "force_N": ([22.0, 48.3], "unknown"),
         "battery": ([7.2, 8.1], "unknown"),
         "velocity": ([-0.3, 0.2], "unknown"),
+        "P1 (MPa)": ([0.0, 0.03], "pressure, MPa: 0 to 30 kPa"),
         "theta1 (deg)": ([-3.0, 2.0], "angle, deg"),
         "theta2 (deg)": ([-3.0, 2.0], "angle, deg"),
     }
-        "P1 (MPa)": ([0.0, 0.03], "pressure, MPa: 0 to 30 kPa"),
     columns = {name: values * 50 for name, (values, _) in known.items()}
     table = pd.DataFrame({"time": 0.01 * np.arange(100), **columns})
     table.to_csv(tmp_path / "log.csv", index=False)

@@ -120,17 +120,23 @@ def test_reversed_vertical_axis_mirrors_the_motion(tmp_path):
     near(mirrored["y_1"], -right["y_1"], 1e-9)
 
 
-@pytest.mark.parametrize(("degrees", "levelled"), [(2.9, False), (3.1, True)])
-def test_a_floor_tilted_by_more_than_three_degrees_is_levelled(degrees, levelled):
+@pytest.mark.parametrize(
+    ("degrees", "levelled"), [(2.9, False), (3.1, True), (29.5, True), (31, None)]
+)
+def test_a_floor_tilted_by_3_to_30_degrees_is_levelled(degrees, levelled):
     random = np.random.default_rng(0)
     moved = random.uniform(-1, 1, (300, 1, 3)) + random.uniform(-0.1, 0.1, (300, 4, 3))
     flat = moved * [1.0, 1.0, 1e-4] + [0.0, 0.0, 0.02]
     c = np.cos(np.radians(degrees))
     s = np.sin(np.radians(degrees))
     tilted = flat @ np.array([[1, 0, 0], [0, c, s], [0, -s, c]])
+    if levelled is None:
+        with pytest.raises(InputError, match="is tilted by 31° from all axes"):
+            map_to_floor(tilted, "auto", "z")
+        return
     found = map_to_floor(tilted, "auto", "z")
     assert found.up == "z"
-    assert ("the floor was levelled by 3.1°" in found.corrections) == levelled
+    assert (f"the floor was levelled by {degrees}°" in found.corrections) == levelled
     assert (np.ptp(found.points[..., 2]) < 0.01) == levelled
 
 
@@ -161,7 +167,8 @@ def test_the_given_head_is_used(tmp_path):
 def test_a_recording_without_crawling_needs_the_head(tmp_path):
     still = sampled(motion(), np.zeros(len(motion()), dtype=int))
     still = with_columns(still, time=motion().time)
-    with pytest.raises(InputError, match="the head cannot be determined"):
+    said = r"crawled only 0[.\d]* mm along its axis \(at least 22 mm are needed"
+    with pytest.raises(InputError, match=said):
         recorded(tmp_path, Take(), still)
 
 
@@ -174,6 +181,13 @@ def test_long_gaps_cut_the_recording(tmp_path):
         f"{len(motion()) - len(found.trajectory)} left out at the ends"
         in found.summary.text()
     )
+    often = [(3, 0.4 * k, 0.4 * k + 0.3) for k in range(10)]
+    said = (
+        r"no 12 successive frames contain all 10 markers with gaps of at most 0\.2 s\."
+        r" All markers are visible in 25 % of the 401 frames at 100 Hz"
+    )
+    with pytest.raises(InputError, match=said):
+        recorded(tmp_path, Take(layout="pair", occluded=often))
     bridged = recorded(tmp_path, take, longest_gap_s=0.6)
     assert len(bridged.trajectory) == len(motion())
     flags = bridged.trajectory.stack("filled")
@@ -229,7 +243,8 @@ def test_shuffled_repeated_and_missing_rows_are_corrected(tmp_path):
         assert words in said
     assert found.summary.markers.frames_missing == 3
     assert found.summary.markers.header_frames == len(rows)
-    assert "(401 according to the header)" in found.summary.text()
+    for words in ("(401 according to the header)", " 0 left out at the ends"):
+        assert words in found.summary.text()
     place, _, _, measured = errors(found, motion())
     assert len(found.trajectory) == len(rows) and place[measured].max() < 1e-6
     assert np.flatnonzero(~measured.all(axis=1)).tolist() == [100, 101, 250]
@@ -256,13 +271,20 @@ def test_plain_csv_is_read(tmp_path, unit, scale):
     assert found.summary.markers.head == "connector 1 of the file"
 
 
-def test_plain_csv_in_a_wrong_unit_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("unit", "scale", "apart", "hint"),
+    [
+        ("m", 1e3, r"5\.011e\+04 to 1\.9e\+05", "in"),
+        ("mm", 1.0, "0.05011 to 0.19", "not in"),
+    ],
+)
+def test_plain_csv_in_a_wrong_unit_is_refused(tmp_path, unit, scale, apart, hint):
     path = tmp_path / "plain.csv"
-    path.write_text(plain_csv(motion(), "m", 1e3).replace("_m", ""))
+    path.write_text(plain_csv(motion(), unit, scale))
     with pytest.raises(
         InputError,
-        match=r"the markers are 5.* mm apart, .* 55 mm apart; check the unit,"
-        r" because the lengths seem to be in mm",
+        match=rf"the markers are {apart} mm apart, .* 55 mm apart; check the unit,"
+        rf" because the lengths seem to be {hint} mm",
     ):
         read_motion(path, SPEC)
 
@@ -330,8 +352,15 @@ def test_metadata_and_units(tmp_path):
     assert about["record_hz"] == pytest.approx(RATE)
     assert about["duration_s"] == pytest.approx(4.0)
     assert about["gait_frequency_hz"] == 2.0
-    assert about["body_length_m"] == pytest.approx(motion().metadata["body_length_m"])
-    assert about["mass_kg"] == pytest.approx(motion().metadata["mass_kg"])
+    for key in ("body_length_m", "segment_length_m", "rigid_gap_m", "mass_kg"):
+        assert about[key] == pytest.approx(motion().metadata[key])
+    assert about["velocity_half_width"] == 5
+    # The noise has a standard deviation of 0.2 mm.
+    for note in (
+        "up is y: markers stay within 0.2 mm of a plane",
+        "the axes are rotated: floor x is X of the file, and floor y is −Z of the file",
+    ):
+        assert note in found.summary.corrections
     units = {
         re.sub(r"_\d+$", "", name): found.trajectory.unit(name)
         for name in found.trajectory.columns
@@ -398,9 +427,23 @@ def test_summary_counts_every_sample(tmp_path):
         f"column changes: {counts.moves}",
         f"rejected: {counts.samples_rejected} outliers, {counts.samples_other} positions",
         f"kept: {found.frames_kept} frames, {found.start:g} s to {found.end:g} s",
+        f"markers: layout single; head: {counts.head}; up: y",
+        f"filled: {found.samples_filled} positions, longest gap"
+        f" {counts.longest_filled_s:.3g} s",
+        f"quantile): {', '.join(f'{1000 * each:.1f}' for each in counts.spacing_m)} mm;"
+        f" distance of the markers from the body {1000 * counts.residual_m:.2g} mm RMS,"
+        f" noise {1000 * counts.noise_m:.2g} mm",
+        f"standard error of a bend: {counts.bend_error_rad:.2g} rad",
     ):
         assert line in found.text()
-    bend_error = recording.trajectory.stack("bend_error")
-    assert counts.bend_error_rad == pytest.approx(np.sqrt((bend_error**2).mean()))
+    for name, rms in (("bend_error", "bend_error_rad"), ("residual", "residual_m")):
+        values = np.array(
+            [
+                recording.trajectory[key]
+                for key in recording.trajectory.columns
+                if key.startswith(name)
+            ]
+        )
+        assert getattr(counts, rms) == pytest.approx(np.sqrt((values**2).mean()))
     steps = np.linalg.norm(np.diff(recording.trajectory.position, axis=1), axis=-1)
     assert counts.spacing_m == pytest.approx(np.quantile(steps, 0.98, axis=0))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from recorded import NOISE, RATE, SPEC, csv_text, motion, recorded, true_at
@@ -83,8 +85,18 @@ def test_markers_are_assigned_by_a_map(tmp_path):
     assert (
         np.abs(found.trajectory.stack("length") - truth.stack("length")).mean() < 1e-3
     )
-    assert any("segment lengths vary" in each for each in found.summary.corrections)
-    assert "1 markers are ignored according to the map" in found.summary.corrections
+    (varying,) = (each for each in found.summary.corrections if "lengths vary" in each)
+    percent = [float(number) for number in re.findall(r"[-+]\d+", varying)]
+    ends = np.quantile(truth.stack("length"), [0.02, 0.98], axis=0).T.ravel()
+    assert percent == pytest.approx(
+        100 * (ends / SPEC.geometry.segment_length - 1), abs=2
+    )
+    for note in (
+        "1 markers are ignored according to the map",
+        "times computed from row numbers at 100 frames per second",
+    ):
+        assert note in found.summary.corrections
+    assert found.trajectory.time == pytest.approx(truth.time)
 
 
 @pytest.mark.default_cases(1)

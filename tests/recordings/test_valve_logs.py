@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +45,11 @@ def test_offset_is_estimated_from_the_start_of_a_gait(tmp_path, captured, shift)
     assert about["offset_s"] == pytest.approx(-shift - 0.005, abs=0.003)
     assert about["offset_estimated"] and 0 < about["offset_error_s"] < 0.002
     assert about["bends_explained"] > 0.99
+    note = (
+        f"valves.csv: 401 rows of valves; offset {about['offset_s']:.4f} s"
+        f" (± {1000 * about['offset_error_s']:.2g} ms, estimated)"
+    )
+    assert any(text.endswith(note) for text in joined.summary.corrections)
     assert {"valve_plus_1", "valve_minus_4"} <= joined.trajectory.columns.keys()
     assert joined.valves.time[0] == pytest.approx(about["offset_s"] + shift)
 
@@ -75,13 +81,12 @@ def test_a_gait_without_its_start_is_ambiguous(tmp_path, captured):
     inside = replace(captured, trajectory=replace(captured.trajectory, columns=middle))
     text = valve_csv(motion(), 0.8, 4.0, 0.0)
     with pytest.raises(
-        InputError,
-        match=(
-            r"clock offset is ambiguous, because the gait is periodic .* \d+ offsets"
-            r" fit"
-        ),
-    ):
+        InputError, match="clock offset is ambiguous, because the gait is periodic"
+    ) as refused:
         join(inside, log(tmp_path, text), SPEC)
+    (listed,) = re.findall(r"equally well \((.*) s, …\)", str(refused.value))
+    # The offsets that fit differ by the period of 0.5 s.
+    assert np.diff([*map(float, listed.split(", "))]) == pytest.approx(0.5, abs=0.02)
     given_one = join(inside, log(tmp_path, text), SPEC, offset=0.0)
     assert given_one.trajectory.metadata["valve_log"]["offset_estimated"] is False
     assert len(given_one.trajectory) == 200
@@ -233,6 +238,7 @@ def test_valves_fill_for_the_duty_of_each_carrier_period(tmp_path, full):
     path = duties(tmp_path, full)
     found = read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 10.0}))
     assert found.kind == "valve"
+    assert "converted to valve states at 10 Hz, where" in found.corrections[-1]
     filling = found.at(np.arange(0.0005, 2.0, 0.001)) == 1
     for k, period in enumerate(filling.reshape(20, 100, 8)):
         duty = DUTY if k < 10 else DUTY[::-1]
@@ -246,6 +252,9 @@ def test_duties_need_a_carrier_frequency(tmp_path):
         InputError, match="the carrier frequency of the duties is missing"
     ):
         read_valves(path, SPEC)
+    path.write_text(path.read_text().replace("\n2,", "\n101,"))
+    with pytest.raises(InputError, match="more than 1000000 carrier periods"):
+        read_valves(path, SPEC, RecordingMap(log={"carrier_hz": 1e4}))
 
 
 def test_duties_above_1_need_the_unit_per_cent(tmp_path):
