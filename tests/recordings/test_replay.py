@@ -160,12 +160,12 @@ def perfect(tmp_path_factory):
     return folder
 
 
-def replayed(folder, **changes):
+def replayed(folder, offset_s=-5.0, **changes):
     document = {
         "robot": "gen2",
         "duration_s": 2.9,
         "controller": {"kind": "replay"},
-        "recording": {"motion": str(folder / "take.csv"), "offset_s": -5.0},
+        "recording": {"motion": str(folder / "take.csv"), "offset_s": offset_s},
         "plants": {"analytical": {"friction": "wheel"}},
     }
     return parse_scenario(document | changes)
@@ -220,7 +220,11 @@ def test_replay_of_a_simulated_run_has_no_residual(perfect, log):
             {"controller": {"kind": "gait", "frequency_hz": 2.0}},
             "recording: the recording is not used",
         ),
-        ({"duration_s": 3.2}, r"duration_s: 3.2 s is longer than the recording"),
+        # The log begins after 1 s, and the motion ends after 3 s.
+        (
+            {"duration_s": 2.1, "offset_s": -4.0},
+            r"duration_s: 2\.1 s is longer than the recording, which lasts 2 s",
+        ),
         ({"robot": "gen4_module"}, r"recording.valves: .*gen4_module has 1 segments"),
         (
             {"bench": True, "plants": {"analytical": {}}},

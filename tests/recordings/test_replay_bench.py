@@ -186,7 +186,13 @@ def test_short_gaps_of_a_sensor_are_filled(bench, tmp_path):
     path = tmp_path / "gaps.csv"
     path.write_text("\n".join([*lines, ""]))
     body = RecordingReader(longest_gap_s=0.1).body(str(path), MODULE)
-    assert body.summary.samples_filled == 2 and "filled: 2 bends" in body.summary.text()
+    assert body.summary.samples_filled == 2
+    for line in (
+        "read: 2001 rows, 1000 Hz",
+        "filled: 2 bends",
+        "kept: 1699 rows, 0 s to 1.698 s, 302 left out",
+    ):
+        assert line in body.summary.text()
     assert body.trajectory.time[-1] == pytest.approx(1.698)
     whole = (
         RecordingReader().body(str(bench / "sensor.csv"), MODULE).trajectory["bend_1"]
@@ -221,6 +227,17 @@ def test_invalid_bend_logs_are_refused(tmp_path, text, message):
         RecordingReader().body(str(tmp_path / "x.csv"), MODULE)
 
 
+def test_a_bend_log_needs_12_successive_rows(tmp_path):
+    path = tmp_path / "x.csv"
+    for known in (12, 11):
+        rows = [f"{k / 10},{'0.1' * (k < known)}\n" for k in range(40)]
+        path.write_text("time,bend_1\n" + "".join(rows))
+        if known == 12:
+            assert len(RecordingReader().body(str(path), MODULE).trajectory) == 12
+    with pytest.raises(InputError, match="no 12 successive rows contain all bends"):
+        RecordingReader().body(str(path), MODULE)
+
+
 def test_a_moving_head_is_refused_on_a_bench(bench):
     """A module that is clamped at its other end, or free, is another experiment."""
     with pytest.raises(
@@ -248,6 +265,15 @@ def test_a_moving_head_is_refused_on_a_bench(bench):
     on_bench(swayed(4.0), MODULE)
     with pytest.raises(InputError, match="moves by 0 mm and turns by [56]"):
         on_bench(swayed(6.0), MODULE)
+
+    def shifted(distance):
+        moved = columns | {"x_1": columns["x_1"] + distance * (columns["time"] > 1.2)}
+        return replace(take, trajectory=replace(take.trajectory, columns=moved))
+
+    limit = 0.05 * MODULE.geometry.pitch
+    on_bench(shifted(0.98 * limit), MODULE)
+    with pytest.raises(InputError, match=f"head moves by {1e3 * limit:.0f} mm and"):
+        on_bench(shifted(1.02 * limit), MODULE)
 
 
 def test_bench_velocities_are_the_slopes_of_the_positions(bench):
