@@ -87,11 +87,10 @@ def test_a_body_has_two_ends_and_rigid_pairs():
     star = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 1.0], [-1.0, -1.0]])
     with pytest.raises(InputError, match="connections have 3 ends instead of 2"):
         body_order(np.tile(star, (20, 1, 1)))
-    # The distance is 1 with quartiles of 0.7 and 1.3: 0.74 times 0.6 is 44 %.
-    apart = np.tile([0.7, 0.7, 1.0, 1.3, 1.3], 4)
-    points = np.zeros((20, 2, 2))
-    points[:, 1, 0] = apart
-    with pytest.raises(InputError, match="the distance of one pair changes by 44 %"):
+    # The median is 1, and the quartiles are 0.75 and 1.25: 0.74 times 0.5 is 37 %.
+    points = np.zeros((21, 2, 2))
+    points[:, 1, 0] = np.linspace(0.5, 1.5, 21)
+    with pytest.raises(InputError, match="the distance of one pair changes by 37 %"):
         rigid_pairs(points, 1)
 
 
