@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from srs_twin.compute.arrays import check_positive
@@ -86,7 +84,8 @@ class PulseWidthModulator(Stateful):
 
     def due(self) -> bool:
         """Return whether a carrier period begins in the next control tick."""
-        return self._last_period() != self._period_number
+        last_period = int(self._elapsed_periods()[-1])
+        return last_period != self._period_number
 
     def step(self, duty: np.ndarray) -> np.ndarray:
         """Return the valve states for the next control tick.
@@ -114,10 +113,7 @@ class PulseWidthModulator(Stateful):
                 f"duty {new_duty[outside][0]:g} is not allowed; it must be between 0"
                 " and 1"
             )
-        # Elapsed time at the slot centres, in carrier periods.
-        elapsed = (
-            self._ticks * self._slots + np.arange(self._slots) + 0.5
-        ) * self._periods_per_slot
+        elapsed = self._elapsed_periods()
         number = np.floor(elapsed)
         new_period = (number != self._period_number)[:, None, None]
         duties = np.where(new_period, new_duty, self.duty)
@@ -133,7 +129,7 @@ class PulseWidthModulator(Stateful):
         self._ticks += 1
         return np.where(filling, 1, -1).astype(np.int8)
 
-    def _last_period(self) -> int:
-        return math.floor(
-            (self._ticks * self._slots + self._slots - 0.5) * self._periods_per_slot
-        )
+    def _elapsed_periods(self) -> np.ndarray:
+        """Return the time at each slot centre of the next tick, in carrier periods."""
+        slots = self._ticks * self._slots + np.arange(self._slots)
+        return (slots + 0.5) * self._periods_per_slot
