@@ -166,12 +166,10 @@ class ScheduledOffset(Controller):
     def step(self, state: SnakeState) -> np.ndarray:
         """See `Controller.step`."""
         time = float(state.time)
-        while (
-            self._applied < len(self.changes)
-            and time >= self.changes[self._applied][0] - _TIME_ROUNDING_S
-        ):
+        for start, after in self.changes[self._applied :]:
+            if time < start - _TIME_ROUNDING_S:
+                break
             before = self._inner.offset
-            after = self.changes[self._applied][1]
             self._inner.offset = after
             self._events.append(
                 Event(time, "offset", f"offset {before:g} to {after:g}")
