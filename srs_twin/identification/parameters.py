@@ -233,10 +233,6 @@ def _scale_masses(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     )
 
 
-def _mass(spec: RobotSpec, k: int) -> float:
-    return spec.mass.connectors[k]
-
-
 def _set_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
     masses = list(spec.mass.connectors)
     masses[k] = value
@@ -246,10 +242,6 @@ def _set_mass(spec: RobotSpec, value: float, k: int) -> RobotSpec:
 def _lightest(spec: RobotSpec) -> float:
     """Return the minimum mass of a connector (kg), which depends on the wheel mass."""
     return 2.01 * spec.mass.wheel / WHEEL_FRACTION
-
-
-def _mean_sensor_bias(spec: RobotSpec, k: int) -> float:
-    return float(spec.modules.array("sensor_bias").mean())
 
 
 def _set_sensor_bias(spec: RobotSpec, value: float, k: int) -> RobotSpec:
@@ -275,7 +267,7 @@ _ACCESSORS: dict[str, _Accessor] = {
         "kg",
         1e-3,
         50.0,
-        _mass,
+        lambda spec, k: spec.mass.connectors[k],
         _set_mass,
         numbered="connector",
         lowest_allowed=_lightest,
@@ -305,14 +297,18 @@ _ACCESSORS: dict[str, _Accessor] = {
     "actuator.dead_zone_transition_rad": _scalar(
         "actuator", "dead_zone_transition", "rad", 0.02, 6.2
     ),
-    "modules.gain_plus_N": _module("gain", 0, "1", 0.11, 9.0),
-    "modules.gain_minus_N": _module("gain", 1, "1", 0.11, 9.0),
-    "modules.tau_fill_plus_N": _module("tau_fill", 0, "1", 0.11, 9.0),
-    "modules.tau_fill_minus_N": _module("tau_fill", 1, "1", 0.11, 9.0),
-    "modules.tau_vent_plus_N": _module("tau_vent", 0, "1", 0.11, 9.0),
-    "modules.tau_vent_minus_N": _module("tau_vent", 1, "1", 0.11, 9.0),
+    **{
+        f"modules.{name}_{side}_N": _module(name, k, "1", 0.11, 9.0)
+        for name in ("gain", "tau_fill", "tau_vent")
+        for k, side in enumerate(("plus", "minus"))
+    },
     "modules.bias_rad_N": _module("bias", None, "rad", -0.99, 0.99, scale=0.3),
     "modules.sensor_bias_rad": _Accessor(
-        "rad", -0.99, 0.99, _mean_sensor_bias, _set_sensor_bias, scale=0.3
+        "rad",
+        -0.99,
+        0.99,
+        lambda spec, k: float(spec.modules.array("sensor_bias").mean()),
+        _set_sensor_bias,
+        scale=0.3,
     ),
 }
