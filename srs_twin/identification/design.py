@@ -249,7 +249,7 @@ class ExperimentDesign:
         return tuple(
             name
             for name, widths in self.after.items()
-            if (widths or (self.before[name],))[-1] > self.targets[name]
+            if (self.before[name], *widths)[-1] > self.targets[name]
         )
 
     def document(self) -> dict[str, object]:

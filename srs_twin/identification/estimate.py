@@ -218,8 +218,7 @@ class FitEstimate(HtmlResult):
     @property
     def misfit(self) -> tuple[str, ...]:
         """Messages about the signals that the model does not explain."""
-        explained = explains_data(self.residuals, self.residual_scale)
-        if explained:
+        if explains_data(self.residuals, self.residual_scale):
             return ()
         return (MISFIT_MESSAGE, *describe_misfit(self.residuals))
 

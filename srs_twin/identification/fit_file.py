@@ -311,10 +311,8 @@ class FitFile(StrictModel, HtmlResult):
                     " value; remove the prediction",
                 )
         for k, parameter in enumerate(self.parameters):
-            yield from (
-                (("parameters", k, *loc), message)
-                for loc, message in _check_parameter(parameter)
-            )
+            for loc, message in _check_parameter(parameter):
+                yield ("parameters", k, *loc), message
         for name, count in Counter(
             parameter.name for parameter in self.parameters
         ).items():

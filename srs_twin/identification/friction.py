@@ -214,14 +214,15 @@ def fit_pulls(pulls: Pulls, *, validation: Sequence[Pulls] = ()) -> FitEstimate:
 def _parameter(
     k: int, values: np.ndarray, mean: float, variance: float, error: float
 ) -> Parameter:
+    why = ""
     if not len(values):  # `Pulls` does not accept a single value
         why = f"there are no pulls {_DIRECTIONS[k]} the body"
-        return Parameter(_NAMES[k], "1", "not identifiable", why=why)
-    if error >= UNIDENTIFIABLE_ERROR * mean:
+    elif error >= UNIDENTIFIABLE_ERROR * mean:
         why = (
             f"the standard error of the pulls {_DIRECTIONS[k]} the body is as large as"
             " their mean"
         )
+    if why:
         return Parameter(_NAMES[k], "1", "not identifiable", why=why)
     # The Welch-Satterthwaite formula gives the degrees of freedom. The standard errors
     # of k and m are treated as exact, so they have infinitely many degrees of freedom.

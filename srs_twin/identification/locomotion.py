@@ -61,14 +61,10 @@ def gait_run(recording: Recording, name: str, supply_pa: float) -> GaitRun:
         recording.commands(name), trajectory.metadata.get("gait_frequency_hz")
     )
     logged = recording.pressures()
-    chambers = logged and partial(_recorded_pressures, *logged, supply_pa)
+    chambers = logged and (
+        lambda spec: RecordedPressures(spec, *logged, supply_pa=supply_pa)
+    )
     return GaitRun(trajectory, controller, supply_pa, name, chambers)
-
-
-def _recorded_pressures(
-    time: np.ndarray, values: np.ndarray, supply_pa: float, spec: RobotSpec
-) -> Pneumatics:
-    return RecordedPressures(spec, time, values, supply_pa=supply_pa)
 
 
 MEASURED_LENGTHS = ("geometry.rigid_gap_m", "geometry.segment_length_m")

@@ -339,7 +339,7 @@ class HallSensor:
                 f" amplifier may change by at most {allowed:g} V about {unit.offset:g}"
                 " V"
             )
-        return cls(strip, gain=allowed / swing, **electronics)  # type: ignore[arg-type]
+        return replace(unit, gain=allowed / swing)
 
     @property
     def step(self) -> float:
