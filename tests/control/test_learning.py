@@ -14,7 +14,9 @@ from learning_law import SEGMENTS, TICK, Run
 from snakes import chain
 
 from srs_twin import AnalyticalSnake, Gait, InputError, load_robot, rollout
+from srs_twin.control.duties import Duties
 from srs_twin.control.learning import ILC, STEERINGS
+from srs_twin.control.module_faults import ModuleFaults
 from srs_twin.errors import UnknownNameError
 
 gains = arrays(float, (SEGMENTS, 2), elements=st.floats(0.8, 1.5))
@@ -318,6 +320,75 @@ def test_option_stop_ends_the_run_at_a_detected_fault():
     assert run.controller.describe()["faults"] == [
         "segment 1: valve of the + chamber stuck shut"
     ]
+
+
+ONES = np.ones((1, 2))
+
+
+@pytest.mark.parametrize(
+    ("duty", "peak", "is_tested"),
+    [
+        (1.0, 0.049, True),
+        (1.0, 0.051, False),
+        (0.99, 0.0, False),
+        (0.0, 0.53, True),
+        (0.0, 0.52, False),
+        (0.01, 9.0, False),
+    ],
+)
+def test_two_abnormal_periods_start_a_test_of_the_valves(duty, peak, is_tested):
+    """For a target of 0.5 rad, 10 % are 0.05 rad and 105 % are 0.525 rad."""
+    faults = ModuleFaults(1, 1.0)
+    for time in (1.0, 2.0):
+        assert not faults.tested[0]
+        duties, peaks = np.array([[[0.5, duty]], [[0.5, peak]]])
+        faults.check_valves(time, ONES == 1, duties, peaks, 0.5 * ONES)
+    assert faults.tested[0] == is_tested
+
+
+@pytest.mark.parametrize(
+    ("rest", "fault"),
+    [
+        (0.27, "+ chamber stuck open"),
+        (-0.27, "− chamber stuck open"),
+        (0.23, "+ chamber stuck shut"),
+    ],
+)
+def test_a_vented_segment_is_judged_by_its_mean_bend(rest, fault):
+    """The limit is half the target, and the mean is taken from 1 s to 3 s after the start."""
+    faults = ModuleFaults(1, 2.0)
+    for time in (0.0, 2.0):
+        faults.check_valves(time, ONES == 1, ONES, np.array([[0.0, 0.5]]), 0.5 * ONES)
+    for time in np.arange(2.0, 5.1, 0.125):
+        sway = 0.2 * math.cos(math.pi * time) if time >= 3 else 9.0
+        assert faults.tested[0] == (time <= 5)
+        faults.update_tests(time, np.array([rest + sway]))
+    assert faults.detected == [f"segment 1: valve of the {fault}"]
+    assert faults.resumed[0] == 5.0
+
+
+@pytest.mark.parametrize(
+    ("span", "duty", "number", "is_dead"),
+    [(0.02, 0.1, 3, True), (0.021, 0.1, 3, False), (0.02, 0.09, 3, False)]
+    + [(0.02, 0.1, 2, False)],
+)
+def test_a_driven_segment_with_constant_readings_has_a_dead_sensor(
+    span, duty, number, is_dead
+):
+    faults = ModuleFaults(1, 1.0)
+    periods: Any = SimpleNamespace(
+        number=number * ONES, lost=0 * ONES, span=span * ONES
+    )
+    faults.check_sensors(0.0, ONES == 1, np.array([[0.0, duty]]), periods)
+    assert faults.faulty[0] == is_dead
+
+
+def test_amplitudes_within_5_per_cent_have_converged_once():
+    duties = Duties(1, 0.3)
+    target = np.array([[0.5, 0.4]])
+    for error, count in ((0.051, 0), (-0.049, 1), (0.0, 0)):
+        duties.learn(0.0, ONES == 1, target * (1 - error), target)
+        assert len(duties.converged(0.0, np.array([True]))) == count
 
 
 # --- on the analytical plant
