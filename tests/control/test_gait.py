@@ -12,6 +12,7 @@ from hypothesis import given, settings, strategies as st
 from snakes import chain, robot
 
 from srs_twin import Gait, InputError, RobotSpec, load_robot
+from srs_twin.control.gait import PitchWave
 
 pytestmark = pytest.mark.fast
 
@@ -209,3 +210,43 @@ def test_rest_fraction_vents_that_fraction_of_the_period():
 def test_invalid_waves_are_refused(more, why):
     with pytest.raises(InputError, match=why):
         Gait(2.0, **more).reset(load_robot("gen2"), 0.02)
+
+
+@pytest.mark.parametrize(
+    ("fraction", "left", "up"), [(0.25, 1.0, 1 / 3), (0.75, 1 / 3, 1.0)]
+)
+def test_pitch_fraction_sets_the_rest_of_both_waves(fraction, left, up):
+    """A wave that rests for a fraction r has the amplitude cos(π r/2).
+
+    Each of its two chambers fills for (1 − r)/2 of the time.
+    """
+    gait = Gait(2.0, pitch=PitchWave(fraction, 0.4, 2.0, lifted_segments=1))
+    gait.reset(load_robot("spatial_example"), 0.02)
+    script = gait.script(1.0)
+    lasts = np.diff(np.append(script.starts, 1.0))
+    filled = np.tensordot(lasts, script.states == 1, axes=1)
+    assert filled[0] == pytest.approx([0, 0, 1, 0])
+    fills = [math.asin(amplitude) / math.pi for amplitude in (left, left, up, up)]
+    assert filled[1:] == pytest.approx(np.tile(fills, (7, 1)), abs=2e-3)
+    # The upper chamber of segment 2 begins to fill when the pitch wave exceeds its rest.
+    begins = script.starts[1:][np.diff(script.states[:, 1, 2]) > 0]
+    lag = gait.phase_lag[1] + (0.4 + math.acos(up)) / 2
+    assert begins[0] % 0.25 == pytest.approx(lag / (4 * math.pi) % 0.25, abs=2e-4)
+    slots = gait.valves_at(0.12)
+    rows = np.searchsorted(script.starts, 0.12 + 1e-4 * np.arange(200) + 5e-5) - 1
+    assert (slots == script.states[rows]).all()
+
+
+@pytest.mark.parametrize(
+    ("wave", "why"),
+    [
+        ({"fraction": 1.1}, "pitch fraction 1.1 is not allowed"),
+        ({"lag_rad": math.inf}, "pitch lag inf is not allowed"),
+        ({"frequency_ratio": 0.0}, "pitch frequency ratio 0.0 1 is not allowed"),
+        ({"lifted_segments": -1}, "-1 lifted segments are not allowed"),
+        ({"lifted_segments": 9}, "9 lifted segments .* has only 8 segments"),
+    ],
+)
+def test_invalid_pitch_waves_are_refused(wave, why):
+    with pytest.raises(InputError, match=why):
+        Gait(2.0, pitch=PitchWave(**wave)).reset(load_robot("spatial_example"), 0.02)

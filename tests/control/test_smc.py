@@ -233,9 +233,10 @@ def test_reset_restores_the_initial_state(kind):
 
 
 @pytest.mark.parametrize("kind", BOTH)
-@pytest.mark.parametrize("lost", [math.nan, -math.inf, 7.0])
+@pytest.mark.parametrize("lost", [math.nan, -math.inf, 6.29])
 def test_a_lost_reading_is_replaced_by_the_last_valid_one(kind, lost):
     measured_bend = np.linspace(0, 0.2, 100)[:, None].repeat(2, axis=1)
+    measured_bend[20, 0] = 6.28  # less than a full turn
     held = measured_bend.copy()
     broken = measured_bend.copy()
     held[40:60, 1] = measured_bend[39, 1]
