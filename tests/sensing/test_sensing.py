@@ -24,8 +24,6 @@ from srs_twin.sensing import (
     make_sensor,
 )
 from srs_twin.sensing.hall import (
-    RAIL_FRACTION,
-    ROUNDING_BEND_RAD,
     SPAN,
     element_place,
     field,
@@ -101,6 +99,16 @@ def test_equation_1_is_the_field_component_normal_to_the_element(strip, bend):
     assert float(field(bend, strip)) == pytest.approx(wanted, abs=1e-6 * scale)
 
 
+def test_field_at_rest_is_that_of_the_magnet():
+    """An N42 cylinder of 1/16 by 1/32 inch lies 0.05 mm, and the element 0.7 mm, above."""
+    inch = 0.0254
+    volume = math.pi / 4 * (inch / 16) ** 2 * inch / 32
+    moment = np.array([0.0, 1.32 * volume / (4e-7 * math.pi)])
+    place = np.array([3.1e-3, 0.7e-3 - (0.05e-3 + inch / 64)])
+    wanted = -slope_along(place, moment, np.array([0.0, 1.0]))
+    assert float(field(0.0, Strip(LENGTH))) == pytest.approx(wanted, rel=1e-6)
+
+
 def test_vertical_magnet_on_the_neutral_axis_cannot_sense_the_side():
     for orientation, sign in (("up", 1), ("side", -1)):
         b = field(BENDS, flat(orientation))
@@ -140,9 +148,7 @@ def test_trimmed_amplifier_uses_its_rail_fraction():
     ):
         sensor = HallSensor.trimmed(strip, bits=None)
         volts = sensor.voltage(np.linspace(-SPAN, SPAN, 181))
-        assert np.abs(volts - 2.5).max() == pytest.approx(
-            RAIL_FRACTION * 2.5, rel=1e-12
-        )
+        assert np.abs(volts - 2.5).max() == pytest.approx(0.8 * 2.5, rel=1e-12)
         assert sensor.voltage(0.0) == 2.5
 
 
@@ -204,9 +210,7 @@ def test_reading_is_monotonic_with_semicircular_chambers_only(robot):
     turned = np.abs(BENDS[1:][np.diff(bad.hall.voltage(BENDS)) > 0])
     # tanh'(q/q_c) = 1/2 at 0.88 q_c: there the reading turns; the field's own curvature
     # moves it a little.
-    assert turned.max() == pytest.approx(
-        math.acosh(math.sqrt(2)) * ROUNDING_BEND_RAD, abs=0.02
-    )
+    assert turned.max() == pytest.approx(math.acosh(math.sqrt(2)) * 0.15, abs=0.02)
     assert bad.calibration.r_squared < good.calibration.r_squared
     assert bad.calibration.worst_error > good.calibration.worst_error
 
@@ -214,7 +218,7 @@ def test_reading_is_monotonic_with_semicircular_chambers_only(robot):
 def test_pressing_saturates_for_round_chambers():
     good = Strip(LENGTH)
     bad = Strip(LENGTH, chamber="rectangular")
-    shift = 2 * ROUNDING_BEND_RAD
+    shift = 2 * 0.15
     far = np.linspace(1.2, 2.0, 9)
     assert field(far, bad) == pytest.approx(field(far - shift, good), rel=1e-6)
     assert field(-far, bad) == pytest.approx(field(-far + shift, good), rel=1e-6)
