@@ -24,11 +24,13 @@ from srs_twin.identification.fit_file import (
     load_fit,
     write_fit,
 )
+from srs_twin.identification.fit_report import fit_report
 from srs_twin.identification.fitted_robot import (
     apply_fit,
     fitted_robot,
     robot_override,
 )
+from srs_twin.identification.fitting import print_estimate
 from srs_twin.identification.parameters import (
     free_parameters,
     parameter_names,
@@ -157,16 +159,93 @@ def test_the_misfit_of_a_model_is_stored_in_the_file(tmp_path: Path):
         "the model does not explain the data; these intervals do not hold",
         "residuals of yaw_rate: 5 times the noise, most in walk.csv",
     ]
+    assert robot_override(file)["friction"]["mu_t"]["value"] == 0.05
     with pytest.raises(InputError, match="the fit identifies no parameter"):
         robot_override(file, weak=False)
 
 
-def test_weakly_identified_values_can_be_omitted():
-    weak = Parameter("friction.mu_t", "1", "weakly identified", 0.05, 0.01, 0.03, 0.08)
-    fit = gen2_fit(weak)
-    assert robot_override(fit)["friction"]["mu_t"]["value"] == pytest.approx(0.05)
-    with pytest.raises(InputError, match="the fit identifies no parameter"):
-        robot_override(fit, weak=False)
+def test_numbers_of_a_fit_are_printed_and_reported(capsys):
+    """Weighted residuals of 0.6, −0.8 and 0.5 have an RMS of 0.645."""
+    stiffness = "bending.stiffness_nm_per_rad"
+    parameters = (
+        Parameter("friction.mu_t", "1", "identified", 0.051234, 0.0012, 0.048, 0.0545),
+        Parameter(
+            stiffness, "N*m/rad", "weakly identified", 0.4, 0.06, 0.3, 0.5, "why"
+        ),
+        Parameter("mass.connectors_kg", "kg", "not identifiable", why="no effect"),
+    )
+    correlation = np.full((3, 3), np.nan)
+    correlation[:2, :2] = [[1.0, -0.63], [-0.63, 1.0]]
+    residuals = (
+        Residual("a.csv bend_1", "rad", np.array([0.03, -0.04]), 0.05),
+        Residual("a.csv ratio", "1", np.array([1.0]), 2.0),
+        Residual("b.csv bend_1", "rad", np.array([0.1]), 0.05, "validation"),
+    )
+    estimate = FitEstimate(
+        parameters,
+        correlation,
+        residuals,
+        ({"mass.connectors_kg": 0.707, stiffness: -0.708},),
+        samples=3,
+        independent=2.5,
+        held={"friction.mu_n": 0.57},
+        converged=False,
+    )
+    print_estimate(estimate)
+    rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert "friction.mu_t 0.051234 0.048 to 0.0545 1 identified" in rows
+    assert rows[rows.index(f"{stiffness}: why") :] == [
+        f"{stiffness}: why",
+        "mass.connectors_kg: no effect",
+        f"correlation -0.63: friction.mu_t, {stiffness}",
+        f"unidentifiable direction: +0.71 mass.connectors_kg, -0.71 {stiffness}",
+        "fit: residuals 0.645 times the expected noise",
+        "a.csv bend_1: 0.0354 rad RMS",
+        "a.csv ratio: 1 RMS",
+        "validation: residuals 2 times the expected noise",
+        "b.csv bend_1: 0.1 rad RMS",
+        "the search did not converge",
+    ]
+    assert estimate.text().splitlines() == [
+        "friction.mu_t: 0.051234 ± 0.0012, 95 % 0.048 to 0.0545: identified",
+        f"{stiffness}: 0.4 ± 0.06 N*m/rad, 95 % 0.3 to 0.5: weakly identified; why",
+        "mass.connectors_kg: not identifiable; no effect",
+    ]
+    fit = fit_file(estimate, **(ABOUT | {"robot": "gen2"}), data=DATA)
+    page = fit_report(fit, estimate)
+    for text in (
+        "RMS of the weighted residuals of the fit 0.645, of the validation data 2 (1 if"
+        " they are as large as the expected noise); 3 samples, equivalent to 2.5"
+        " independent samples.",
+        "Residuals of b.csv (not used by the fit).",
+        ">0.048 to 0.0545<",
+        ">-0.63<",
+        ">0.57<",
+    ):
+        assert text in page
+
+
+def test_priors_of_a_fit_have_the_width_of_its_intervals():
+    """A 95 % interval is 3.92 standard deviations wide, here 0.0392."""
+    names = ("friction.mu_t", "friction.mu_n", "friction.drag_n")
+    ends = ((0.04, 0.06), (0.4, 0.6), (-0.0096, 0.0296))
+    parameters = tuple(
+        Parameter(
+            name, parameter_unit(name), "identified", high - 0.01, 0.01, low, high
+        )
+        for name, (low, high) in zip(names, ends, strict=True)
+    )
+    rows = [[1.0, 1.0, 0.049], [1.0, 1.0, -0.051], [0.049, -0.051, 1.0]]
+    fit = FitEstimate(parameters, np.array(rows))
+    block = robot_override(fit_file(fit, **(ABOUT | {"robot": "gen2"}), data=DATA))
+    # Correlations below 0.05 are omitted, and 0.99 is the largest.
+    assert block["correlated"] == [
+        {"of": list(names[:2]), "r": 0.99},
+        {"of": list(names[1:]), "r": -0.051},
+    ]
+    drag = block["friction"]["drag_n"]
+    assert drag["uncertain"] == {"kind": "normal", "sd": pytest.approx(0.01)}
+    assert drag["source"].endswith("friction.drag_n -0.0096 to 0.0296 (identified)")
 
 
 def test_held_values_that_differ_from_the_robot_are_applied_with_the_fit():
