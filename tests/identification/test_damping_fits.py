@@ -17,12 +17,13 @@ import srs_twin as srs
 from srs_twin.cli import main
 from srs_twin.errors import InputError
 from srs_twin.identification.damping import NAMES, HangingBody, fit_damping
-from srs_twin.identification.decay import free_swing, read_decay
+from srs_twin.identification.decay import calm_samples, free_swing, read_decay
 from srs_twin.identification.estimate import FitEstimate, Parameter
 from srs_twin.identification.fit_file import load_fit
 from srs_twin.identification.hanging_segment import (
     NO_BRANCHES,
     Material,
+    constant_loss,
     ringing,
     swing,
 )
@@ -251,10 +252,49 @@ def test_impossible_bends_are_refused_with_their_position(tmp_path, cell):
         read_decay(path)
 
 
-def test_free_swing_may_start_at_a_given_time():
+def test_free_swing_has_the_numbers_of_its_sine():
+    """A half swing of 8 Hz lasts 1/16 s and is e^(3/16) times as large as the next one.
+
+    Half swings of 0.73 rad e^(−3k/16) exceed 6 times the noise of 0.01 rad up to k = 13,
+    so the last visible turn is at 0.5 s + 13/16 s.
+    """
+    time = np.arange(0.0, 3.0, 0.005)
+    bend = np.where(time < 0.2, 0.0, ring(time))
+    decay = free_swing("decay", "0" * 64, time, bend, start=0.53, noise=0.01)
+    assert decay.half_period == pytest.approx(1 / 16, rel=0.01)
+    assert decay.log_decrement == pytest.approx(3 / 16, rel=0.03)
+    assert decay.time[-1] == pytest.approx(0.53 + 2 * (0.5 + 13 / 16 - 0.53), abs=0.011)
+    assert decay.text() == (
+        f"decay: free swing from 0.530 to {decay.time[-1]:.3f} s, about 8 Hz, noise"
+        " 0.01 rad"
+    )
+    place, rate = decay.first_state()
+    speed = 0.4 * math.exp(-0.09) * 16 * math.pi
+    assert place == pytest.approx(0.02, abs=0.04)
+    assert rate == pytest.approx(-speed, rel=0.25)
+    assert calm_samples(decay) == 40
+    noisy = ring(time) + np.random.default_rng(0).normal(0.0, 1e-3, len(time))
+    swinging = time >= 0.5
+    found = free_swing("decay", "0" * 64, time[swinging], noisy[swinging])
+    assert found.noise == pytest.approx(1e-3, rel=0.1)
+
+
+def test_material_with_branches_has_the_stiffness_and_loss_at_its_frequency():
+    pulsation = 50.0
+    made, branches, moments = constant_loss(Material(0.5, 0.004), pulsation, 2.0)
+    s = 1j * pulsation
+    total = made.stiffness * (1 + s * made.damping_time)
+    total += sum(g * s * tau / (1 + s * tau) for g, tau in branches)
+    assert total == pytest.approx(0.5 * (1 + s * 0.004))
+    # A quarter of a period before, the segment was released from rest.
+    since = np.linspace(-math.pi / 2 / pulsation, 0.0, 20_001)
+    for (g, tau), moment in zip(branches, moments, strict=True):
+        memory = 2.0 * np.cos(pulsation * since) * np.exp(since / tau)
+        assert moment == pytest.approx(-g * np.trapezoid(memory, since), rel=1e-5)
+
+
+def test_free_swing_cannot_start_after_the_recording():
     time, bend = record(known_swing())
-    decay = free_swing("decay", "0" * 64, time, bend, start=1.2)
-    assert decay.time[0] == pytest.approx(1.2)
     with pytest.raises(
         InputError, match="ends at 2.995 s, before the free swing starts at 4 s"
     ):
