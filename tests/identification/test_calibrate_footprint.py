@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from srs_twin import DivergedError, InputError, load_robot, rollout
 from srs_twin.cli import main
 from srs_twin.identification import footprint as study_module
+from srs_twin.identification.excursions import _random_arcs
 from srs_twin.identification.footprint import (
     RECORD_HZ,
     FootprintMeasurement,
@@ -22,13 +23,12 @@ from srs_twin.identification.footprint import (
 from srs_twin.identification.footprint_report import (
     calibrate_command,
     footprint_file,
-    header_lines,
     robot_hash,
 )
 from srs_twin.identification.paths import SteadyPath
 from srs_twin.io.documents import dump_yaml, parse_yaml
 from srs_twin.io.files import shipped_folder
-from srs_twin.planning.footprint import validate_footprint
+from srs_twin.planning.footprint import Transient, validate_footprint
 from srs_twin.planning.footprint_file import (
     load_footprint,
     load_footprint_file,
@@ -197,18 +197,61 @@ def test_an_interrupted_footprint_leaves_no_files(tmp_path, monkeypatch, capsys)
 
 
 @pytest.mark.parametrize("contact", ["preloaded", "loaded"])
-def test_a_measurement_records_the_contact_of_its_twin(contact):
+def test_a_measurement_is_stored_with_its_contact(contact, tmp_path):
     drive = GaitSetup(load_robot("gen2"), 2.0, 48.3e3, contact=contact)
     assert drive.plant_factory()().contact.name == contact
     asked = footprint_study(
         drive, offsets=(-0.2, 0.0, 0.2), changes=(), periods=3, phases=1
     )
     assert f" --contact {contact} " in calibrate_command(asked, "gen2", "short")
-    path = SteadyPath(*[0.1] * len(fields(SteadyPath)))
+    curvatures = (-1.23456, 0.0, 1.2)
+    paths = [SteadyPath(0.12344, k, 0.05, 0.06, 0.9, 0.1) for k in curvatures]
+    spread = SteadyPath(0.001, 0.02, 0.003, 0.004, 0.0, 0.0)
+    change = Transient(-0.2, 0.2, 0.01, 0.02, 0.3, 0.04, -0.05, -0.16)
     measured = FootprintMeasurement(
-        drive, asked.offsets, (path,) * 3, (path,) * 3, (), 1, 3
+        drive, asked.offsets, tuple(paths), (spread,) * 3, (change,), 2, 5
     )
-    assert footprint_file(measured, "short").contact == contact
+    save_footprint(footprint_file(measured, "short"), tmp_path / "short.yaml")
+    file = load_footprint_file(tmp_path / "short.yaml")
+    assert file.contact == contact
+    assert file.title.endswith(", 2 Hz, 48.3 kPa, as measured on the twin")
+    assert (
+        "over 5 gait periods from each of 2 gait phases" in file.curvature_per_m.source
+    )
+    # A straight robot reaches farther than 0.1 m behind its centre of mass.
+    straight = (drive.spec.geometry.body_length + drive.spec.geometry.width) / 2
+    for record, value in (
+        (file.speed_m_s, [0.1234] * 3),
+        (file.curvature_per_m, [-1.2346, 0.0, 1.2]),
+        (file.left_m, [0.05] * 3),
+        (file.right_m, [0.06] * 3),
+        (file.ahead_m, 0.9),
+        (file.behind_m, pytest.approx(straight, abs=5e-5)),
+    ):
+        assert record.value == value
+    assert file.spread.speed_m_s == [0.001] * 3
+    assert file.spread.curvature_per_m == [0.02] * 3
+    assert (file.spread.left_m, file.spread.right_m) == ([0.003] * 3, [0.004] * 3)
+    assert [entry.transient() for entry in file.transients.changes] == [change]
+    text = (tmp_path / "short.yaml").read_text("utf-8")
+    longer = re.sub(r"(spread:(?:.|\n)*left_m: \[[^]]*)\]", r"\1, 0.0]", text)
+    (tmp_path / "short.yaml").write_text(longer, "utf-8")
+    with pytest.raises(
+        InputError, match="spread.left_m: 4 values are given for 3 offsets"
+    ):
+        load_footprint_file(tmp_path / "short.yaml")
+
+
+def test_random_paths_have_their_length_and_never_turn_back():
+    firsts = []
+    for seed in range(60):
+        arcs = np.array(_random_arcs(np.random.default_rng(seed), -2.0, 1.5))
+        lengths = arcs[:, 1]
+        assert 3.45 <= lengths.sum() <= 3.5 + 1e-9
+        assert lengths.min() > 0.05 and lengths.max() <= 0.8
+        assert np.abs(np.cumsum(arcs.prod(axis=1))).max() <= 1.4 + 1e-9
+        firsts.append(lengths[0])
+    assert 0.3 <= min(firsts) < 0.32 and max(firsts) > 0.75
 
 
 def test_a_diverged_run_is_named_in_the_message(tmp_path, monkeypatch, capsys):
@@ -242,46 +285,6 @@ def test_arrays_are_written_row_by_row_and_read_back():
         == data
         == parse_yaml(dump_yaml(data), "text").data
     )
-
-
-@pytest.mark.slow
-def test_a_footprint_with_transients_is_read_back_from_its_file(tmp_path):
-    drive = GaitSetup(load_robot("gen2"), 2.0, 48.3e3, plant="analytical")
-    planned = footprint_study(
-        drive, offsets=(-0.2, 0.0, 0.2), changes=[(-0.2, 0.2)], periods=3, phases=1
-    )
-    measured = planned.measure()
-    path = tmp_path / "x.yaml"
-    save_footprint(
-        footprint_file(measured, "x"),
-        path,
-        header=header_lines(planned, "gen2", "x", {"srs_twin": "1"}),
-    )
-    body = load_footprint(path)
-    columns = {
-        "curvatures": "curvature",
-        "speeds": "speed",
-        "left": "left",
-        "right": "right",
-    }
-    for column, key in columns.items():
-        whole = [getattr(path, key) for path in measured.steady]
-        assert getattr(body, column) == pytest.approx(whole, abs=6e-5)
-    # The gait shortens the body, which starts straight with round ends.
-    straight = drive.spec.geometry.body_length / 2 + drive.spec.geometry.width / 2
-    assert max(max(path.ahead, path.behind) for path in measured.steady) < straight
-    assert (body.ahead, body.behind) == pytest.approx((straight, straight), abs=6e-5)
-    (fit,), (expected,) = body.transients, measured.transients
-    for key in ("before", "after", "left", "right", "length", "dx", "dy", "dheading"):
-        assert getattr(fit, key) == pytest.approx(getattr(expected, key), abs=6e-5)
-    text = path.read_text("utf-8")
-    with pytest.raises(
-        InputError, match="spread.left_m: 4 values are given for 3 offsets"
-    ):
-        longer = re.sub(r"(spread:(?:.|\n)*left_m: \[[^]]*)\]", r"\1, 0.0]", text)
-        assert longer != text
-        path.write_text(longer, "utf-8")
-        load_footprint(path)
 
 
 SHIPPED = {

@@ -318,3 +318,28 @@ def test_runs_start_and_offsets_change_at_equally_spaced_phases(monkeypatch):
     assert [job.duration for job in jobs] == pytest.approx(
         [7.0] * 12 + [9.0, 9.13, 9.25, 9.38]
     )
+
+
+def test_each_run_is_measured_for_its_offset_or_change(monkeypatch):
+    """Prescribed paths replace two simulations of each offset and of one change."""
+    curvatures = (-2.0, 0.5, 3.0)
+
+    def runs(jobs, *, progress, **_):
+        steady = [Crawl((curvatures[k // 2],), duration=7.0) for k in range(6)]
+        turns = [Crawl((0.5, 3.0), (t + LATE,), duration=9.0) for t in (4.0, 4.25)]
+        for k, crawl in enumerate([*steady, *turns], start=1):
+            progress(k)
+            yield elsewhere(crawl)
+
+    monkeypatch.setattr("srs_twin.identification.footprint.run_many", runs)
+    study = footprint_study(DRIVE, offsets=OFFSETS, changes=[(0, 0.2)], phases=2)
+    counts = []
+    found = study.measure(progress=lambda *count: counts.append(count))
+    assert counts == [(k, 8) for k in range(1, 9)]
+    assert [path.curvature for path in found.steady] == pytest.approx(
+        curvatures, rel=1e-3
+    )
+    assert [path.speed for path in found.spread] == pytest.approx([0] * 3, abs=1e-6)
+    (change,) = found.transients
+    assert (change.before, change.after) == (0, 0.2)
+    assert change.dheading == pytest.approx(-2.5 * 0.15 * LATE, abs=2e-3)
