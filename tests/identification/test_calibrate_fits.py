@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT
-from recorded import SPEC, motion, valve_csv
+from recorded import SPEC
 
 from srs_twin import AnalyticalSnake, Gait, Trajectory, load_robot, rollout
 from srs_twin.cli import main
@@ -23,7 +23,6 @@ from srs_twin.identification.friction import fit_pulls, is_pull_table, read_pull
 from srs_twin.identification.locomotion import gait_run
 from srs_twin.pneumatics import Schedule
 from srs_twin.recordings.recording import Recording, ValveLog
-from srs_twin.recordings.signals.logs import read_valves
 from srs_twin.recordings.takes import logs_of
 from srs_twin.robot.spec import GRAVITY
 
@@ -118,21 +117,6 @@ def test_table_without_columns_of_pulls_is_refused_with_these_columns(
         "A table of pulls has the columns along_mm,across_mm,"
         in capsys.readouterr().err
     )
-
-
-def test_residuals_are_printed_on_one_line_each(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "80")
-    folder = tmp_path / "far" / ("away" * 20)
-    folder.mkdir(parents=True)
-    path = pulls_file(folder).relative_to(tmp_path)
-    with pytest.raises(SystemExit, match="^0$"):
-        main(["calibrate", "friction", str(path), "--robot", "gen2"])
-    lines = [line for line in capsys.readouterr().out.splitlines() if "RMS" in line]
-    # The unit 1 of coefficients is not printed.
-    assert [re.sub(r"[\d.]+ RMS", "RMS", line) for line in lines] == [
-        f"  {path} {side}: RMS" for side in ("along", "across")
-    ]
 
 
 def test_friction_is_fitted_to_pulls_by_the_command(tmp_path, srs_twin):
@@ -291,7 +275,13 @@ def main_ok(*options: str) -> None:
 def test_a_fit_is_combined_with_its_robot_by_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     pulls_file(tmp_path)
-    main_ok("calibrate", "friction", "pulls.csv", "-r", "gen2", "--out", "f.yaml", "-q")
+    pulls_file(tmp_path, name="a b.csv")
+    options = ["-q", "-r", "gen2", "--no-wheel-inertia", "a b.csv", "--out", "f.yaml"]
+    main_ok("calibrate", "friction", *options)
+    assert load_fit("f.yaml").command == (
+        "srs-twin calibrate friction 'a b.csv' --robot=gen2 --no-wheel-inertia"
+        " --out=f.yaml"
+    )
     main_ok("calibrate", "robot", "f.yaml", "--name", "mine")
     assert "robot file written to robots/mine.yaml" in capsys.readouterr().err
     mine = load_robot("robots/mine.yaml")
@@ -414,18 +404,6 @@ def test_logs_are_found_next_to_their_recordings():
         logs_of(["a.csv", "b.csv"], ["x.csv"])
 
 
-@pytest.mark.parametrize("frequency", [0.7, 2.0])
-def test_the_frequency_of_a_gait_is_estimated(tmp_path, frequency):
-    truth = motion(8.0, frequency=frequency)
-    path = tmp_path / "v.csv"
-    path.write_text(valve_csv(truth, 0.0, 8.0, 3.0))
-    assert read_valves(path, SPEC).gait_frequency() == pytest.approx(
-        frequency, rel=0.01
-    )
-    path.write_text(valve_csv(truth, 0.0, 1.2 / frequency, 3.0))
-    assert read_valves(path, SPEC).gait_frequency() is None
-
-
 @pytest.mark.parametrize("carrier", [20.0, 50.0])
 def test_the_frequency_of_a_gait_is_not_that_of_its_carrier(carrier):
     clock = np.arange(0.0, 6.0, 0.002)
@@ -461,25 +439,3 @@ def test_a_recording_with_a_log_becomes_a_gait_run(kind, vented, filled):
     expected = np.full((1, 4, 2), -1)
     expected[0, 0, 0] = 1 if kind == "valve" else -1
     assert (states == expected).all()
-
-
-def test_the_stored_command_line_can_be_pasted_into_a_shell(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    pulls_file(tmp_path, name="a b.csv")
-    main_ok(
-        "calibrate",
-        "friction",
-        "-q",
-        "-r",
-        "gen2",
-        "--no-wheel-inertia",
-        "a b.csv",
-        "--out",
-        "x.yaml",
-    )
-    command = load_fit("x.yaml").command
-    assert (
-        command
-        == "srs-twin calibrate friction 'a b.csv' --robot=gen2 --no-wheel-inertia"
-        " --out=x.yaml"
-    )

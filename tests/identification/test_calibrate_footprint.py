@@ -220,18 +220,17 @@ def test_a_measurement_is_stored_with_its_contact(contact, tmp_path):
     )
     # A straight robot reaches farther than 0.1 m behind its centre of mass.
     straight = (drive.spec.geometry.body_length + drive.spec.geometry.width) / 2
-    for record, value in (
-        (file.speed_m_s, [0.1234] * 3),
-        (file.curvature_per_m, [-1.2346, 0.0, 1.2]),
-        (file.left_m, [0.05] * 3),
-        (file.right_m, [0.06] * 3),
-        (file.ahead_m, 0.9),
-        (file.behind_m, pytest.approx(straight, abs=5e-5)),
-    ):
-        assert record.value == value
-    assert file.spread.speed_m_s == [0.001] * 3
-    assert file.spread.curvature_per_m == [0.02] * 3
-    assert (file.spread.left_m, file.spread.right_m) == ([0.003] * 3, [0.004] * 3)
+    columns = ("speed_m_s", "curvature_per_m", "left_m", "right_m", "ahead_m")
+    assert [getattr(file, column).value for column in columns] == [
+        [0.1234] * 3,
+        [-1.2346, 0.0, 1.2],
+        [0.05] * 3,
+        [0.06] * 3,
+        0.9,
+    ]
+    assert file.behind_m.value == pytest.approx(straight, abs=5e-5)
+    spreads = [getattr(file.spread, column)[2] for column in columns[:4]]
+    assert spreads == [0.001, 0.02, 0.003, 0.004]
     assert [entry.transient() for entry in file.transients.changes] == [change]
     text = (tmp_path / "short.yaml").read_text("utf-8")
     longer = re.sub(r"(spread:(?:.|\n)*left_m: \[[^]]*)\]", r"\1, 0.0]", text)

@@ -353,19 +353,6 @@ def test_command_prints_the_fit_with_its_loss_factor(tmp_path, monkeypatch, caps
     assert Path("calibration/fits/gen2_damping.html").exists()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("damping_law", DAMPING_LAWS)
-def test_other_laws_of_the_material_are_within_the_model_error(damping_law):
-    each = draw(2000, damping_law, closed=True)
-    quantities = answers(fit(each))
-    assert quantities["stiffness"].value == pytest.approx(
-        each.answers["stiffness"], rel=0.05
-    )
-    assert quantities["loss_factor"].value == pytest.approx(
-        each.answers["loss_factor"], rel=0.15
-    )
-
-
 @pytest.mark.nightly
 @pytest.mark.parametrize("damping_law", DAMPING_LAWS)
 def test_intervals_contain_the_truth_in_54_of_60_decays(damping_law, capsys):

@@ -10,6 +10,7 @@ import pytest
 from srs_twin import load_robot
 from srs_twin.errors import InputError
 from srs_twin.identification import design
+from srs_twin.identification.command import _parse_targets
 from srs_twin.identification.design import (
     PULL_FRACTION,
     _information,
@@ -79,27 +80,15 @@ def test_a_load_separates_drag_from_wheel_inertia():
     )
 
 
-@pytest.mark.slow
-def test_unreachable_targets_are_reported(srs_twin, tmp_path):
-    done = srs_twin(
-        "calibrate",
-        "design",
-        "gen2",
-        "--target-accuracy",
-        "friction.mu_n=0.1%",
-        cwd=tmp_path,
-    )
-    assert done.returncode == 0
-    assert "friction.mu_n: no further experiment of" in done.stdout
-    wrong = srs_twin(
-        "calibrate",
-        "design",
-        "gen2",
-        "--target-accuracy",
-        "friction.mu_n=much",
-        cwd=tmp_path,
-    )
-    assert wrong.returncode == 2
-    assert "must have the form NAME=PERCENT" in wrong.stderr
+def test_targets_are_percentages_of_named_parameters():
+    targets = _parse_targets("friction.mu_t=5%, mass.connectors_kg=2.5,friction.mu_n=")
+    assert targets == {
+        "friction.mu_t": 0.05,
+        "mass.connectors_kg": 0.025,
+        "friction.mu_n": 0.1,
+    }
+    for wrong in ("friction.mu_n=much", "friction.mu_n=0%"):
+        with pytest.raises(InputError, match="must have the form NAME=PERCENT"):
+            _parse_targets(wrong)
     with pytest.raises(InputError, match="contains no parameters"):
         choose_experiments(SPEC, {}, {})

@@ -166,6 +166,7 @@ def test_the_misfit_of_a_model_is_stored_in_the_file(tmp_path: Path):
 
 def test_numbers_of_a_fit_are_printed_and_reported(capsys):
     """Weighted residuals of 0.6, −0.8 and 0.5 have an RMS of 0.645."""
+    folder = "far/" + 20 * "away"  # a path must not be wrapped
     stiffness = "bending.stiffness_nm_per_rad"
     parameters = (
         Parameter("friction.mu_t", "1", "identified", 0.051234, 0.0012, 0.048, 0.0545),
@@ -177,7 +178,7 @@ def test_numbers_of_a_fit_are_printed_and_reported(capsys):
     correlation = np.full((3, 3), np.nan)
     correlation[:2, :2] = [[1.0, -0.63], [-0.63, 1.0]]
     residuals = (
-        Residual("a.csv bend_1", "rad", np.array([0.03, -0.04]), 0.05),
+        Residual(f"{folder} bend_1", "rad", np.array([0.03, -0.04]), 0.05),
         Residual("a.csv ratio", "1", np.array([1.0]), 2.0),
         Residual("b.csv bend_1", "rad", np.array([0.1]), 0.05, "validation"),
     )
@@ -200,7 +201,7 @@ def test_numbers_of_a_fit_are_printed_and_reported(capsys):
         f"correlation -0.63: friction.mu_t, {stiffness}",
         f"unidentifiable direction: +0.71 mass.connectors_kg, -0.71 {stiffness}",
         "fit: residuals 0.645 times the expected noise",
-        "a.csv bend_1: 0.0354 rad RMS",
+        f"{folder} bend_1: 0.0354 rad RMS",
         "a.csv ratio: 1 RMS",
         "validation: residuals 2 times the expected noise",
         "b.csv bend_1: 0.1 rad RMS",
@@ -223,29 +224,6 @@ def test_numbers_of_a_fit_are_printed_and_reported(capsys):
         ">0.57<",
     ):
         assert text in page
-
-
-def test_priors_of_a_fit_have_the_width_of_its_intervals():
-    """A 95 % interval is 3.92 standard deviations wide, here 0.0392."""
-    names = ("friction.mu_t", "friction.mu_n", "friction.drag_n")
-    ends = ((0.04, 0.06), (0.4, 0.6), (-0.0096, 0.0296))
-    parameters = tuple(
-        Parameter(
-            name, parameter_unit(name), "identified", high - 0.01, 0.01, low, high
-        )
-        for name, (low, high) in zip(names, ends, strict=True)
-    )
-    rows = [[1.0, 1.0, 0.049], [1.0, 1.0, -0.051], [0.049, -0.051, 1.0]]
-    fit = FitEstimate(parameters, np.array(rows))
-    block = robot_override(fit_file(fit, **(ABOUT | {"robot": "gen2"}), data=DATA))
-    # Correlations below 0.05 are omitted, and 0.99 is the largest.
-    assert block["correlated"] == [
-        {"of": list(names[:2]), "r": 0.99},
-        {"of": list(names[1:]), "r": -0.051},
-    ]
-    drag = block["friction"]["drag_n"]
-    assert drag["uncertain"] == {"kind": "normal", "sd": pytest.approx(0.01)}
-    assert drag["source"].endswith("friction.drag_n -0.0096 to 0.0296 (identified)")
 
 
 def test_held_values_that_differ_from_the_robot_are_applied_with_the_fit():
@@ -326,19 +304,32 @@ def test_the_format_refuses_shared_fit_and_validation_data(tmp_path: Path):
 
 
 def test_the_uncertainty_of_a_fit_is_stored_in_the_robot(tmp_path):
-    """The robot's distribution has the 95 % interval and the correlation of the fit."""
-    names = ["friction.mu_t", "bending.stiffness_nm_per_rad"]
+    """A 95 % interval is 3.92 standard deviations wide, here 0.0392 N for the drag.
+
+    Correlations below 0.05 are omitted, and 0.99 is the largest.
+    """
+    names = ("friction.mu_t", "bending.stiffness_nm_per_rad", "friction.drag_n")
+    ends = ((0.04, 0.06), (0.3, 0.5), (-0.0096, 0.0296))
     fit = [
         Parameter(
-            name, unit, "identified", value, 0.05 * value, value / 1.1, value * 1.1
+            name, parameter_unit(name), "identified", high - 0.01, 0.01, low, high
         )
-        for name, unit, value in zip(names, ("1", "N*m/rad"), (0.05, 0.4), strict=True)
+        for name, (low, high) in zip(names, ends, strict=True)
     ]
-    estimate = FitEstimate(tuple(fit), np.array([[1.0, -0.6], [-0.6, 1.0]]))
+    rows = [[1.0, 1.0, 0.049], [1.0, 1.0, -0.051], [0.049, -0.051, 1.0]]
     path = tmp_path / "mine.yaml"
+    estimate = FitEstimate(tuple(fit), np.array(rows))
     write_fit(fit_file(estimate, **ABOUT | {"robot": "gen2"}, data=DATA), path)
-    priors = Priors.from_robot(fitted_robot([path], "mine"))
-    i, j = (priors.paths.index(name) for name in names)
-    assert priors.correlation[i, j] == -0.6
-    ends = priors.parameters[i].quantile(np.array([0.025, 0.975]))
-    assert ends == pytest.approx([0.05 / 1.1, 0.05 * 1.1], rel=1e-3)
+    robot = fitted_robot([path], "mine")
+    priors = Priors.from_robot(robot)
+    places = [priors.paths.index(name) for name in names]
+    assert priors.correlation[np.ix_(places, places)].tolist() == [
+        [1.0, 0.99, 0.0],
+        [0.99, 1.0, -0.051],
+        [0.0, -0.051, 1.0],
+    ]
+    quantiles = priors.parameters[places[0]].quantile(np.array([0.025, 0.975]))
+    assert quantiles[1] / quantiles[0] == pytest.approx(1.5, rel=1e-3)
+    drag = robot.records()["friction.drag_n"]
+    assert (drag.uncertain.kind, drag.uncertain.sd) == ("normal", pytest.approx(0.01))
+    assert drag.source.endswith("friction.drag_n -0.0096 to 0.0296 (identified)")

@@ -47,9 +47,9 @@ def test_table_2_is_recovered():
             parameter.value == pytest.approx(mean) and parameter.verdict == "identified"
         )
         assert parameter.standard_error == pytest.approx(deviation / math.sqrt(10))
-        assert parameter.high - mean == pytest.approx(
-            2.262 * deviation / math.sqrt(10), rel=1e-3
-        )
+        half = 2.262 * deviation / math.sqrt(10)
+        assert parameter.low == pytest.approx(mean - half, rel=1e-4)
+        assert parameter.high == pytest.approx(mean + half, rel=1e-4)
     assert fit.correlation[0, 1] == 0.0
     assert len(fit.residuals) == 2 and fit.samples == 20
 
@@ -99,19 +99,6 @@ def test_invalid_pulls_are_refused(values, message):
                 | values
             )
         )
-
-
-def test_intervals_from_pulls_cover_the_truth():
-    """100 repetitions with 95 %: fewer than 87 hits have a probability of 1 in 1,000."""
-    hits = 0
-    for seed in range(100):
-        rng = np.random.default_rng(seed)
-        fit = fit_pulls(pulls(rng.normal(0.1, 0.01, 6), rng.normal(0.6, 0.05, 6)))[
-            "friction.mu_t"
-        ]
-        hits += fit.low <= 0.1 <= fit.high
-    assert stats.binom.cdf(86, 100, 0.95) < 1e-3
-    assert hits >= 87
 
 
 def thrown(
