@@ -263,13 +263,6 @@ def test_a_stuck_valve_is_detected_and_the_other_segments_converge(
     assert np.isnan(run.controller.signals()["target_plus"][segment])
 
 
-def test_a_valve_that_sticks_during_learning_is_detected():
-    run = Run(ILC(1.0, target=0.7), 1.2).go(10)
-    run.modules.stuck[1, 1] = "open"
-    run.go(12)
-    assert run.event_texts("fault") == ["segment 2: valve of the − chamber stuck open"]
-
-
 @pytest.mark.parametrize(
     ("says", "what", "from_period"),
     [

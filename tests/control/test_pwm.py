@@ -21,7 +21,7 @@ def played(
     duty: np.ndarray, seconds: float, *, carrier: float = 60.0, tick: float = 1e-3
 ) -> np.ndarray:
     """Return which chambers fill in each slot, shape (slots, segments, 2), for duties (segments, 2)."""
-    pulses = PulseWidthModulator(carrier, tick, len(duty))
+    pulses = PulseWidthModulator(carrier, tick, len(duty), allow_long_ticks=True)
     parts = [pulses.step(duty) for _ in range(round(seconds / tick))]
     states = np.concatenate(parts)
     assert states.dtype == np.int8 and set(np.unique(states)) <= {-1, 1}
@@ -57,7 +57,7 @@ def test_duties_with_sum_1_make_opposite_valves(plus):
 @some
 @given(
     arrays(float, (4, 2), elements=duties),
-    st.sampled_from([(1e-4, 1e-3), (1e-3, 2e-3), (1e-3, 5e-3)]),
+    st.sampled_from([(1e-4, 1e-3), (1e-3, 2e-3), (1e-3, 5e-3), (1e-3, 0.05)]),
 )
 def test_pulses_do_not_depend_on_the_tick(duty, ticks):
     short, long = (played(duty, 0.1, tick=tick) for tick in ticks)
@@ -127,15 +127,3 @@ def test_aligned_pulses_treat_both_chambers_alike(duty):
     found = together(duty) == 1
     assert (found[..., 0] == plus).all()
     assert (together(duty[:, ::-1]) == together(duty)[..., ::-1]).all()
-
-
-@some
-@given(arrays(float, (4, 2), elements=duties))
-def test_long_ticks_give_the_same_pulses(duty):
-    parts = []
-    for tick in (1e-3, 0.05):
-        pulses = PulseWidthModulator(60.0, tick, 4, allow_long_ticks=True)
-        parts.append(
-            np.concatenate([pulses.step(duty) for _ in range(round(0.2 / tick))])
-        )
-    assert (parts[0] == parts[1]).all()

@@ -107,11 +107,3 @@ def test_faults_are_detected_and_the_other_modules_continue(plant, fault, named)
     assert metrics["amplitude_error_end_rel"] < 0.05, "of the three that are left"
     assert 0 <= metrics["duty_lowest"] <= metrics["duty_highest"] <= 1
     assert np.isnan(found["target_plus_2"][-1]) and found["duty_plus_2"][-1] == 0
-
-
-@both
-def test_a_fault_ends_the_run_with_option_stop(plant):
-    fault = {"kind": "dead_sensor", "segment": 3, "from_s": 4.0}
-    found = run(plant, faults=(fault,), control={"on_fault": "stop"})
-    assert found.metadata["ended_by"] == "controller" and found.time[-1] < 7
-    assert found.events[-1].kind == "fault" and "segment 3" in found.events[-1].text
