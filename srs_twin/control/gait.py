@@ -260,15 +260,16 @@ class Gait(Controller):
 
     def valves_at(self, time: float) -> np.ndarray:
         """Return the valve states for the control tick that begins at `time` (s)."""
+        times = time + self._tick * self._slot_centres
         if self._axes is not None:
-            return self._spatial_valves(time + self._tick * self._slot_centres)
-        first, last = self._wave(time + self._tick * self._slot_centres[[0, -1]])
+            return self._spatial_valves(times)
+        first, last = self._wave(times[[0, -1]])
         # A tick that is shorter than the shortest constant section of the wave contains
         # at most one change. If the states at both ends of such a tick are equal, they
         # do not change within the tick.
         if self._tick < self._shortest_level() and (first == last).all():
             return _antagonistic(first)
-        wave = self._wave(time + self._tick * self._slot_centres)
+        wave = self._wave(times)
         if (wave == wave[0]).all():
             wave = wave[0]
         return _antagonistic(wave)

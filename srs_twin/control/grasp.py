@@ -208,7 +208,7 @@ class Grasp(Controller):
         self._past = [*self._past, bends][-max(round(_SETTLING_S / self._tick), 2) :]
         self.grip = float(self._free_bend - bends.mean())
         self._change_phase(time, np.asarray(state.com))
-        valves = np.asarray(self._gait.valves_at(max(time - self._since, 0.0)))
+        valves = np.asarray(self._gait.valves_at(time - self._since))
         if valves.ndim == 2:
             valves = np.repeat(valves[None], _SLOTS, axis=0)
         if self.phase is Phase.CURL:

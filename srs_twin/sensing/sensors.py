@@ -109,12 +109,13 @@ def standard_normal(seed: int, time: np.ndarray | float, segments: int) -> np.nd
         raise InputError(
             f"the times of sensor noise must be finite and at most {_MAX_TIME:g} s"
         )
+    seed = int(seed) % 2**64
     slot = np.rint(time / SLOT).astype(np.int64)
     if slot.size == 1:
         number, place = divmod(slot.item(), _BLOCK)
-        numbers: np.ndarray = _block(int(seed) % 2**64, number, segments)[place]
+        numbers: np.ndarray = _block(seed, number, segments)[place]
         return numbers.reshape(*slot.shape, segments)
-    return _normal_numbers(int(seed) % 2**64, slot, segments)
+    return _normal_numbers(seed, slot, segments)
 
 
 @lru_cache(maxsize=64)
