@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from srs_twin import DivergedError, InputError, load_robot, rollout
 from srs_twin.cli import main
-from srs_twin.identification import footprint as study_module
-from srs_twin.identification.excursions import _random_arcs
+from srs_twin.identification import excursions, footprint as study_module
 from srs_twin.identification.footprint import (
     RECORD_HZ,
     FootprintMeasurement,
@@ -244,7 +244,7 @@ def test_a_measurement_is_stored_with_its_contact(contact, tmp_path):
 def test_random_paths_have_their_length_and_never_turn_back():
     firsts = []
     for seed in range(60):
-        arcs = np.array(_random_arcs(np.random.default_rng(seed), -2.0, 1.5))
+        arcs = np.array(excursions._random_arcs(np.random.default_rng(seed), -2.0, 1.5))
         lengths = arcs[:, 1]
         assert 3.45 <= lengths.sum() <= 3.5 + 1e-9
         assert lengths.min() > 0.05 and lengths.max() <= 0.8
@@ -284,6 +284,24 @@ def test_arrays_are_written_row_by_row_and_read_back():
         == data
         == parse_yaml(dump_yaml(data), "text").data
     )
+
+
+def test_margin_has_the_quantiles_of_the_measured_runs(srs_twin, tmp_path, monkeypatch):
+    """Of 20 runs from 0 to 19 mm, the 11th, 19th and 20th are the quantiles of a new run."""
+
+    def tried(function, jobs, **_):
+        for job in jobs:
+            excursion = 1e-3 * (7 * job.seed % 20) + 4e-5
+            yield SimpleNamespace(result=(0.1 * excursion, excursion))
+
+    monkeypatch.setattr(excursions, "run_tasks", tried)
+    options = ("follow_fig56", "--runs", "20", "--plants", "analytical", "--out", ".")
+    done = srs_twin("calibrate", "margin", *options, cwd=tmp_path)
+    assert "analytical 10 18 19 19" in " ".join(done.stdout.split())
+    *kept, found = load_footprint_file(tmp_path / "gen2_gait.yaml").excursions
+    assert found.source.endswith("margin follow_fig56`: 20 random paths of 3.5 m")
+    assert found.path_m == [k / 1000 for k in range(20)]
+    assert found.conditions.plant == "analytical" and kept
 
 
 SHIPPED = {
