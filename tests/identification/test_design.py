@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -92,3 +93,28 @@ def test_targets_are_percentages_of_named_parameters():
             _parse_targets(wrong)
     with pytest.raises(InputError, match="contains no parameters"):
         choose_experiments(SPEC, {}, {})
+
+
+def test_candidates_have_the_forces_and_the_noise_of_their_instruments():
+    markers, scale, *pulls, held, _ = list(candidates(SPEC))[:8]
+    assert markers.noise(np.ones(3)).tolist() == [4e-4] * 3
+    assert scale.noise(np.ones(1)) == 1e-3 and held.noise(np.ones(1)) == 0.01
+    weight = SPEC.mass.total * 9.81
+    friction = SPEC.friction
+    drag = replace(SPEC, friction=replace(friction, drag=0.02))
+    assert [pull.predict(drag)[0] for pull in pulls] == pytest.approx(
+        [
+            friction.mu_t * weight + 0.02,
+            friction.mu_n * weight,
+            3 * friction.mu_t * weight + 0.02,
+            3 * friction.mu_n * weight,
+        ]
+    )
+    assert pulls[0].noise(np.array([2.0])) == pytest.approx([0.03])
+    assert held.predict(SPEC)[-1] == pytest.approx(
+        SPEC.actuator.gain * SPEC.supply.nominal
+    )
+    walk = list(candidates(SPEC))[-1]
+    noise = walk.noise(np.array([0.1, 0.5, 0.5, 0.5, 0.5, -1.0]))
+    bends = [math.sqrt(2) * 0.01] * 4
+    assert noise == pytest.approx([0.002, *bends, 0.02])
