@@ -92,6 +92,8 @@ def test_any_module_is_recovered(numbers):
     for name, value in truth.items():
         assert fit[name].value == pytest.approx(value, rel=1e-4, abs=1e-6), name
         assert fit[name].verdict == "identified"
+    pressure = 1e3 * fit.held["actuator.at_pressure_kpa"]
+    assert pressure == pytest.approx(MODULE.supply.nominal)
     assert fit.held["actuator.bend_rad"] == pytest.approx(
         MODULE.actuator.gain * MODULE.supply.nominal
     )

@@ -19,6 +19,7 @@ from srs_twin.cli.console import interruptible
 from srs_twin.control.replay import Replay
 from srs_twin.errors import InputError, WriteError
 from srs_twin.identification.fit_file import load_fit
+from srs_twin.identification.fitting import DataOptions
 from srs_twin.identification.friction import fit_pulls, is_pull_table, read_pull_table
 from srs_twin.identification.locomotion import gait_run
 from srs_twin.pneumatics import Schedule
@@ -300,6 +301,12 @@ def test_a_fit_is_combined_with_its_robot_by_the_command(tmp_path, monkeypatch, 
         with pytest.raises(SystemExit) as end:
             main(["calibrate", "robot", *options])
         assert end.value.code == 2 and message in capsys.readouterr().err
+
+
+def test_pressures_of_options_are_converted_to_pascals():
+    given = DataOptions("gen2", pressure=48.3).given()
+    assert given["supply_pa"] == pytest.approx(48_300) and "pressure" not in given
+    assert "supply_pa" not in DataOptions("gen2").given()
 
 
 def test_an_interrupted_fit_leaves_no_files(tmp_path, monkeypatch, capsys):

@@ -268,6 +268,12 @@ def test_invalid_changes_of_offset_are_refused(change):
 def test_the_number_of_runs_is_predicted():
     assert footprint_study(DRIVE, phases=3).runs == 3 * (9 + 10)
     assert footprint_study(DRIVE, offsets=OFFSETS, changes=(), phases=1).runs == 3
+    learning = GaitSetup(load_robot("gen4"), 2.0, 131e3, "ilc")
+    assert footprint_study(learning, changes=(), phases=1).runs == 7
+    # Sixteen periods of 0.5 s to settle, and twelve for the transient.
+    start = learning.change_time(0.0)
+    job = learning.change_job(learning.plant_factory(), (0.1, 0.2), start, 4)
+    assert job.duration == pytest.approx(8.0 + 6.0 + 2.0)
 
 
 def test_each_run_is_measured_for_its_offset_or_change(monkeypatch):
