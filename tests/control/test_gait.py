@@ -130,14 +130,6 @@ def test_pulses_shorter_than_a_tick_are_kept():
     assert (signs == -1).mean(axis=0) == pytest.approx(expected * 2, rel=0.05)
 
 
-def test_offset_can_change_during_a_run():
-    gait = Gait(2.0)
-    assert gait.signals() == {"offset": 0.0}
-    gait.offset = 0.3
-    assert gait.signals() == {"offset": 0.3}
-    assert gait.kind == "gait" and gait.frequency == 2.0
-
-
 @pytest.mark.default_cases(3)
 @pytest.mark.parametrize("frequency", [0.0, -1.0, math.nan, math.inf])
 def test_invalid_frequencies_are_refused(frequency):

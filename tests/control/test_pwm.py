@@ -76,15 +76,6 @@ def test_new_duties_take_effect_at_the_start_of_a_period():
     assert begun == [0, 16, 33]
 
 
-def test_a_new_duty_does_not_change_the_current_period():
-    pulses = PulseWidthModulator(60.0, 1e-3, 1)
-    parts = [pulses.step(np.full((1, 2), 0.25 if k < 5 else 1.0)) for k in range(40)]
-    filling = np.concatenate(parts)[:, 0, 0] == 1
-    first = filling[:167]
-    rest = filling[167:]
-    assert first.sum() in (41, 42) and rest.all()
-
-
 @pytest.mark.parametrize("bad", [-1e-9, 1 + 1e-9, math.nan])
 def test_duties_outside_0_to_1_are_refused(bad):
     with pytest.raises(

@@ -259,12 +259,6 @@ def test_reading_error_is_within_the_worst_error(fraction, span, bits):
     assert np.abs(error) <= sensor.calibration.worst_error + 2 * span / 180 + 1e-12
 
 
-def test_sign_only_sensor_has_r_squared_of_three_quarters():
-    """sgn q against q: the squared correlation over a symmetric span is 3/4."""
-    sign = make_sensor("hall", GEN4, gain=1e9, bits=1)
-    assert sign.calibration.r_squared == pytest.approx(0.75, abs=0.01)
-
-
 def test_sensor_study_results():
     """Section 2.2.2: L as in the dissertation; the sideways magnet is more linear (docs/module.md)."""
     near = 3.1
