@@ -161,10 +161,7 @@ def _check_connectors(reference: Trajectory, candidate: Trajectory) -> None:
 
 
 def _common_times(reference: Trajectory, candidate: Trajectory) -> np.ndarray:
-    first = candidate.time[0] - _TIME_ROUNDING_S
-    last = candidate.time[-1] + _TIME_ROUNDING_S
-    time = reference.time
-    common: np.ndarray = time[(time >= first) & (time <= last)]
+    common = reference.between(candidate.time[0], candidate.time[-1]).time
     # A run that has only one sample is compared at this sample.
     if len(common) < min(2, len(reference), len(candidate)):
         spans = [

@@ -186,13 +186,10 @@ def box_edges(
     the body width (``body_width_m``), half the width is added on both sides of each
     connector.
     """
-    inside = (trajectory.time >= window.start - 1e-9) & (
-        trajectory.time <= window.end + 1e-9
-    )
-    theta = trajectory.stack("connector_heading")[inside]
-    position = trajectory.position[inside]
+    part = trajectory.between(window.start, window.end)
     half = (positive_number(trajectory, "body_width_m") or 0.0) / 2
-    offset = path.right_offset(offset_to_sides(position, theta, half))
+    sides = offset_to_sides(part.position, part.stack("connector_heading"), half)
+    offset = path.right_offset(sides)
     return float(offset.min()), float(offset.max())
 
 
@@ -328,21 +325,19 @@ def _path(trajectory: Trajectory, period: float) -> dict[str, float | None]:
     if window is None:
         return {}
     chords, turns = displacement_per_period(trajectory, window)
+    chord = float(chords.mean())
+    turn = float(turns.mean())
     metrics: dict[str, float | None] = {
-        "heading_drift_rad": float(turns.mean()),
-        "path_speed_m_s": float(chords.mean()) / period,
+        "heading_drift_rad": turn,
+        "path_speed_m_s": chord / period,
     }
     length = body_length(trajectory)
-    moves = abs(chords.mean()) >= MIN_TRAVEL_BODY_LENGTHS * length
-    if moves:
+    path = None
+    if abs(chord) >= MIN_TRAVEL_BODY_LENGTHS * length:
         path = PathFit.from_trajectory(trajectory, window)
-    else:
-        path = None
     if path is None:
         return metrics
-    metrics["path_curvature_per_m"] = path_curvature(
-        float(chords.mean()), float(turns.mean())
-    )
+    metrics["path_curvature_per_m"] = path_curvature(chord, turn)
     speeds = chords / period
     yaw_rates = turns / period
     mean = turning_radius(float(speeds.mean()), float(yaw_rates.mean()), period, length)
@@ -374,9 +369,10 @@ def _curvature_before(trajectory: Trajectory, period: float) -> float | None:
     if window is None or window.start - float(trajectory.time[0]) < earliest:
         return None
     chords, turns = displacement_per_period(trajectory, window)
-    if not abs(chords.mean()) >= MIN_TRAVEL_BODY_LENGTHS * body_length(trajectory):
+    chord = float(chords.mean())
+    if not abs(chord) >= MIN_TRAVEL_BODY_LENGTHS * body_length(trajectory):
         return None
-    return path_curvature(float(chords.mean()), float(turns.mean()))
+    return path_curvature(chord, float(turns.mean()))
 
 
 def _curvature_change(
@@ -404,6 +400,7 @@ def _turn_by_period(trajectory: Trajectory, period: float) -> Array:
 
 
 def _nested_lists(values: Array) -> list[object]:
-    if values.ndim > 1:
-        return [_nested_lists(row) for row in values]
-    return [None if math.isnan(value) else value for value in values.tolist()]
+    plain = values.astype(object)
+    plain[np.isnan(values)] = None
+    lists: list[object] = plain.tolist()
+    return lists
