@@ -12,7 +12,7 @@ import math
 import re
 import signal
 import traceback
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from fractions import Fraction
 from pathlib import Path, PurePath
@@ -223,7 +223,7 @@ class TaskFailedError(SrsError):
             "This is a bug in srs-twin, not in your files: please report it with the"
             " command and your files"
         )
-        if _frames(error, OUTSIDE):
+        if _plugin_frames(error):
             self.exit_code = InputError.exit_code
             kind = "error in a plug-in"
             fault = (
@@ -262,23 +262,19 @@ def describe_error(error: BaseException) -> str:
 
     If the error passed through a plug-in, the last line in the plug-in is returned.
     """
-    frames = _frames(error, OUTSIDE) or traceback.extract_tb(error.__traceback__)
-    if frames:
+    frames = _plugin_frames(error) or traceback.extract_tb(error.__traceback__)
+    where = ""
+    # The message of a SyntaxError contains the source line.
+    if frames and not isinstance(error, SyntaxError):
         where = f" ({Path(frames[-1].filename).name}:{frames[-1].lineno})"
-    else:
-        where = ""
-    if isinstance(error, SyntaxError):
-        where = ""  # the message of a SyntaxError contains the source line
     return f"{type(error).__name__}: {' '.join(str(error).split())}{where}"
 
 
-def _frames(
-    error: BaseException, files: Collection[str]
-) -> list[traceback.FrameSummary]:
+def _plugin_frames(error: BaseException) -> list[traceback.FrameSummary]:
     return [
         frame
         for frame in traceback.extract_tb(error.__traceback__)
-        if frame.filename in files
+        if frame.filename in OUTSIDE
     ]
 
 
