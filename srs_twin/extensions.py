@@ -27,6 +27,7 @@ from importlib import import_module
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec, spec_from_file_location
 from inspect import isabstract
+from pkgutil import resolve_name
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
@@ -114,8 +115,7 @@ SCHEMAS = {
 
 def load(entry: str) -> Any:
     """Import the object to which an entry ``module:object`` refers."""
-    module, _, name = entry.partition(":")
-    return getattr(import_module(module), name)
+    return resolve_name(entry)
 
 
 def installed(table: Mapping[str, str]) -> dict[str, str]:
