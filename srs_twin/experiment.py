@@ -7,7 +7,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 
@@ -588,12 +588,8 @@ def compare(
         walls[kind] = time.perf_counter() - start
     results, content = run.measure(trajectories, walls)
     assert content.comparison is not None, "both plants ran"
-    values = {
-        item.name: getattr(content.comparison, item.name)
-        for item in fields(content.comparison)
-    }
     return ComparedRuns(
-        **values,
+        **vars(content.comparison),
         title=run.scenario.title,
         trajectories=trajectories,
         results=results,

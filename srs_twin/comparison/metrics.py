@@ -648,10 +648,7 @@ def _causes(
                 (share["name"], share["value"][k]) for share in attribution["shares"]
             ]
     elif (cause := metrics.get("cause")) and cause.get("window_s") == window:
-        if metric == "com_speed_m_s":
-            effects = [(cause["name"], cause["com_speed_m_s"])]
-        else:
-            effects = [(cause["name"], cause["yaw_rate_rad_s"])]
+        effects = [(cause["name"], cause[metric])]  # type: ignore[literal-required]
     return sorted(effects, key=lambda effect: -abs(effect[1]))
 
 
