@@ -206,19 +206,23 @@ def display_path(path: Path) -> str:
     return escape_unprintable(str(path))
 
 
-def read_text(path: Path, *, limit: int = MAX_BYTES) -> str:
-    """Read the text of a UTF-8 file of at most `limit` bytes."""
+def read_text(path: Path, *, limit: int = MAX_BYTES, suffix: str = ".yaml") -> str:
+    """Read the text of a UTF-8 file of at most `limit` bytes.
+
+    If the path is a folder, the error message names a file in it with this suffix.
+    """
     try:
-        with require_file(path).open("rb") as stream:
+        with require_file(path, suffix=suffix).open("rb") as stream:
             raw = stream.read(limit + 1)
     except OSError as error:
         raise InputError(
             f"{display_path(path)}: the file cannot be read ({error.strerror})"
         ) from error
     if len(raw) > limit:
+        size = f"{limit // 1024} kB" if limit < 1 << 20 else f"{limit >> 20} MB"
         raise InputError(
-            f"{display_path(path)}: the file is larger than {limit // 1024} kB, the"
-            " maximum allowed size"
+            f"{display_path(path)}: the file is larger than {size}, the maximum allowed"
+            " size"
         )
     return decode_text(raw, display_path(path))
 

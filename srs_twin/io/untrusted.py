@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, NoReturn
 import numpy as np
 
 from srs_twin.errors import InputError
-from srs_twin.io.files import StrPath, decode_text, display_path, require_file
+from srs_twin.io.files import StrPath, display_path, read_text, require_file
 
 if TYPE_CHECKING:
     import pyarrow
@@ -49,19 +49,8 @@ MAX_ARCHIVE_BYTES = 256 << 20
 
 def read_json(path: Path) -> Any:
     """Read a JSON file."""
-    try:
-        with require_file(path, suffix=".json").open("rb") as stream:
-            raw = stream.read(MAX_JSON_BYTES + 1)
-    except OSError as error:
-        raise InputError(
-            f"{display_path(path)}: cannot be read ({error.strerror})"
-        ) from error
-    if len(raw) > MAX_JSON_BYTES:
-        raise InputError(
-            f"{display_path(path)}: the file is larger than {MAX_JSON_BYTES >> 20}"
-            " MB, the maximum allowed size"
-        )
-    return parse_json(decode_text(raw, display_path(path)), display_path(path))
+    text = read_text(path, limit=MAX_JSON_BYTES, suffix=".json")
+    return parse_json(text, display_path(path))
 
 
 def parse_json(text: str, name: str) -> Any:
@@ -210,31 +199,27 @@ def _check_size(path: Path) -> None:
     with path.open("rb") as file:
         file.seek(max(0, size - 8))
         footer = int.from_bytes(file.read(4), "little")
-    for name, value, limit in (
-        ("file", size, MAX_FILE_BYTES),
-        ("footer", footer, MAX_FOOTER_BYTES),
-    ):
-        if value > limit:
-            raise ValueError(
-                f"the {name} has {value} bytes, but at most {limit} are allowed"
-            )
+    _check_limit("file", size, "bytes", MAX_FILE_BYTES)
+    _check_limit("footer", footer, "bytes", MAX_FOOTER_BYTES)
+
+
+def _check_limit(owner: str, value: int, unit: str, limit: int) -> None:
+    if not 0 <= value <= limit:
+        raise ValueError(
+            f"the {owner} has {value} {unit}, but at most {limit} are allowed"
+        )
 
 
 def _check_bounds(file: ParquetFile) -> None:
     footer = file.metadata
+    columns = footer.num_columns
     declared_bytes = sum(
         footer.row_group(i).total_byte_size for i in range(footer.num_row_groups)
     )
-    for name, value, limit in (
-        ("columns", footer.num_columns, MAX_COLUMNS),
-        ("column chunks", footer.num_columns * footer.num_row_groups, MAX_CHUNKS),
-        ("values", footer.num_rows * footer.num_columns, MAX_VALUES),
-        ("uncompressed bytes", declared_bytes, MAX_BYTES),
-    ):
-        if not 0 <= value <= limit:
-            raise ValueError(
-                f"the file has {value} {name}, but at most {limit} are allowed"
-            )
+    _check_limit("file", columns, "columns", MAX_COLUMNS)
+    _check_limit("file", columns * footer.num_row_groups, "column chunks", MAX_CHUNKS)
+    _check_limit("file", columns * footer.num_rows, "values", MAX_VALUES)
+    _check_limit("file", declared_bytes, "uncompressed bytes", MAX_BYTES)
     duplicates = [
         name for name, count in Counter(file.schema_arrow.names).items() if count > 1
     ]
@@ -267,19 +252,11 @@ def read_arrays(path: Path, what: str) -> dict[str, np.ndarray]:
         with require_file(path, suffix=".npz").open("rb") as file:
             size = os.fstat(file.fileno()).st_size
             # Opening an archive reads its directory, which can be as large as the file.
-            if size > MAX_ARCHIVE_BYTES:
-                raise ValueError(
-                    f"the file has {size} bytes, but at most {MAX_ARCHIVE_BYTES}"
-                    " are allowed"
-                )
+            _check_limit("file", size, "bytes", MAX_ARCHIVE_BYTES)
             with zipfile.ZipFile(file) as archive:
                 members = archive.infolist()
                 unpacked = sum(member.file_size for member in members)
-                if unpacked > MAX_ARCHIVE_BYTES:
-                    raise ValueError(
-                        f"the unpacked content has {unpacked} bytes, but at most"
-                        f" {MAX_ARCHIVE_BYTES} are allowed"
-                    )
+                _check_limit("unpacked content", unpacked, "bytes", MAX_ARCHIVE_BYTES)
                 if any(member.compress_type not in _PACKING for member in members):
                     raise ValueError(
                         "the archive is compressed with a method that NumPy does"
