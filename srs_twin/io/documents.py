@@ -14,6 +14,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import reduce
 from operator import itemgetter, methodcaller
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,12 @@ from typing import Any
 import yaml
 from yaml.reader import ReaderError
 
-from srs_twin.errors import AbsentPartError, InputError, InputFileError
+from srs_twin.errors import (
+    AbsentPartError,
+    InputError,
+    InputFileError,
+    named_in_errors,
+)
 from srs_twin.io.files import (
     MAX_BYTES,
     display_path,
@@ -110,10 +116,8 @@ class Override:
 
 
 def _field_path(label: str, name: str) -> Loc:
-    try:
+    with named_in_errors(label):
         return parse_path(name)
-    except InputError as error:
-        raise InputError(f"{label}: {error}") from None
 
 
 Overrides = Mapping[str, object] | Sequence[Override]
@@ -202,10 +206,7 @@ class Document:
 
     def get(self, *loc: str | int) -> Any:
         """Return the value at a path, or None if there is no such value."""
-        value = self.data
-        for key in loc:
-            value = child(value, key)
-        return value
+        return reduce(child, loc, self.data)
 
     def locate(self, loc: Loc, kind: str = "") -> None:
         """Resolve a file path in the data, or report that the file does not exist.

@@ -10,7 +10,7 @@ import re
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
@@ -204,9 +204,7 @@ def _adopt_current_names(error: ValidationError, schema: Schema, data: Any) -> b
     adopted: dict[str, str] = {}
     for item in error.errors(include_url=False):
         *parents, key = _existing_path(item["loc"], data) or ("",)
-        block = data
-        for parent in parents:
-            block = child(block, parent)
+        block = reduce(child, parents, data)
         if item["type"] == "literal_error":
             former = item["input"]
             current = RENAMED.get(former) if isinstance(former, str) else None
@@ -550,11 +548,9 @@ def _schemas_at(root: Schema, loc: Loc, data: object) -> Iterator[Schema]:
 
 
 def _allowed_keys(root: Schema, loc: Loc, data: object) -> list[str]:
-    schemas = list(_schemas_at(root, loc, data))
-    for key in loc:
-        data = child(data, key)
+    block = reduce(child, loc, data)
     found: dict[str, None] = {}
-    for schema in schemas:
-        for option in _alternatives(schema, root, data):
+    for schema in _schemas_at(root, loc, data):
+        for option in _alternatives(schema, root, block):
             found |= dict.fromkeys(option.get("properties", {}))
     return list(found)

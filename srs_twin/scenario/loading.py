@@ -12,6 +12,7 @@ import copy
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from srs_twin.io.documents import (
     Loc,
     Override,
     Overrides,
+    child,
     format_path,
     load_yaml,
 )
@@ -282,10 +284,8 @@ def _resolved(
         section.resolve(document, file, products.get(key))
     # Absolute paths are valid in any working folder.
     for loc, kind in path_fields(document).items():
-        block: Any = document
-        for section_name in loc[:-1]:
-            block = block.get(section_name, {})
-        path = block.get(loc[-1])
+        block: Any = reduce(child, loc[:-1], document)
+        path = child(block, loc[-1])
         if isinstance(path, str) and (is_path(path) or not kind):
             block[loc[-1]] = str(Path(path).resolve())
     for kind, plant in document["plants"].items():
@@ -360,8 +360,8 @@ def field_paths(document: Document) -> list[str]:
             return
         if path and not properties:
             yield format_path(path)
-        for key, child in properties.items() if depth else ():
-            yield from walk(child, (*path, key), depth - 1)
+        for key, inner in properties.items() if depth else ():
+            yield from walk(inner, (*path, key), depth - 1)
         for option in (*node.get("anyOf", ()), *node.get("oneOf", ())):
             yield from walk(option, path, depth)
 
@@ -378,8 +378,8 @@ def _override(robot: dict[str, Any], definitions: dict[str, Any]) -> dict[str, A
             continue
         section = definitions[reference.rpartition("/")[2]]
         fields = {
-            key: _field_or_number(child, definitions)
-            for key, child in section["properties"].items()
+            key: _field_or_number(inner, definitions)
+            for key, inner in section["properties"].items()
         }
         properties[name] = _closed_object(fields)
     return _closed_object(properties) | {"required": ["base"]}

@@ -11,6 +11,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import reduce
 from pathlib import PurePath
 from typing import Any
 
@@ -216,8 +217,8 @@ def _leaves(loc: Loc, before: object, after: object) -> Iterator[Loc]:
     if loc == ("robot",) and _value(before, loc) != _value(after, loc):
         yield loc
         return
-    one = _at(before, loc)
-    other = _at(after, loc)
+    one: Any = reduce(child, loc, before)
+    other: Any = reduce(child, loc, after)
     if not (_is_block(one) and _is_block(other)):
         if _value(before, loc) != _value(after, loc):
             yield loc
@@ -233,19 +234,13 @@ def _is_block(value: object) -> bool:
     return isinstance(value, Mapping) and not {"value", "unit"} <= value.keys()
 
 
-def _at(document: Any, loc: Loc) -> Any:
-    for key in loc:
-        document = child(document, key)
-    return document
-
-
 def _value(document: object, loc: Loc) -> object:
     """Return the value at a path for display.
 
     Robots and plants are represented by their names, records with a unit by their
     numbers, and long lists by a digest.
     """
-    value = _at(document, loc)
+    value = reduce(child, loc, document)
     if loc == ("robot",) and isinstance(value, Mapping):
         return value.get("name") or value.get("base")
     if loc == (PLANTS,) and isinstance(value, Mapping):
