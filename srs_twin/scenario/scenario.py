@@ -211,10 +211,9 @@ class Scenario:
         trajectory = next(filter(None, measured), None)
         if trajectory is None:
             return None
-        time = trajectory.time - trajectory.time[0]
-        kept = time <= self.duration + 1e-9
-        columns = {name: column[kept] for name, column in trajectory.columns.items()}
-        return replace(trajectory, columns=columns | {"time": time[kept]})
+        start = trajectory.time[0]
+        part = trajectory.between(start, start + self.duration)
+        return replace(part, columns={**part.columns, "time": part.time - start})
 
     def build_plant(
         self, kind: str, *, robot: RobotSpec | None = None, **changes: object
