@@ -212,9 +212,9 @@ def is_robot(name: str) -> bool:
         InputError: no shipped file has this name, or the file does not exist.
     """
     from srs_twin.io.documents import load_yaml
-    from srs_twin.io.files import require_file, shipped_names
+    from srs_twin.io.files import is_path, require_file, shipped_names
 
-    if "/" in name or name.endswith((".yaml", ".yml")):
+    if is_path(name):
         from pathlib import Path
 
         document = load_yaml(require_file(Path(name)))
