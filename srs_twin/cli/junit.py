@@ -148,7 +148,7 @@ def _test_cases(case: Case, fails: Set[str]) -> Iterator[TestCase]:
 
 
 def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCase:
-    from srs_twin.scenario.expectation import result_text, verdict
+    from srs_twin.scenario.expectation import remarks, result_text, verdict
 
     state = verdict(row)
     if state in fails:
@@ -156,13 +156,8 @@ def _add_outcome(test: TestCase, row: ExpectationRow, fails: Set[str]) -> TestCa
             "value": row["value"],
             "allowed": row["allowed"],
             "source": row["source"] or "none stated",
+            **remarks(row),
         }
-        for key, remark in (
-            ("reason", row.get("reason")),
-            ("expected failure", row.get("expected_failure")),
-        ):
-            if remark:
-                values[key] = remark
         text = "\n".join(f"{key}: {value}" for key, value in values.items())
         message = f"{test.name} {result_text(row)}"
         return test._replace(

@@ -11,7 +11,7 @@ from srs_twin.cli.console import as_started, console, new_table
 from srs_twin.comparison.compare import MEASURES
 from srs_twin.comparison.contacts import CONTACT_EVENTS
 from srs_twin.comparison.metrics import chosen, headline, published, result_rows, tidy
-from srs_twin.scenario.expectation import result_text, tally, verdict
+from srs_twin.scenario.expectation import remarks, result_text, tally, verdict
 from srs_twin.scenario.modified import left_out_line, marked
 from srs_twin.viewing.plots.labels import metric_title
 
@@ -174,15 +174,8 @@ def needs_explanation(metrics: RunMetrics) -> bool:
 
 def _expectation_line(row: ExpectationRow) -> str:
     source = f" ({row['source']})" if row.get("source") else ""
-    remarks = "".join(
-        f"; {key}: {text}"
-        for key, text in (
-            ("reason", row.get("reason")),
-            ("expected failure", row.get("expected_failure")),
-        )
-        if text
-    )
+    further = "".join(f"; {key}: {text}" for key, text in remarks(row).items())
     return (
         f"{STATE_LABELS[verdict(row)]:6} {row['of']} {row['metric']}"
-        f" {result_text(row)}{source}{remarks}"
+        f" {result_text(row)}{source}{further}"
     )

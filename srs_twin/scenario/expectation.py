@@ -405,22 +405,16 @@ class Expectation(Section):
         u_d = self.scatter
         if u_d is None:
             u_d = _PUBLISHED_STD * abs(self.published or 0.0)
-        terms = {
+        terms: ExpectationRow = {
             "u_num": spread["u_num"] or 0.0,
             "u_input": spread["u_input"],
             "u_d": u_d,
         }
-        largest = max(terms, key=lambda name: terms[name])
+        largest = max(terms, key=lambda name: terms[name])  # type: ignore[literal-required]
         parameter = None
         if largest == "u_input":
             parameter = largest_parameter(spread.get("sensitivity") or {})
-        return {
-            "u_num": terms["u_num"],
-            "u_input": terms["u_input"],
-            "u_d": u_d,
-            "largest": largest,
-            "largest_parameter": parameter,
-        }
+        return {**terms, "largest": largest, "largest_parameter": parameter}
 
     def _mismatch(
         self, value: float, spread: Mapping[str, Any] | None, stored: Mapping[str, Any]
@@ -522,6 +516,15 @@ def verdict(checked: ExpectationRow) -> str:
     if state == "met" and expected_failure:
         return "holds"
     return state
+
+
+def remarks(checked: ExpectationRow) -> dict[str, str]:
+    """Return the reason and the known cause of failure, if there are any."""
+    texts = {
+        "reason": checked.get("reason"),
+        "expected failure": checked.get("expected_failure"),
+    }
+    return {key: text for key, text in texts.items() if text}
 
 
 def result_text(checked: ExpectationRow) -> str:
