@@ -474,7 +474,7 @@ def count_steps(name: str, period_s: float, step_name: str, step_s: float) -> in
         InputError: a duration is not finite or not positive.
     """
     for label, value in ((name, period_s), (step_name, step_s)):
-        if not (math.isfinite(value) and value > 0):
+        if not 0 < value < math.inf:
             raise InputError(
                 f"{label} {value!r} s is not allowed; it must be finite and above 0"
             )

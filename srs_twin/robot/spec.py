@@ -122,23 +122,13 @@ def _require(ok: bool, name: str, value: float, allowed: str) -> None:
 def _positive(owner: object, *names: str) -> None:
     for name in names:
         value = getattr(owner, name)
-        _require(
-            math.isfinite(value) and value > 0,
-            name,
-            value,
-            "it must be finite and above 0",
-        )
+        _require(0 < value < math.inf, name, value, "it must be finite and above 0")
 
 
 def _not_negative(owner: object, *names: str) -> None:
     for name in names:
         value = getattr(owner, name)
-        _require(
-            math.isfinite(value) and value >= 0,
-            name,
-            value,
-            "it must be finite and at least 0",
-        )
+        _require(0 <= value < math.inf, name, value, "it must be finite and at least 0")
 
 
 @dataclass(frozen=True)
@@ -222,7 +212,7 @@ class Mass:
             _positive(self, "connector_gyration")
         for i, mass in enumerate(self.connectors, start=1):
             _require(
-                math.isfinite(mass) and mass > 0,
+                0 < mass < math.inf,
                 f"mass of connector {i}",
                 mass,
                 "it must be above 0",
