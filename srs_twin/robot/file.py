@@ -557,18 +557,15 @@ def resolve_robot(
     Raises:
         InputFileError: the robot file named in the scenario is invalid.
     """
+    base = robot
+    base_loc = prefix
     if isinstance(robot, Mapping):
-        base = robot.get("base")
-    else:
-        base = robot
-    if isinstance(robot, Mapping) and "base" not in robot:
-        whole = validate(RobotFile, document, robot, prefix=prefix)
-        _add_warnings(document, prefix, find_unit_mistakes(whole) if whole else {})
-        return whole
-    if isinstance(robot, Mapping):
+        if "base" not in robot:
+            whole = validate(RobotFile, document, robot, prefix=prefix)
+            _add_warnings(document, prefix, find_unit_mistakes(whole) if whole else {})
+            return whole
+        base = robot["base"]
         base_loc = (*prefix, "base")
-    else:
-        base_loc = prefix
     if not isinstance(base, str):
         document.report(
             base_loc, "must be a robot name, a path, or a block of keys with `base`"
