@@ -588,17 +588,16 @@ def run_many(
 
         job = jobs[k]
         try:
-            if isinstance(job.controller, Controller):
+            with named_in_errors(f"job {k + 1} of {len(jobs)}"):
                 controller = job.controller
-            else:
-                controller = job.controller()
-            parts = {"plant": _build_plant(job, thread_data), "controller": controller}
-            return rollout(**vars(job) | parts, progress=check_cancelled)
+                if not isinstance(controller, Controller):
+                    controller = controller()
+                plant = _build_plant(job, thread_data)
+                parts = {"plant": plant, "controller": controller}
+                return rollout(**vars(job) | parts, progress=check_cancelled)
         except DivergedError as error:
             # The frames of the traceback would keep the plant in memory.
             return error.with_traceback(None)
-        except InputError as error:
-            raise InputError(f"job {k + 1} of {len(jobs)}: {error}") from error
 
     return Workers(threads).run(len(jobs), run, progress)
 
