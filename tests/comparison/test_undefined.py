@@ -308,6 +308,16 @@ def test_a_published_value_is_compared_in_a_sentence():
     assert result_text(row) == f"= 0.2 m/s; {said}"
     outside = within(0.2, published=0.3)
     assert "outside the 95 % interval 0.1 to 0.25" in result_text(outside)
+    numbers = {
+        "error": -0.014,
+        "u_num": 0.001,
+        "u_input": 0.03,
+        "u_d": 0.00214,
+        "width": 0.15,
+        "score": 0.15,
+    }
+    assert {name: row[name] for name in numbers} == pytest.approx(numbers)
+    assert outside["score"] == pytest.approx(0.15 + 2 / 0.05 * (0.3 - 0.25))
     for cause, found in (
         ("the time step", within(0.2, u_num=1.0)),
         ("the published value", within(0.2, published=0.24, u_input=1e-5)),
