@@ -17,7 +17,10 @@ from conftest import ROOT
 from hypothesis import given, strategies as st
 from processes import python
 
+from srs_twin.cli.diff import _cells, _show
 from srs_twin.comparison.diff import (
+    ChangedValue,
+    Difference,
     Results,
     Tolerance,
     Tolerances,
@@ -327,6 +330,34 @@ def test_numbers_that_json_does_not_have_are_printed_as_text(
     assert (code, moved["b"], moved["rel"]) == (1, text, None)
     code, out, _ = call(b, b, "--json")
     assert (code, json.loads(out)) == (0, {"moved": [], "same": 2})
+
+
+@pytest.mark.parametrize(
+    ("metric", "a", "b", "cells"),
+    [
+        ("twin.com_speed_m_s", 0.123456, 0.25, ["0.1235", "0.25", "+0.127", "+103"]),
+        (
+            "twin.com_speed_m_s",
+            0.12345678,
+            0.123457,
+            ["0.1234568", "0.123457", "+2.2e-07", "+0.000178"],
+        ),
+        # Yaw rates below 0.05 rad/s are near zero.
+        ("twin.yaw_rate_rad_s", 0.049, 0.06, ["0.049", "0.06", "+0.011", ""]),
+        ("twin.contacts", None, 3, ["–", "3", "", ""]),
+    ],
+)
+def test_table_has_the_digits_that_show_a_difference(metric, a, b, cells):
+    assert _cells(ChangedValue("walk", metric, a, b)) == cells
+
+
+def test_long_table_ends_with_the_number_of_further_differences(capsys):
+    moved = [ChangedValue("walk", f"m_{i}", i, i + 1) for i in range(42)]
+    _show(Difference(tuple(moved), 5, ("walk",), {}))
+    out = capsys.readouterr().out
+    assert " m_39 " in out.replace("\n", " ") and " m_40 " not in out
+    last = "and 2 more; list all with --json\n42 different, 5 equal\n"
+    assert out.endswith(last)
 
 
 @pytest.mark.parametrize(
