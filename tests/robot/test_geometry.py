@@ -13,6 +13,7 @@ from srs_twin.robot.geometry import (
     chord_derivatives,
     relative_headings,
 )
+from srs_twin.robot.world import MovableObject
 
 pytestmark = pytest.mark.fast
 
@@ -88,6 +89,22 @@ def test_body_shape_is_the_integrated_centre_line(bends, seed):
     )
     assert mass @ position == pytest.approx([0, 0], abs=1e-14)
     assert relative_headings(np.array(bends)).mean() == pytest.approx(0, abs=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("size", "moments"),
+    [((0.06, 0.02), (0.06**2 / 12, 0.02**2 / 12)), ((0.03,), (0.03**2 / 4,) * 2)],
+)
+def test_objects_have_the_second_moments_of_their_area(size, moments):
+    item = MovableObject(size, 0.1, 0.3, 0.0, 0.0)
+    assert item.gyration**2 == pytest.approx(sum(moments))
+    points = np.array(item.supports)
+    assert points.mean(axis=0) == pytest.approx([0, 0])
+    if item.is_box:
+        assert (points**2).mean(axis=0) == pytest.approx(moments)
+    else:
+        # The moment of friction is that of a uniform pressure, ∫ r² dr / ∫ r dr.
+        assert np.hypot(*points.T) == pytest.approx(2 / 3 * 0.03)
 
 
 def test_body_shape_supports_leading_axes():
