@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from io import StringIO
 from itertools import permutations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from rich.console import Console
 from synthetic import Snake
 
 from srs_twin import Numerics, TwinSnake, attribution as attribution_module, rollout
@@ -18,6 +17,8 @@ from srs_twin.attribution import (
     PlantVariants,
     _builders,
     _in_processes,
+    _relative_cost,
+    _reporter,
     _Task,
     _window,
     contributions,
@@ -25,7 +26,6 @@ from srs_twin.attribution import (
     main_cause,
     subsets,
 )
-from srs_twin.cli.table import _attribution_table
 from srs_twin.comparison.compare import (
     MEASURES,
     AssumptionShare,
@@ -82,8 +82,8 @@ def test_shapley_values_of_null_and_symmetric_players():
     assert (values["a"].low[0], values["a"].high[0]) == (0.0, 3.0)
 
 
-def share(name, value, low=None, high=None):
-    return AssumptionShare(name, name, value, low or value, high or value, "averaged")
+def share(name, value):
+    return AssumptionShare(name, name, value, value, value, "averaged")
 
 
 def test_plot_has_bars_sorted_by_size_that_add_up():
@@ -106,34 +106,6 @@ def test_plot_has_bars_sorted_by_size_that_add_up():
         assert [bar.get_width() for bar in axes.patches] == pytest.approx(values)
         assert axes.texts[0].get_text() == label
     assert yaw.texts[2].get_text() == "0"
-
-
-def printed(*shares):
-    """Return the last four words of each line about a contribution in the printed table."""
-    gap = (0.51, 2.0, 0.0, 0.0)
-    attribution = Attribution((1.0,) * 4, gap, (0,) * 4, (0,) * 4, (), shares)
-    console = Console(width=80, file=StringIO())
-    console.print(_attribution_table(attribution.document()))
-    lines = [line.split() for line in console.file.getvalue().splitlines()]
-    names = {share.name for share in shares} | {"lowest,", "highest,"}
-    return [" ".join(line[-4:]) for line in lines if names.intersection(line[:1])]
-
-
-def test_table_states_the_range_over_the_orders():
-    alone = share("alone", (0.5, 0.0, 0.0, 0.0))
-    low, high = (-0.04, 1.0, 0.0, 0.0), (0.05, 3.0, 0.0, 0.0)
-    mean = share("mean", (0.01, 2.0, 0.0, 0.0), low, high)
-    assert printed(alone, mean) == [
-        "+0.5000 0 0 0",
-        "+0.0100 +2.0000 0 0",
-        "-0.0400 +1.0000 0 0",
-        "+0.0500 +3.0000 0 0",
-    ]
-
-
-def test_contributions_that_round_to_zero_have_no_sign():
-    value = (4.9e-5, -4.9e-5, 5.1e-5, -5.1e-5)
-    assert printed(share("alone", value)) == ["0 0 +0.0001 -0.0001"]
 
 
 @pytest.mark.parametrize("contact", ["loaded", "preloaded"])
@@ -420,6 +392,23 @@ def test_diverged_variant_is_named_and_keeps_the_run(tmp_path, monkeypatch):
     assert "attribution" not in result.metrics
     for name in ("report.html", "twin.parquet"):
         assert (tmp_path / name).is_file()
+
+
+def test_remaining_time_is_in_proportion_to_the_costs(monkeypatch):
+    clock = SimpleNamespace(now=0.0)
+    clock.monotonic = lambda: clock.now
+    monkeypatch.setattr(attribution_module, "time", clock)
+    walls = {"analytical": 0.4, "twin": 2.5}
+    names = ["twin time step", "matched", "model with compliance"]
+    costs = [_relative_cost(name, walls) for name in names]
+    assert costs == pytest.approx([3.5, 1.0, 1.0])
+    seen = []
+    report = _reporter(lambda *told: seen.append(told), costs, is_measured=True)
+    clock.now = 7.0
+    report(1)
+    report(3)
+    whole = 5.5 / min(processor_count(), 3)
+    assert seen == [(0.0, whole), pytest.approx((3.5 / 5.5, 4.0)), (1.0, 0.0)]
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,7 @@ ATTRIBUTION = {
     "remainder": [-0.02, 4.9e-5],
     "gap": [-0.05, -0.003],
     "matched": [0.001, 0.0],
-    "damping": {"longer damping": [-2e-4, 0.0]},
+    "damping": {"longer damping": [-2e-4, -4.9e-5]},
 }
 GIVEN = {
     "explained": judged() | {"attribution": ATTRIBUTION},
