@@ -202,6 +202,12 @@ def test_touching_is_allowed(gap, heading):
     assert "by 0.1 mm" in refusal(circle(x, y), start=start)
 
 
+def test_message_names_the_override_that_sets_the_obstacle():
+    words = r"^set world=\{.*\}: world.obstacles\[0\]: overlaps the body"
+    with pytest.raises(InputFileError, match=words):
+        load_scenario("gen2_straight", set={"world": circle(0.0)})
+
+
 def test_bends_at_the_start_count():
     beside = circle(0.06, 0.1)
     assert scenario(beside, plants={"twin": {}}).initial_state is None
