@@ -26,7 +26,7 @@ from srs_twin.errors import TaskFailedError
 from srs_twin.io.files import atomic_write
 
 ROOT = Path(__file__).parents[2]
-SWEEP = "scenario: gen2_straight\n{fixed}vary: {{controller.frequency_hz: [1, 2]}}\n"
+SWEEP = "scenario: gen2_straight\nfixed: 2.5\nvary: {controller.frequency_hz: [1, 2]}\n"
 SCENARIO = """title: Mine
 robot: {base: gen2, friction: 3}
 duration_s: 1
@@ -42,35 +42,28 @@ def refused(capfd, *words: str) -> str:
     return str(capfd.readouterr().err)
 
 
-@pytest.mark.parametrize("fixed", ["true", "3", "2.5"])
-def test_fixed_values_that_are_no_block_are_refused_with_set(tmp_path, capfd, fixed):
+@pytest.mark.parametrize(
+    ("command", "text", "field", "place", "value"),
+    [
+        ("sweep", SWEEP, "controller.offset", "2:8: fixed", "2.5"),
+        (
+            "sweep",
+            SWEEP.replace("2.5", "true"),
+            "controller.offset",
+            "2:8: fixed",
+            "true",
+        ),
+        ("run", SCENARIO, "robot.friction.mu_n", "2:31: robot.friction", "3"),
+    ],
+)
+def test_a_value_in_place_of_a_block_is_refused_with_set(
+    tmp_path, capfd, command, text, field, place, value
+):
     path = tmp_path / "mine.yaml"
-    path.write_text(SWEEP.format(fixed=f"fixed: {fixed}\n"))
-    error = refused(
-        capfd,
-        "sweep",
-        str(path),
-        "--set",
-        "controller.offset=0.1",
-        "--out",
-        str(tmp_path / "out"),
-    )
-    assert f"mine.yaml:2:8: fixed: must be a block of keys, not {fixed}" in error
-
-
-def test_a_number_in_place_of_an_inner_block_is_refused_with_set(tmp_path, capfd):
-    path = tmp_path / "mine.yaml"
-    path.write_text(SCENARIO)
-    error = refused(
-        capfd,
-        "run",
-        str(path),
-        "--set",
-        "robot.friction.mu_n=0.4",
-        "--out",
-        str(tmp_path / "out"),
-    )
-    assert "mine.yaml:2:31: robot.friction: must be a block of keys, not 3" in error
+    path.write_text(text)
+    words = ("--set", f"{field}=0.4", "--out", str(tmp_path / "out"))
+    error = refused(capfd, command, str(path), *words)
+    assert f"mine.yaml:{place}: must be a block of keys, not {value}" in error
 
 
 @pytest.mark.default_cases(2)
