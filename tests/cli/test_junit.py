@@ -289,19 +289,6 @@ def without_wall_times(text):
     return [line.split() for line in lines if "realtime factor" not in line]
 
 
-@pytest.mark.parametrize("where", ["/proc/nosuch/r.xml", "a.yaml/r.xml", "folder.xml"])
-def test_a_place_that_cannot_be_written_is_refused_before_simulating(
-    tmp_path, srs_twin, where
-):
-    (tmp_path / "a.yaml").write_text(SCENARIO)
-    (tmp_path / "folder.xml").mkdir()
-    done = srs_twin("run", "./a.yaml", "--junit", where, cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith(f"{where}: the file cannot be written (")
-    assert done.stderr.count("\n") == 1
-    assert not (tmp_path / "runs").exists()
-
-
 @pytest.mark.slow
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])

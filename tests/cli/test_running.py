@@ -16,7 +16,7 @@ import pytest
 from conftest import on_interrupt
 
 from srs_twin import Trajectory, load_scenario
-from srs_twin.errors import DivergedError, InputError
+from srs_twin.errors import DivergedError
 from srs_twin.experiment import PRODUCTS, prepare, run_scenario
 from srs_twin.viewing.rerun.viewer import verify_recording
 
@@ -107,15 +107,6 @@ def test_single_plant_run_removes_files_of_earlier_runs(compared, tmp_path):
     assert not (folder / "twin.parquet").exists()
     assert list(result.metrics["plants"]) == ["analytical"]
     assert result.metrics["comparison"] is None
-
-
-def test_unwritable_folder_is_reported_before_simulation(tmp_path):
-    scenario = load_scenario(write(tmp_path, "short"))
-    (tmp_path / "out/report.html").mkdir(parents=True)
-    with pytest.raises(
-        InputError, match=r"report.html: a folder has the name of an output file"
-    ):
-        run_scenario(scenario, tmp_path / "out")
 
 
 def test_progress_rises_to_the_end_for_each_plant(tmp_path):

@@ -59,14 +59,6 @@ def test_text_with_slash_or_suffix_is_a_path(tmp_path, monkeypatch):
         find_file("robot", "x/gen2")
 
 
-def test_unknown_name_has_a_suggestion():
-    with pytest.raises(
-        UnknownNameError,
-        match=r"unknown robot 'gen22'; did you mean gen2\? \(available: gen1, ",
-    ):
-        find_file("robot", "gen22")
-
-
 def test_long_list_of_names_is_not_printed():
     with pytest.raises(UnknownNameError) as close:
         find_file("scenario", "gen2_strait")

@@ -169,13 +169,6 @@ def _with_mu_n(document, **change):
     return {**document, "robot": {**robot, "friction": friction}}
 
 
-def test_stored_intervals_belong_to_the_shipped_scenarios():
-    for path in sorted((data_root() / "calibration/intervals").glob("*.json")):
-        stored = read_json(path)["digest"]
-        document = load_scenario(path.stem).document
-        assert stored == judged_provenance(document).key, path.stem
-
-
 def test_the_list_of_changes_cannot_be_set():
     with pytest.raises(
         InputError, match="the list `changes` is written by srs_twin and cannot be set"
