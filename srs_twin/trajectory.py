@@ -86,7 +86,7 @@ class HtmlResult:
 class Trajectory(HtmlResult):
     """Signals recorded during one rollout, stored as columns.
 
-    The arrays must not be modified. The columns have the following names.
+    The arrays are read-only. The columns have the following names.
 
     - The columns of the body are ``time``, ``heading``, ``com_x`` and ``com_y`` (centre
       of mass), and ``x_1…N``, ``y_1…N`` and ``connector_heading_1…N`` (connector poses
@@ -118,6 +118,13 @@ class Trajectory(HtmlResult):
     units: Mapping[str, str] = field(default_factory=dict)
     events: tuple[Event, ...] = ()
     metadata: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        # Views are protected instead of the arrays of the caller.
+        columns = {name: column.view() for name, column in self.columns.items()}
+        for column in columns.values():
+            column.flags.writeable = False
+        object.__setattr__(self, "columns", columns)
 
     def __getitem__(self, name: str) -> Array:
         """Return one column, shape (samples,).

@@ -97,9 +97,8 @@ def test_columns_are_looked_up_by_name():
     run = Trajectory({"time": np.arange(3.0), "bend_1": np.zeros(3)})
     assert "bend_1" in run and "bend" not in run
     assert run.unit("bend_1") == run.unit("bend") == "rad"
-    for look_up in (run.unit, run.__getitem__):
-        with pytest.raises(UnknownColumnError, match="unknown column 'bent_1'; did"):
-            look_up("bent_1")
+    with pytest.raises(UnknownColumnError, match="unknown column 'bent_1'; did"):
+        run.unit("bent_1")
 
 
 def test_another_process_writes_the_same_bytes():
@@ -131,8 +130,26 @@ def test_numbered_columns_are_stacked():
     assert np.array_equal(run.position[:, 2, 1], run["y_3"])
     assert np.array_equal(run.com[:, 1], run["com_y"])
     assert run.has("bend") and run.has("com_x") and not run.has("pressure_plus")
-    with pytest.raises(KeyError, match="measured_bend"):
-        run.stack("measured_bend")
+    words = r"numbered columns 'bends'; did you mean bend\?"
+    with pytest.raises(UnknownColumnError, match=words):
+        run.stack("bends")
+
+
+@pytest.mark.parametrize(("slack", "samples"), [(0.0, 11), (5e-10, 11), (2e-9, 9)])
+def test_part_between_two_times_includes_both(slack, samples):
+    run = Trajectory({"time": np.arange(31) / 100, "bend_1": np.arange(31.0)})
+    part = run.between(0.1 + slack, 0.2 - slack)
+    first = 10 if samples == 11 else 11
+    assert part["bend_1"].tolist() == list(range(first, first + samples))
+
+
+def test_columns_cannot_be_written():
+    values = np.zeros(3)
+    run = Trajectory({"time": np.arange(3.0), "bend_1": values})
+    for column in (run["bend_1"], run.between(0.0, 1.0).time):
+        with pytest.raises(ValueError, match="read-only"):
+            column[0] = 1.0
+    values[0] = 1.0  # the caller's own array stays writable
 
 
 @pytest.mark.parametrize(

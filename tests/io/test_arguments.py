@@ -153,13 +153,6 @@ def test_an_unknown_column_suggests_similar_ones(run, name, words):
     assert str(copy) == str(error.value)
 
 
-def test_unknown_numbered_columns_suggest_similar_ones(run):
-    with pytest.raises(
-        InputError, match="numbered columns 'bends'; did you mean bend?"
-    ):
-        run.stack("bends")
-
-
 def test_numpy_numbers_and_arrays_are_numbers(snake):
     gait = srs.Gait(np.int64(2))
     duration = np.float32(0.5)
