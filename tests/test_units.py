@@ -14,7 +14,7 @@ from srs_twin.comparison.metrics import (
     METRIC_UNITS,
 )
 from srs_twin.planning.metrics import PLANNING_UNITS
-from srs_twin.robot.sourced import to_si
+from srs_twin.robot.sourced import from_si, to_si
 from srs_twin.scenario.loading import parse_scenario
 
 pytestmark = pytest.mark.fast
@@ -183,3 +183,5 @@ def test_keys_convert_to_si_units():
     one |= {"l_per_min": 1 / 60000, "deg": math.pi / 180, "m_s": 1, "rad": 1, "kg": 1}
     found = {suffix: to_si(f"value_{suffix}", 1.0) for suffix in one}
     assert found == pytest.approx(one)
+    back = {from_si(f"value_{suffix}", value) for suffix, value in one.items()}
+    assert back == {1.0}
