@@ -7,22 +7,16 @@ import re
 
 import pytest
 from conftest import ROOT
-from published_tables import TABLES, load_table, published_runs
+from published_tables import TABLES, claim, load_table, published_runs
 
 from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import data_root
 from srs_twin.planning.footprint_file import load_footprint_file
-from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
 from srs_twin.robot.file import load_robot, load_robot_file
 from srs_twin.robot.sourced import split_unit
 from srs_twin.studies.sweep.loading import load_sweep
 
 pytestmark = pytest.mark.fast
-
-
-def claim(name):
-    claims = load_yaml(claims_file(), limit=CLAIMS_BYTES).data
-    return next(each for each in claims if each["id"] == name)
 
 
 def by_offset():

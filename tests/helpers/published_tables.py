@@ -12,6 +12,7 @@ from typing import Any
 
 from srs_twin.io.documents import load_yaml
 from srs_twin.io.files import data_root
+from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
 
 TABLES = tuple(f"table{number}" for number in range(1, 11))
 """Names of the tables."""
@@ -34,6 +35,12 @@ class PublishedRun:
     left_m: float
     right_m: float
     radius_m: float
+
+
+def claim(name: str) -> dict[str, Any]:
+    """Return a published claim."""
+    claims = load_yaml(claims_file(), limit=CLAIMS_BYTES).data
+    return next(each for each in claims if each["id"] == name)
 
 
 def load_table(name: str) -> dict[str, Any]:

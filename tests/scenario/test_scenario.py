@@ -8,12 +8,12 @@ import math
 import re
 
 import pytest
+from published_tables import claim
 
 from srs_twin import LoadedContact
 from srs_twin.errors import InputFileError, UnknownNameError
-from srs_twin.io.documents import dump_yaml, load_yaml
+from srs_twin.io.documents import dump_yaml
 from srs_twin.io.files import data_root, shipped_names
-from srs_twin.reproduction.claims import CLAIMS_BYTES, claims_file
 from srs_twin.robot.file import load_robot
 from srs_twin.scenario.expectation import Expectation, known_metrics, verdict
 from srs_twin.scenario.loading import (
@@ -787,23 +787,16 @@ def test_shipped_expectations_can_fail_and_cite_sources(name):
     assert any(each.source for each in s.expect)
 
 
-def claimed(name):
-    """Return a published claim."""
-    claims = load_yaml(claims_file(), limit=CLAIMS_BYTES).data
-    (claim,) = [each for each in claims if each["id"] == name]
-    return claim
-
-
 @pytest.mark.parametrize(
-    ("name", "claim", "tol"),
+    ("name", "published", "tol"),
     [
         ("gen1_straight", "gen1-forward", 0.3),
         ("gen2_straight", "gen2-top-speed", 0.15),
         ("gen3_straight", "gen3-speed", 0.3),
     ],
 )
-def test_published_speeds_have_an_interval_and_a_tolerance(name, claim, tol):
-    row = claimed(claim)
+def test_published_speeds_have_an_interval_and_a_tolerance(name, published, tol):
+    row = claim(published)
     found = [
         e
         for e in load_scenario(name).expect
@@ -819,7 +812,7 @@ def test_published_speeds_have_an_interval_and_a_tolerance(name, claim, tol):
     ("name", "offset"), [("gen4_straight", 0.0), ("gen4_turn", 0.3)]
 )
 def test_generation_4_is_compared_with_table_8(name, offset):
-    table = claimed("table8")
+    table = claim("table8")
     (row,) = [r for r in table["rows"] if r["offset"] == offset]
     published = {"com_speed_m_s": row["speed"], "turning_radius_m": row["radius"]}
     found = [e for e in load_scenario(name).expect if e.metric in published]
