@@ -256,6 +256,8 @@ def test_a_window_needs_three_whole_periods():
     exactly = Snake(frequency=0.5, duration=6.0, speed=0.03).trajectory()
     assert GaitWindow.from_trajectory(exactly).periods == 2
     assert plant_metrics(exactly)["com_speed_m_s"] == pytest.approx(0.03, rel=1e-6)
+    four_samples_per_period = Snake(frequency=2.0, record_hz=8.0).trajectory()
+    assert GaitWindow.from_trajectory(four_samples_per_period).periods == 10
 
 
 @pytest.mark.parametrize(
@@ -264,7 +266,7 @@ def test_a_window_needs_three_whole_periods():
         pytest.param(Snake(periodic=False), id="no gait"),
         pytest.param(Snake(duration=1.4), id="fewer than three periods"),
         pytest.param(Snake(duration=0.0), id="one sample"),
-        pytest.param(Snake(frequency=2.0, record_hz=5.0), id="too sparse"),
+        pytest.param(Snake(frequency=2.0, record_hz=7.9), id="too sparse"),
     ],
 )
 def test_gait_metrics_are_none_without_a_resolved_gait(snake):

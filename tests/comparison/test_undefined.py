@@ -400,6 +400,7 @@ def test_a_parameter_is_named_only_if_it_stands_out_from_the_error_of_its_index(
     assert largest(a=0.45, b=0.5) is None
     assert largest(a=0.05) is None
     assert largest() is None
+    assert largest_parameter({"a": {"total": 0.5}}) == "a"
 
 
 @pytest.mark.parametrize("name", [f"gen{n}_straight" for n in range(1, 5)])
