@@ -394,8 +394,7 @@ def _suggest_unit(value: object, loc: Loc, options: Iterable[Schema]) -> str:
         low = option.get("minimum")
         high = option.get("maximum")
         if low is not None and high is not None and not low <= value <= high:
-            scaled = (factor * value for factor in factors)
-            for fitting in scaled:
+            for fitting in (factor * value for factor in factors):
                 if low < fitting < high:
                     return f"; did you mean {fitting:.4g}?"
             return ""

@@ -352,9 +352,10 @@ class ScenarioFile(Section):
 
     def sections(self) -> dict[str, ExtensionSection]:
         """Return the extension sections that the file contains, keyed by name."""
-        sections = {name: self.section(name) for name in SECTIONS}
         return {
-            name: section for name, section in sections.items() if section is not None
+            name: section
+            for name in SECTIONS
+            if (section := self.section(name)) is not None
         }
 
 
