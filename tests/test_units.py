@@ -14,7 +14,7 @@ from srs_twin.comparison.metrics import (
     METRIC_UNITS,
 )
 from srs_twin.planning.metrics import PLANNING_UNITS
-from srs_twin.robot.sourced import from_si, to_si
+from srs_twin.robot.sourced import from_si, si_unit, to_si
 from srs_twin.scenario.loading import parse_scenario
 
 pytestmark = pytest.mark.fast
@@ -185,3 +185,5 @@ def test_keys_convert_to_si_units():
     assert found == pytest.approx(one)
     back = {from_si(f"value_{suffix}", value) for suffix, value in one.items()}
     assert back == {1.0}
+    units = {"kpa": "Pa", "ml": "m³", "l_per_min": "m³/s", "rad_s": "rad/s"}
+    assert {suffix: si_unit(f"value_{suffix}") for suffix in units} == units
