@@ -250,17 +250,6 @@ def test_a_plan_is_found_and_written(place):
     assert set(found.files) == files(place / "again")
 
 
-@pytest.mark.slow
-def test_a_difference_is_that_of_the_command(srs_twin, place):
-    for name, seed in (("first", 0), ("second", 1)):
-        changes = {"duration_s": 2, "seed": seed}
-        srs.run_scenario("gen2_turn", name, set=changes, plants=["analytical"])
-    document = srs.diff("first", place / "second").document()
-    # The exit code depends on the result.
-    printed = srs_twin("diff", "first", "second", "--json", cwd=place).stdout
-    assert document == json.loads(printed) and document["same"] > 20
-
-
 def test_a_friction_fit_is_that_of_the_command(command, place, capsys):
     pulls = EXAMPLES / "pulls.csv"
     check = EXAMPLES / "pulls_check.csv"

@@ -53,8 +53,6 @@ COMMANDS = [
         "--plants: 'both' is unknown; allowed: analytical, twin",
     ),
     ("list robot", "unknown kind 'robot'; did you mean robots?"),
-    ("diff a b", "a: no such file"),
-    ("models export gen7", "unknown robot 'gen7'; did you mean gen"),
     ("models export gen2 --contact loaded", "an exported snake would slide freely"),
     ("models check model.xml", "was retired"),
     (
