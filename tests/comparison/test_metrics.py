@@ -341,6 +341,20 @@ def test_travel_and_supports_of_a_sidewinder():
     assert found["com_speed_m_s"] == pytest.approx(0.2)
 
 
+def test_rolling_is_counted_at_any_heading():
+    roll = np.linspace(0, 3.2 * np.pi, 601)[:, None] + np.zeros(5)
+    axis = np.exp(0.5j)
+    turn = np.exp(0.5j * roll)
+    parts = {
+        "quaternion_w": axis.real * turn.real,
+        "quaternion_x": axis.real * turn.imag,
+        "quaternion_y": axis.imag * turn.imag,
+        "quaternion_z": axis.imag * turn.real,
+    }
+    found = plant_metrics(sidewinder(0.0, **parts))
+    assert found["roll_turns"] == pytest.approx(1.6)
+
+
 def test_sidewinders_differ_by_the_angle_between_their_directions():
     load = np.tile([0.5, 0.3, 0.0, 0.0, 0.1], (601, 1))
     reference = sidewinder(3.0)
