@@ -49,6 +49,11 @@ def test_a_new_robot_has_the_given_size(new):
     assert spec.bending.stiffness == pytest.approx(
         0.5 * 60e3 * grown / 1.2**2, rel=1e-3
     )
+    assert spec.phase_step == pytest.approx(2 * math.pi / 6, rel=1e-3)
+    assert spec.supply.pulsed_limit == pytest.approx(1.4 * 60e3)
+    assert spec.chamber.dead_volume == pytest.approx(11e-6 * 2**3)
+    assert spec.mass.wheel == pytest.approx(0.0015 * 2**3)
+    assert spec.bending.pitch_stiffness == pytest.approx(0.1 * 2**4)
 
 
 def test_a_new_robot_with_skin_is_valid(new):
