@@ -146,6 +146,9 @@ def test_file_size_is_limited(tmp_path):
     path.write_bytes(b"#" * (MAX_BYTES + 1))
     with pytest.raises(InputError, match="larger than 64 kB"):
         read_text(path)
+    os.truncate(path, (3 << 20) + 1)
+    with pytest.raises(InputError, match="larger than 3 MB"):
+        read_text(path, limit=3 << 20)
 
 
 @pytest.mark.parametrize(
