@@ -330,7 +330,7 @@ def load_study(
         document.apply(replace(change, loc=loc))
     complete = locate_files(document)
     file = validate(StudyFile, document, document.data)
-    if file is None and any("budget" in text for _, text in document.problems):
+    if file is None and document.existing_prefix(("budget",)):
         # A wrong budget must not hide problems of the fields.
         file = validate(StudyFile, Document(""), {**document.data, "budget": {}})
     scenario, scenario_errors = base_scenario(document) if file else (None, ())

@@ -612,6 +612,10 @@ def test_a_wrong_budget_does_not_hide_wrong_fields(tmp_path):
         study(tmp_path, twin=3, old="frequency_hz", new="frequncy_hz")
     field, budget = error.value.lines
     assert "did you mean frequency_hz?" in field and "budget.twin" in budget
+    path = tmp_path / "question.yaml"
+    path.write_text("budget")
+    with pytest.raises(InputFileError, match="must be a block of keys"):
+        load_study(path)
 
 
 @pytest.mark.slow
