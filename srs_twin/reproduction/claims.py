@@ -21,6 +21,7 @@ from srs_twin.io.validation import Model, validate
 from srs_twin.reproduction import computations, traces
 from srs_twin.scenario.expectation import AllowedRange
 from srs_twin.scenario.fields import Section, quantity
+from srs_twin.studies.sweep.points import Plain
 
 
 def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
@@ -42,7 +43,6 @@ TRACES = _functions(traces)
 A function returns None if the trajectory does not contain the required data.
 """
 
-Plain = bool | int | float | Annotated[str, Field(max_length=200)]
 Set = Plain | Annotated[list[float], Field(min_length=1, max_length=100)]
 Fields = dict[Annotated[str, Field(max_length=200)], Plain]
 Changes = dict[Annotated[str, Field(max_length=200)], Set]
@@ -485,13 +485,15 @@ def select_claims(
     Raises:
         UnknownNameError: a name matches no claim.
     """
-    selected = [claim for claim in claims if claim.quick or not quick]
-    if only:
-        for name in only:
-            if not any(claim.is_named(name) for claim in claims):
-                ids = [claim.id for claim in claims]
-                raise UnknownNameError("claim", name, ids, "docs/reproduction.md")
-        selected = [c for c in selected if any(map(c.is_named, only))]
+    for name in only:
+        if not any(claim.is_named(name) for claim in claims):
+            ids = [claim.id for claim in claims]
+            raise UnknownNameError("claim", name, ids, "docs/reproduction.md")
+    selected = [
+        claim
+        for claim in claims
+        if (claim.quick or not quick) and (not only or any(map(claim.is_named, only)))
+    ]
     return tuple(sorted(selected, key=lambda claim: claim.use != "law"))
 
 

@@ -230,6 +230,4 @@ def _commit(path: Path, *options: str) -> str | None:
         )
     except (OSError, subprocess.SubprocessError):
         return None
-    if done.stdout.split():
-        return done.stdout.split()[-1]
-    return None
+    return next(reversed(done.stdout.split()), None)

@@ -95,22 +95,21 @@ def reproduce(
 
 
 def _test_suites(rows: Sequence[JudgedClaim]) -> Iterator[tuple[str, list[TestCase]]]:
-    def test_case(claim: Claim, column: str, outcome: ClaimOutcome) -> TestCase:
-        if outcome.verdict == MET:
-            return TestCase(claim.id, column)
-        message = f"{claim.id}, {column}: {outcome_text(outcome)}, allowed {claim.allowed_text}"
-        text = "\n".join([claim.says, claim.source, outcome.why])
-        return TestCase(
-            claim.id, column, 0.0, "failure", message, outcome.verdict, text
-        )
-
     for use in dict.fromkeys(row.claim.use for row in rows):
-        suite = [row for row in rows if row.claim.use == use]
-        yield (
-            use,
-            [
-                test_case(row.claim, *outcome)
-                for row in suite
-                for outcome in row.outcomes.items()
-            ],
-        )
+        cases = [
+            _test_case(row.claim, column, outcome)
+            for row in rows
+            if row.claim.use == use
+            for column, outcome in row.outcomes.items()
+        ]
+        yield use, cases
+
+
+def _test_case(claim: Claim, column: str, outcome: ClaimOutcome) -> TestCase:
+    if outcome.verdict == MET:
+        return TestCase(claim.id, column)
+    message = (
+        f"{claim.id}, {column}: {outcome_text(outcome)}, allowed {claim.allowed_text}"
+    )
+    text = "\n".join([claim.says, claim.source, outcome.why])
+    return TestCase(claim.id, column, 0.0, "failure", message, outcome.verdict, text)

@@ -20,12 +20,12 @@ from srs_twin.compute.workers import run_tasks, start_server
 from srs_twin.errors import SrsError
 from srs_twin.io.files import check_output_folder, shipped_folder
 from srs_twin.io.provenance import Provenance
-from srs_twin.reproduction.claims import COMPUTATIONS, Plain, RunRequest, Set
+from srs_twin.reproduction.claims import COMPUTATIONS, RunRequest, Set
 from srs_twin.scenario.loading import load_scenario
 from srs_twin.scenario.provenance import file_digest, source_digests, versions
 from srs_twin.studies.sweep.execution import Progress, quiet
 from srs_twin.studies.sweep.loading import load_sweep
-from srs_twin.studies.sweep.points import Experiment, Point, Sweep
+from srs_twin.studies.sweep.points import Experiment, Plain, Point, Sweep
 from srs_twin.studies.sweep.store import RowStore
 from srs_twin.studies.sweep.task import DONE, Row, failed_row, run_point
 from srs_twin.trajectory import Trajectory
@@ -54,9 +54,11 @@ class ReproductionJob:
     arguments: Mapping[str, Set] = field(default_factory=dict)
 
     @property
-    def stores_trajectories(self) -> bool:
-        """Whether the job stores trajectories."""
-        return self.experiment is not None and self.experiment.trajectories
+    def stored_plants(self) -> tuple[str, ...]:
+        """Plants whose trajectories the job stores."""
+        if self.experiment is None or not self.experiment.trajectories:
+            return ()
+        return self.experiment.plants
 
     @property
     def steps(self) -> float:
@@ -150,7 +152,7 @@ class RunStore:
             for job in jobs:
                 # Of two jobs with the same key, the job that stores trajectories is
                 # kept.
-                if job.key not in self._jobs or job.stores_trajectories:
+                if job.key not in self._jobs or job.stored_plants:
                     self._jobs[job.key] = job
             self._keys[text] = tuple(job.key for job in jobs)
         return tuple(self._jobs[key] for key in self._keys[text])
@@ -232,13 +234,10 @@ class RunStore:
         return None
 
     def _is_finished(self, job: ReproductionJob) -> bool:
-        files: list[Path] = []
-        if job.experiment is not None and job.experiment.trajectories:
-            files = [
-                self._store.trajectory_file(job.key, plant)
-                for plant in job.experiment.plants
-            ]
-        return job.key in self._rows and all(file.is_file() for file in files)
+        return job.key in self._rows and all(
+            self._store.trajectory_file(job.key, plant).is_file()
+            for plant in job.stored_plants
+        )
 
 
 def run_job(job: ReproductionJob) -> Row:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -83,13 +84,14 @@ def judge_column(store: RunStore, claim: Claim, column: str) -> ClaimOutcome:
         return ClaimOutcome(
             MISSED, values, math.nan, math.nan, _missing_reason(store, claim)
         )
+    value = error = math.nan
     if claim.rule == "ordering":
-        is_met = all(a > b for a, b in zip(values, values[1:], strict=False))
-        return ClaimOutcome(MET if is_met else MISSED, values, math.nan, math.nan)
-    value = combine(claim.combine, values)
-    assert claim.value is not None, "checked by the file's model"
-    error = _ratio(value - claim.value, abs(claim.value))
-    is_met = claim.allowed.holds(value)
+        is_met = all(a > b for a, b in pairwise(values))
+    else:
+        value = combine(claim.combine, values)
+        assert claim.value is not None, "checked by the file's model"
+        error = _ratio(value - claim.value, abs(claim.value))
+        is_met = claim.allowed.holds(value)
     return ClaimOutcome(MET if is_met else MISSED, values, value, error)
 
 
