@@ -8,7 +8,6 @@ from pathlib import Path
 from textwrap import fill
 
 import numpy as np
-import pyarrow as pa
 from matplotlib.figure import Figure
 
 from srs_twin.io.documents import dump_yaml
@@ -25,7 +24,7 @@ from srs_twin.studies.optimization.result import (
 )
 from srs_twin.studies.optimization.runs import Run
 from srs_twin.studies.optimization.search import costs, excesses
-from srs_twin.studies.sweep.table import write_table
+from srs_twin.studies.sweep.table import write_columns
 from srs_twin.viewing.html import Table, cell, image, render
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import drawing, save
@@ -175,11 +174,7 @@ def write_result(result: StudyResult, folder: Path) -> tuple[str, ...]:
 
 
 def _write(result: StudyResult, folder: Path) -> tuple[str, ...]:
-    columns = {
-        name: pa.array(values, from_pandas=True)
-        for name, values in result.table.items()
-    }
-    write_table(folder / EVALUATIONS, pa.table(columns))
+    write_columns(folder / EVALUATIONS, result.table)
     written = [EVALUATIONS]
     study = result.study
     for k, design in enumerate(result.designs, start=1):

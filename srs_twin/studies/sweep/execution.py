@@ -190,20 +190,16 @@ def make_engine(
 
 def select_points(swept: Sweep, exclude: Sequence[str]) -> set[str]:
     """Return the keys of all points without an excluded value (`field=value`)."""
-    selected = {point.key: point.changes for point in swept.points}
+    selected = {point.key for point in swept.points}
     for excluded in exclude:
         field, _, value = excluded.partition("=")
         if field not in swept.fields:
             raise UnknownNameError("varied field", field, swept.fields)
-        values = {str(point.changes[field]) for point in swept.points}
-        if value not in values:
-            raise UnknownNameError(f"value of {field}", value, values)
-        selected = {
-            key: changes
-            for key, changes in selected.items()
-            if str(changes[field]) != value
-        }
-    return set(selected)
+        values = {point.key: str(point.changes[field]) for point in swept.points}
+        if value not in values.values():
+            raise UnknownNameError(f"value of {field}", value, {*values.values()})
+        selected -= {key for key, text in values.items() if text == value}
+    return selected
 
 
 @checked

@@ -7,7 +7,7 @@ each combination of their values has a separate line.
 from __future__ import annotations
 
 import textwrap
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
@@ -39,12 +39,7 @@ _FAILED_COLOR = "#CC3311"
 """Colour of failed runs, which neither the plants nor the colour map use."""
 
 
-class _LegendStyle(TypedDict):
-    fontsize: int
-    frameon: bool
-
-
-_LEGEND: _LegendStyle = {"fontsize": 8, "frameon": False}
+_LEGEND: dict[str, Any] = {"fontsize": 8, "frameon": False}
 
 # Figure dimensions, inches.
 _WIDTH = 9.0

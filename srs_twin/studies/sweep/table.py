@@ -250,6 +250,14 @@ def write_table(path: Path, table: pa.Table) -> None:
         pq.write_table(table, part, compression="zstd")
 
 
+def write_columns(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write columns as a Parquet file atomically, with NaN as a missing value."""
+    import pyarrow as pa
+
+    arrays = {name: pa.array(v, from_pandas=True) for name, v in columns.items()}
+    write_table(path, pa.table(arrays))
+
+
 def shown_metrics(sweep: Sweep) -> tuple[str, ...]:
     """Return the metrics for a report, by default the plotted and summary metrics."""
     if sweep.metrics is not None:

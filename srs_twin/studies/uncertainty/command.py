@@ -20,7 +20,6 @@ from srs_twin.cli.options import (
 from srs_twin.studies.sweep.command import DEFAULT_STUDY, StudyOptions
 
 if TYPE_CHECKING:
-    from srs_twin.studies.uncertainty.metric_uncertainty import MetricUncertainty
     from srs_twin.studies.uncertainty.propagation import Propagation
 
 STUDIES = Path("runs/uncertainty")
@@ -125,13 +124,6 @@ def _error_text(error: float) -> str:
     return f"{error:.2g}"
 
 
-def _count_text(uncertainty: MetricUncertainty) -> str:
-    text = f"{uncertainty.count} samples"
-    if uncertainty.runs < uncertainty.count:
-        text += f", {uncertainty.runs} runs"
-    return text
-
-
 def _print_result(result: Propagation) -> None:
     from srs_twin.viewing.plots.labels import metric_label
 
@@ -186,18 +178,18 @@ def _no_measurement_reason(result: Propagation) -> str:
 def _print_plant(result: Propagation, plant: str) -> bool:
     from srs_twin.comparison.metrics import metric_units
     from srs_twin.identification.fitting import print_table
-    from srs_twin.studies.uncertainty.metric_uncertainty import RANGES
+    from srs_twin.studies.uncertainty.metric_uncertainty import RANGES, count_text
     from srs_twin.viewing.plots.labels import metric_label
 
     uncertainties = result.plants[plant]
     rows = []
     usual = uncertainties.get(result.target[1])
-    usual_count = _count_text(usual) if usual else ""
+    usual_count = count_text(usual.count, usual.runs) if usual else ""
     for metric, uncertainty in uncertainties.items():
         if metric not in metric_units():
             continue
         name = metric_label(metric)
-        count = _count_text(uncertainty)
+        count = count_text(uncertainty.count, uncertainty.runs)
         if count != usual_count:
             name += f", {count}"
         published = ""

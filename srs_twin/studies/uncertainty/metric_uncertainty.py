@@ -299,6 +299,14 @@ def _finite(value: float) -> float | None:
     return None
 
 
+def count_text(samples: int, runs: int) -> str:
+    """Return the number of samples, and the number of runs if it is smaller."""
+    text = f"{samples} samples"
+    if runs < samples:
+        text += f", {runs} runs"
+    return text
+
+
 def sampling_errors(samples: Array) -> Array:
     """Return the standard errors of the interval bounds due to sampling, shape (4,)."""
     known = samples[np.isfinite(samples)]

@@ -13,6 +13,7 @@ from srs_twin.studies.uncertainty.metric_uncertainty import (
     MetricDocument,
     SwingDocument,
     UncertaintyDocument,
+    count_text,
 )
 from srs_twin.viewing.plots.labels import field_label, metric_label
 from srs_twin.viewing.plots.style import PUBLISHED_COLOR, drawing, finish, style_of
@@ -85,15 +86,16 @@ def draw_intervals(title: str, document: UncertaintyDocument) -> Figure:
     widest = max(label.get_window_extent().width for label in labels) / figure.dpi
     left = max(_LEFT, widest + 2 * _LEFT_OF_LABELS) / _WIDTH
     width = 1 - left - 0.15 / _WIDTH
-    for axes, bottom, panel in zip((upper, lower), bottoms, heights, strict=True):
-        axes.set_position((left, bottom / height, width, panel / height))
     # Headings start at the left edge of the figure, because they are wider than the
     # panels.
     headings = [
         "50 and 95 %; tick: value; line: published",
         f"{style_of(plant).label}: {_EFFECT}",
     ]
-    for bottom, panel, heading in zip(bottoms, heights, headings, strict=True):
+    for axes, bottom, panel, heading in zip(
+        (upper, lower), bottoms, heights, headings, strict=True
+    ):
+        axes.set_position((left, bottom / height, width, panel / height))
         figure.text(
             0.02, (bottom + panel + 0.08) / height, heading, fontsize=9, va="bottom"
         )
@@ -138,10 +140,11 @@ def _draw_intervals(
                 color=PUBLISHED_COLOR,
                 linewidth=2,
             )
-    axes.set_yticks(
-        range(len(rows)),
-        [f"{style_of(name).label}\n{_count_text(row)}" for name, row in rows.items()],
-    )
+    labels = [
+        f"{style_of(name).label}\n{count_text(row['samples'], row['runs'])}"
+        for name, row in rows.items()
+    ]
+    axes.set_yticks(range(len(rows)), labels)
     axes.set_ylim(-0.5, len(rows) - 0.5)
     finish(axes, "", metric_label(metric))
 
@@ -190,12 +193,6 @@ def _draw_swings(
     axes.set_xlim(min(ends) - 0.05 * width, max(ends) + 0.05 * width)
     axes.set_ylim(-0.5, max(len(labels), 1) - 0.5)
     finish(axes, "", metric_label(metric))
-
-
-def _count_text(row: MetricDocument) -> str:
-    samples = row["samples"]
-    runs = row["runs"]
-    return f"{samples} samples" + (f", {runs} runs" if runs < samples else "")
 
 
 def _text_lines(document: UncertaintyDocument) -> list[tuple[str, str]]:

@@ -43,7 +43,7 @@ from srs_twin.studies.sweep.execution import (
     quiet,
 )
 from srs_twin.studies.sweep.points import Value
-from srs_twin.studies.sweep.table import write_table
+from srs_twin.studies.sweep.table import write_columns
 from srs_twin.studies.uncertainty.metric_uncertainty import (
     RANGES,
     MetricUncertainty,
@@ -366,8 +366,6 @@ class Propagation:
         Raises:
             InputError: a file cannot be written.
         """
-        import pyarrow as pa
-
         # A top-level import of Matplotlib would delay results without plots.
         from srs_twin.studies.uncertainty.plots import draw_intervals
         from srs_twin.viewing.plots.style import save
@@ -381,16 +379,10 @@ class Propagation:
                 f"{plant}.{name}": entry.samples
                 for name, entry in uncertainties.items()
             }
-        samples = pa.table(
-            {
-                name: pa.array(column, from_pandas=True)
-                for name, column in columns.items()
-            }
-        )
         document = self.document()
         figure = draw_intervals(self.study.scenario.title, document)
         with replace_files(folder, FILES) as fresh:
-            write_table(fresh / SAMPLES, samples)
+            write_columns(fresh / SAMPLES, columns)
             save(figure, fresh / PICTURE)
             (fresh / RESULT).write_text(json.dumps(document, indent=2) + "\n", "utf-8")
 

@@ -200,12 +200,8 @@ class GaussianProcess:
         """
         self._x = x
         self._y = y
-        centre = np.log([*_TYPICAL, *np.full(x.shape[1], _TYPICAL_LENGTH)])
         if log_hyperparameters is None:
-            self.log_hyperparameters = centre
-        else:
-            self.log_hyperparameters = log_hyperparameters
-        if log_hyperparameters is None:
+            centre = np.log([*_TYPICAL, *np.full(x.shape[1], _TYPICAL_LENGTH)])
             result = scipy.optimize.minimize(
                 self._negative_log_posterior,
                 centre,
@@ -214,9 +210,10 @@ class GaussianProcess:
                 bounds=[(c - 5, c + 5) for c in centre],
                 options={"maxiter": 60},
             )
-            self.log_hyperparameters = result.x
+            log_hyperparameters = np.asarray(result.x)
+        self.log_hyperparameters = log_hyperparameters
         self._factor = scipy.linalg.cho_factor(
-            self._covariance(self.log_hyperparameters), lower=True
+            self._covariance(log_hyperparameters), lower=True
         )
         self._weights = scipy.linalg.cho_solve(self._factor, y)
 
