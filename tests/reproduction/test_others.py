@@ -179,10 +179,14 @@ def test_command_prints_every_compared_quantity(capsys):
     lines = printed().splitlines()
     compared = [row for row in rows if row["published"] is not None]
     assert len(compared) >= 3
+    assert f"{len(rows) - len(compared)} predicted quantities without" in lines[-1]
+    assert {row["unit"] for row in rows if "yaw" in row["quantity"]} <= {"rad/s"}
     for row in compared:
         low, high = row["interval_95"]
         assert row["inside"] == (low <= row["published"] <= high)
         line = next(line for line in lines if f"{row['quantity']} " in line)
         assert ("inside" if row["inside"] else "outside") in line
+        assert f" {low:.3g} to {high:.3g} " in line
+        assert f" {row['published']:.3g} " in line
         assert (row["verdict"] == "undecided") == ("undecided" in line)
         assert row["robots"] == 40 and row["verdict"] == "undecided"

@@ -6,7 +6,6 @@ import json
 import math
 from itertools import product
 
-import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
@@ -18,7 +17,6 @@ from srs_twin.reproduction.verdicts import (
     Baseline,
     ClaimOutcome,
     JudgedClaim,
-    aggregate,
     combine,
     judge,
     load_baseline,
@@ -174,20 +172,6 @@ def test_combinations(a, b):
     assert math.isnan(combine("ratio", (a, 0.0)))
 
 
-def test_aggregates_of_several_values():
-    values = np.array([1.0, 2.0, 4.0])
-    assert [aggregate(name, values) for name in ("most", "least", "mean")] == [
-        4,
-        1,
-        pytest.approx(7 / 3),
-    ]
-    assert aggregate("spread", values) == pytest.approx(3 / (7 / 3))
-    assert all(
-        math.isnan(aggregate(name, np.array([1.0, math.nan])))
-        for name in ("most", "least", "mean", "spread")
-    )
-
-
 def rows(**verdicts):
     outcomes = {
         column: ClaimOutcome(verdict, (0.123456,), 0.123456, math.nan)
@@ -236,10 +220,12 @@ def test_fitted_rows_are_not_predictions():
         "missed": 0,
         "all": 1,
     }
-    line = summary_line([fitted, held])
-    assert (
-        "1 of 1 headline predictions" in line
-        and "(separately: 1 of 1 rows for calibration)" in line
+    missed = JudgedClaim(
+        claim(use="law"), {"alone": ClaimOutcome("missed", (1.0,), 1.0, 0.0)}
+    )
+    assert summary_line([fitted, held, missed]) == (
+        "Of 3 rows the twin meets 1 of 1 headline predictions (separately: 1 of 1 rows"
+        " for calibration); without a plant 0 of 1 laws."
     )
 
 
