@@ -19,7 +19,12 @@ from srs_twin.io.files import shipped_names
 from srs_twin.scenario.loading import load_scenario, parse_scenario
 from srs_twin.studies.optimization.command import _print_result
 from srs_twin.studies.optimization.loading import DesignSpace, VariableFile, load_study
-from srs_twin.studies.optimization.report import bound_lines, write_result
+from srs_twin.studies.optimization.report import (
+    bound_lines,
+    draw_convergence,
+    draw_parallel,
+    write_result,
+)
 from srs_twin.studies.optimization.result import EvaluatedDesign, StudyResult
 from srs_twin.studies.optimization.runs import PLANTS, Run, StudyRuns
 from srs_twin.studies.optimization.search import _Search, front, search
@@ -83,6 +88,7 @@ class Engine:
 
     def __init__(self, breaks_after=math.inf, speed=speed, cost=cost):
         self.keys = []
+        self.changes = []
         self._left = breaks_after
         self._speed = speed
         self._cost = cost
@@ -95,6 +101,7 @@ class Engine:
                 raise KeyboardInterrupt
             self._left -= 1
             self.keys.append(point.key)
+            self.changes.append(point.changes)
             f, p = (
                 point.changes.get(f"controller.{name}", 1.0)
                 for name in ("frequency_hz", "phase_step_rad")
@@ -120,6 +127,10 @@ def run_search(question, folder, engine=None):
 def test_the_function_gives_the_result_of_the_search(tmp_path):
     preset = "fixed: {plants.twin.preset: fast}\nvariables:"
     question = study(tmp_path, twin=8, compliant=40, old="variables:", new=preset)
+    budget = question.file.budget.model_copy(update={"uncertain": 2})
+    question = replace(
+        question, file=question.file.model_copy(update={"budget": budget})
+    )
     folder = tmp_path / "out"
     seen = []
     engine = Engine()
@@ -129,7 +140,17 @@ def test_the_function_gives_the_result_of_the_search(tmp_path):
     with StudyRuns(question, folder, Engine()) as runs:
         expected = StudyResult.evaluate(question, search(question, runs), runs)
     assert found.document() == expected.document()
-    assert seen[0] == ("question", 8 + 40 + 1 + 3 * 2, None)
+    assert seen[0] == ("question", 8 + 40 + 1 + 3 * (2 + 2) + 2, None)
+    # The last runs are those of the same two robots with every design.
+    robots = engine.changes[-2 * (1 + len(found.designs)) :]
+    for name in ("robot.friction.mu_t", "plants.twin.timestep_s"):
+        values = [changes[name] for changes in robots]
+        assert values == values[:2] * (1 + len(found.designs))
+    assert "controller.frequency_hz" not in robots[1] and robots[0] != robots[1]
+    assert (
+        robots[2]["controller.frequency_hz"]
+        == found.document()["best"][0]["variables"]["controller.frequency_hz"]
+    )
     assert [row.key for _, _, row in seen[1:]] == engine.keys and not found.files
     assert {part for part, _, _ in seen[1:]} == {"compliant", "twin"}
     assert not [
@@ -165,9 +186,7 @@ def test_an_interrupted_function_keeps_its_runs(tmp_path):
 
 def test_the_printed_table_holds_the_values_of_the_formulas(tmp_path, capsys):
     question = study(tmp_path, objectives=f"{SPEED}, {COST}", twin=8, compliant=40)
-    with StudyRuns(question, tmp_path / "out", Engine()) as runs:
-        found = search(question, runs)
-        result = StudyResult.evaluate(question, found, runs)
+    result = srs.optimize(question, engine=Engine())
     _print_result(result)
     printed = capsys.readouterr().out
     numbers = {
@@ -197,8 +216,8 @@ def test_the_printed_table_holds_the_values_of_the_formulas(tmp_path, capsys):
     ):
         gain = float(re.search(rf"best/1: {re.escape(name)} \+([\d.]+) %", printed)[1])
         assert gain == pytest.approx(100 * (values[0] / before - 1), rel=2e-3)
-    ran = [run.part for run in found.runs]
-    failed = [run.part for run in found.runs if run.row.status == FAILED]
+    ran = [run.part for run in result.runs]
+    failed = [run.part for run in result.runs if run.row.status == FAILED]
     assert result.document()["without_value"] == {"compliant": 1, "twin": 1}
     assert sorted(failed) == ["compliant", "twin"]
     missing = "(1 without a value of an objective or constraint)"
@@ -208,7 +227,7 @@ def test_the_printed_table_holds_the_values_of_the_formulas(tmp_path, capsys):
     )
 
 
-def test_the_document_compares_designs_over_the_same_robots(tmp_path):
+def test_the_document_compares_designs_over_the_same_robots(tmp_path, capsys):
     def run(speed, part="twin", design=(0.5, 0.5)):
         row = Row("", DONE, {f"{PLANTS[part]}.com_speed_m_s": speed})
         return Run(part, np.array(design), row)
@@ -258,6 +277,15 @@ def test_the_document_compares_designs_over_the_same_robots(tmp_path):
     gain = document["best"][0]["gains"][name]
     assert gain["fraction"] == pytest.approx(0.5)
     assert gain["interval_95"] == pytest.approx([0.2625, 0.975])
+    _print_result(result)
+    lines = capsys.readouterr().out.splitlines()
+    assert "best/1 is better than best/2 for 67 % of the random robots" in lines
+    assert "best/1: CoM speed (m/s) +50.0 % (95 %: +26.2 % to +97.5 %)" in lines
+    finer = ": changes by more than 1 % with a finer time step or more hinges"
+    assert f"best/1{finer}" in lines and f"best/2{finer}" not in lines
+    columns = result.table
+    assert columns["controller.frequency_hz"][:2] == [0.5, 0.75]
+    assert columns["com_speed_m_s"] == [*twin, *compliant]
     exchanged = replace(result, designs=result.designs[::-1])
     assert exchanged.ranked_by_quantile().designs[0] is result.designs[0]
     # Among the better half of the designs, the models disagree about the order.
@@ -304,8 +332,7 @@ def test_designs_on_a_bound_are_marked_in_document_and_text(tmp_path):
         old="high: 3.0",
         new="high: 2.8, bounds_source: highest frequency measured",
     )
-    with StudyRuns(question, tmp_path / "out", Engine(speed=slope)) as runs:
-        answer = StudyResult.evaluate(question, search(question, runs), runs)
+    answer = srs.optimize(question, engine=Engine(speed=slope))
     best, *_ = answer.document()["best"]
     row = {"bound": "high", "value": 2.8, "source": "highest frequency measured"}
     assert best["on_bound"] == {"controller.frequency_hz": row}
@@ -326,6 +353,29 @@ def test_designs_on_a_bound_are_marked_in_document_and_text(tmp_path):
     assert float(initial[1]) == pytest.approx(slope(1.0, 1.0, "twin"), rel=1e-3)
     assert best_row[1] == "2.8†"
     assert float(best_row[3]) == pytest.approx(slope(2.8, p, "twin"), rel=1e-3)
+
+
+def test_plots_show_the_best_runs_and_the_reached_bounds():
+    values = np.array([5.0, 1.0, 3.0, 2.0, 4.0])
+    feasible = np.array([False, True, True, True, True])
+    for maximize, best in ((True, [1, 3, 3, 4]), (False, [1, 1, 1, 1])):
+        figure, _ = draw_convergence(values, feasible, "v", 2.5, maximize=maximize)
+        each, misses, progress, start = figure.axes[0].lines
+        assert each.get_xydata().tolist() == [[2, 1], [3, 3], [4, 2], [5, 4]]
+        assert misses.get_xydata().tolist() == [[1, 5]]
+        assert progress.get_ydata()[1:].tolist() == best
+        assert list(start.get_ydata()) == [2.5, 2.5]
+    space = DesignSpace({name: VariableFile(low=0, high=1) for name in "abc"}, {})
+    runs = [
+        Run("twin", np.array(design), Row("", DONE))
+        for design in ((0.5, 0.5, 0.5), (0.0, 0.6, 1.0))
+    ]
+    figure, caption = draw_parallel(space, runs, np.array([1, 0]), runs[1:])
+    worse, better, bounds = figure.axes[0].lines
+    assert list(better.get_ydata()) == [0.0, 0.6, 1.0]
+    assert (worse.get_alpha(), better.get_alpha()) == pytest.approx((0.15, 1))
+    assert worse.get_color() != better.get_color()
+    assert bounds.get_xydata().tolist() == [[0, 0], [2, 1]] and "Red" in caption
 
 
 @pytest.mark.default_cases(2)
@@ -436,8 +486,7 @@ def test_a_search_that_the_budget_ends_too_early_warns(tmp_path, capsys):
     for twin in (6, 30):
         limit = "{metric: cost_of_transport, below: 0.4}"
         question = study(tmp_path, constraints=limit, twin=twin)
-        with StudyRuns(question, tmp_path / f"out_{twin}", Engine()) as runs:
-            results[twin] = StudyResult.evaluate(question, search(question, runs), runs)
+        results[twin] = srs.optimize(question, engine=Engine())
     early = results[6]
     late = results[30]
     assert early.improvement > 0.005 > late.improvement
@@ -505,9 +554,7 @@ def test_searches_with_infeasible_constraints_or_exhausted_spaces_end(tmp_path):
 def test_the_budget_is_used_or_the_result_says_why_not(tmp_path, twin, warning):
     line = "  controller.phase_step_rad: {low: 0.4, high: 2.6}\n"
     question = study(tmp_path, twin=twin, compliant=8, old=line)
-    with StudyRuns(question, tmp_path / "out", Engine()) as runs:
-        result = StudyResult.evaluate(question, search(question, runs), runs)
-    document = result.document()
+    document = srs.optimize(question, engine=Engine()).document()
     assert (document["evaluations"]["twin"] < twin) == bool(warning)
     assert (document["warning"] or "").endswith(warning)
 

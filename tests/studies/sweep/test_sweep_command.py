@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -40,7 +41,14 @@ def test_files_and_output_of_a_sweep(srs_twin, tmp_path):
     folder = tmp_path / "runs" / "sweeps" / "small"
     about = json.loads((folder / "sweep.json").read_text())
     assert f"results sha256 {about['results_sha256']}" in run.stdout
-    assert pq.read_table(folder / "results.parquet").num_rows == 8
+    table = pq.read_table(folder / "results.parquet")
+    assert table.num_rows == 8
+    speeds = sorted(table["analytical.com_speed_m_s"].to_pylist())
+    ends = (speeds[0], (speeds[3] + speeds[4]) / 2, speeds[7])
+    assert re.search(
+        r"analytical\.com_speed_m_s +" + " +".join(f"{end:.4g}" for end in ends),
+        run.stdout,
+    )
     assert "report runs/sweeps/small/report.html\n" in run.stdout
     assert about["results_sha256"] in (folder / "report.html").read_text("utf-8")
     again = srs_twin("sweep", "small.yaml", cwd=tmp_path)

@@ -17,7 +17,7 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.store import rows_digest
-from srs_twin.studies.sweep.task import Row
+from srs_twin.studies.sweep.task import Row, flat_metrics
 
 
 @pytest.fixture
@@ -200,22 +200,29 @@ def test_the_digest_does_not_depend_on_order_or_wall_times():
         assert rows_digest([other, rows[1]]) != rows_digest(rows)
 
 
-@pytest.mark.default_cases(2)
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("duration_s: 2", "duration_s: 3"),
-        ("gen2_straight", "gen2_turn"),
-        ("plants: [analytical]", "plants: [twin]"),
-        ("count: 4", "count: 5"),
-    ],
-)
-def test_different_runs_have_different_keys(tmp_path, sweep, old, new):
-    keys = {point.key for point in sweep.points}
-    assert len(keys) == 8
-    others = {
-        point.key
-        for point in load_sweep(write(tmp_path, SMALL.replace(old, new))).points
+def test_list_metrics_have_a_column_for_each_element():
+    """Elements are numbered by segment and period; wall times are no metrics."""
+    metrics = {
+        "wall_s": 1.0,
+        "speed": True,
+        "bend": [0.5, None],
+        "switches": [[1, 2], [3, 4]],
+        "spatial": [[5, 6, 7]],
+        "learned": [[[8, 9]], [[10, 11]]],
     }
-    shared = 4 if new == "count: 5" else 0  # the ends, at two frequencies
-    assert len(keys & others) == shared
+    assert flat_metrics("twin", metrics) == {
+        "twin.speed": 1.0,
+        "twin.bend_1": 0.5,
+        "twin.bend_2": None,
+        "twin.switches_plus_1": 1.0,
+        "twin.switches_minus_1": 2.0,
+        "twin.switches_plus_2": 3.0,
+        "twin.switches_minus_2": 4.0,
+        "twin.spatial_1_1": 5.0,
+        "twin.spatial_2_1": 6.0,
+        "twin.spatial_3_1": 7.0,
+        "twin.learned_plus_1_period_1": 8.0,
+        "twin.learned_minus_1_period_1": 9.0,
+        "twin.learned_plus_1_period_2": 10.0,
+        "twin.learned_minus_1_period_2": 11.0,
+    }

@@ -220,9 +220,14 @@ def test_runs_without_the_metric_are_counted():
     assert list(result.rows) == [("1", "3", "2 ± 1.4 (2)"), ("2", "2", "–")]
 
 
-def test_large_integers_have_all_digits():
-    (result,) = run_tables(table([4294967295, 4294967294], [1.0, 2.0]), [SPEED])
-    assert [line[0] for line in result.rows] == ["4294967294", "4294967295"]
+def test_large_integers_have_all_digits_and_columns_one_decimal_place():
+    speeds = [-0.00001, 12.3456, None]
+    (result,) = run_tables(table([4294967295, 4294967294, 2], speeds), [SPEED])
+    assert list(result.rows) == [
+        ("2", "–"),
+        ("4294967294", "12.35"),
+        ("4294967295", "0.00"),
+    ]
 
 
 def test_wide_tables_are_truncated():
@@ -239,3 +244,10 @@ def test_wide_tables_are_truncated():
         sorted(h for result in tables for h in result.headings[1:])[0]
         == "CoM speed (m/s), analytical"
     )
+    note = "24 of 25 columns are shown; results.parquet has all."
+    for count, expected in ((24, ""), (25, note)):
+        names = [f"bend_{k}" for k in range(count)]
+        columns = values | {f"twin.{name}": [1.0] for name in names}
+        tables = run_tables(table_of(columns), names)
+        assert [len(result.headings) for result in tables] == [7] * 4
+        assert {result.note for result in tables} == {expected}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -440,12 +441,29 @@ def test_the_command_says_why_no_measurement_is_recommended(capsys):
     fractions = np.full((2, len(study.names)), [[0.1], [0.9]])
     assert study.snapped(fractions)[:, -1].tolist() == [0.25, 0.75]
     noise = np.random.default_rng(0).normal(0.2, 0.01, 32 + REFERENCE_ROWS)
-    result = Propagation(study, {"analytical": {"com_speed_m_s": noise}})
-    assert not result.measure_next()
+    noise[-REFERENCE_ROWS + 1] = 0.2
+    noise[:3] = np.nan
+    known = noise[3:-REFERENCE_ROWS]
+    segments = {"com_speed_m_s": np.array([0.2, 0.1, 0.25, *[0.3] * 5, 0.05])}
+    rows = {"analytical": {"com_speed_m_s": noise}, SEGMENTS: segments}
+    result = Propagation(study, rows)
+    assert not result.measure_next() and result.failed == {"analytical": 3}
     _print_result(result)
     shown = capsys.readouterr().out
+    low, first, third, high = np.quantile(known, [0.025, 0.25, 0.75, 0.975])
+    assert re.search(
+        rf"CoM speed \(m/s\) +0.2 +{first:.3g}–{third:.3g} +{low:.3g}–{high:.3g} ",
+        shown,
+    )
+    assert "analytical, 29 samples" in shown and "without a result: 3 of" in shown
+    for varied, ends in (
+        ("stiffness and damping", "0.05 to 0.3"),
+        ("damping", "0.1 to 0.25"),
+    ):
+        assert f"with {varied} at the file's" in shown
+        assert f"the twin crawls at {ends} m/s" in shown
     assert "uncertain numbers and 1 model form (robot.bending.lead)" in shown
-    assert "the parameters is not resolved with 32 samples" in shown
+    assert "the parameters is not resolved with 29 samples" in shown
 
 
 def test_the_picture_shows_the_published_value_and_all_labels():
