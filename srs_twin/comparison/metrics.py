@@ -317,14 +317,17 @@ def metric_units() -> dict[str, str]:
 
 
 def check_plugin_metrics() -> None:
-    """Raise an `InputError` if a plug-in redefines a metric of the package."""
+    """Raise an `InputError` if a plug-in redefines a metric of another module."""
     own = METRIC_UNITS | LIST_METRIC_UNITS | COMPARISON_UNITS
+    owners = dict.fromkeys(own, "srs-twin")
     for module, group in plugin_parts(MetricGroup):
-        is_imported = group.measure.__module__.startswith("srs_twin.")
+        # A plug-in may import the metrics of the package or of another plug-in.
+        home = group.measure.__module__
         for name in group.meanings:
-            if name in own and not is_imported:
+            owner = owners.setdefault(name, home)
+            if owner != home and not home.startswith("srs_twin."):
                 raise InputError(
-                    f"metric '{module}:{name}' is not allowed, because srs-twin has a"
+                    f"metric '{module}:{name}' is not allowed, because {owner} has a"
                     " metric of this name; rename it"
                 )
 

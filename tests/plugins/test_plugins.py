@@ -586,13 +586,30 @@ def test_metrics_that_are_not_finite_are_undefined(value, plugin):
     assert run.metrics["plants"]["analytical"]["heading_range_rad"] is None
 
 
-def test_taken_names_of_metrics_are_refused_before_the_run(plugin):
+def test_taken_names_of_metrics_are_refused_before_the_run(plugin, tmp_path):
     path = plugin(METRICS.replace("heading_range_rad", "com_speed_m_s"))
     allow_plugin(path)
-    with pytest.raises(
-        InputError,
-        match=f"metric '{path.stem}:com_speed_m_s' is not allowed, because srs-twin",
-    ):
+    taken = f"metric '{path.stem}:com_speed_m_s' is not allowed, because srs-twin"
+    with pytest.raises(InputError, match=taken):
+        PreparedRun.build(parse_scenario(gait()), Path(), None)
+    sweep = tmp_path / "sweep.yaml"
+    sweep.write_text("scenario: gen2_straight\nvary: {seed: [0, 1]}\n")
+    with pytest.raises(InputError, match=taken):
+        load_sweep(sweep)
+
+
+def test_two_plugins_with_one_metric_are_refused(plugin):
+    first = plugin(METRICS)
+    second = plugin(METRICS)
+    importing = plugin(f"from {first.stem} import *\n")
+    allow_plugin(first)
+    allow_plugin(importing)
+    PreparedRun.build(parse_scenario(gait()), Path(), None)
+    allow_plugin(second)
+    taken = (
+        f"'{second.stem}:heading_range_rad' is not allowed, because {first.stem} has"
+    )
+    with pytest.raises(InputError, match=taken):
         PreparedRun.build(parse_scenario(gait()), Path(), None)
 
 

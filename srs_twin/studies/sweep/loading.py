@@ -11,6 +11,7 @@ from srs_twin.comparison.metrics import (
     COMPARISON_UNITS,
     LIST_METRIC_UNITS,
     METRICS_LISTED,
+    check_plugin_metrics,
     metric_units,
 )
 from srs_twin.errors import (
@@ -190,9 +191,11 @@ def base_scenario(document: Document) -> tuple[Scenario | None, tuple[str, ...]]
         return None, ()
     with document.report_errors("scenario"):
         try:
-            return load_scenario(name), ()
+            scenario = load_scenario(name)
         except InputFileError as error:
             return None, error.lines
+        check_plugin_metrics()
+        return scenario, ()
     return None, ()
 
 
