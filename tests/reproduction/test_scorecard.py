@@ -63,8 +63,30 @@ def test_robustness_names_the_parameter_with_most_of_the_variance():
         "target": {"plant": "twin", "metric": "v"},
         "plants": {"twin": {"v": {"sensitivity": index}}},
     }
-    why = module._robustness((1, 2), [document]).why
-    assert why == "most from b, 62 %; 1 of 2 orders and trends met"
+    text = "1 of 2 orders and trends met"
+    expected = Grade(2, f"most from b, 62 %; {text}")
+    assert module._robustness((1, 2), [document]) == expected
+    assert module._robustness((1, 2), []) == Grade(1, text)
+    assert module._robustness((0, 0), []) == Grade(0, "no published trends")
+
+
+def test_uncertainty_states_the_interval_and_the_published_value():
+    metric = {"interval_95": [0.1, 0.2], "published": 0.15, "verdict": "within"}
+    document = {
+        "scenario": "s",
+        "target": {"plant": "twin", "metric": "v"},
+        "plants": {"twin": {"v": metric}},
+    }
+    text = "s, v: 0.1 to 0.2, published 0.15 within"
+    assert module._uncertainty([document]) == Grade(2, text)
+    assert module._uncertainty([]) == Grade(0, "no intervals")
+
+
+def test_validation_needs_three_quarters_of_the_headline_predictions():
+    for met, grade in ((0, 0), (1, 1), (2, 1), (3, 2), (4, 2)):
+        counts = dict.fromkeys(module.TITLES, (0, 0)) | {"headline": (met, 4)}
+        text = f"headline {met} of 4; {UNVALIDATED}"
+        assert module._validation(counts) == Grade(grade, text)
 
 
 @pytest.mark.parametrize(
@@ -111,12 +133,18 @@ def test_the_command_prints_the_scorecard_without_a_run(srs_twin, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("u_num", "grade"), [(1e-4, 3), (1e-2, 2), (None, 2)])
+@pytest.mark.parametrize(
+    ("u_num", "grade"), [(1e-4, 3), (1.9e-3, 3), (2e-3, 2), (None, 2)]
+)
 def test_a_small_time_step_error_raises_the_grade(u_num, grade):
     uncertainty = {"u_num": u_num, "u_input": 0.01}
     document = {
         "plants": {"twin": {"m": uncertainty}},
         "target": {"plant": "twin", "metric": "m"},
     }
-    assert module.verification_grade((3, 3), [document]).grade == grade
+    found = module.verification_grade((3, 3), [document])
+    text = "3 of 3 laws met"
+    if grade == 3:
+        text += f"; time step {1e4 * u_num:.0f} % of the input uncertainty"
+    assert found == Grade(grade, text)
     assert module.verification_grade((2, 3), [document]).grade == 1
