@@ -190,3 +190,7 @@ def test_command_prints_every_compared_quantity(capsys):
         assert f" {row['published']:.3g} " in line
         assert (row["verdict"] == "undecided") == ("undecided" in line)
         assert row["robots"] == 40 and row["verdict"] == "undecided"
+        (note,) = (line for line in lines if line.startswith(f"{row['robot']}: "))
+        assert ("published values known before" in note) == row["known_before"]
+        is_simulated = row["of"] == "simulation"
+        assert ("simulated by its builders" in note) == is_simulated

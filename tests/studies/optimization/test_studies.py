@@ -557,6 +557,9 @@ def test_the_budget_is_used_or_the_result_says_why_not(tmp_path, twin, warning):
     document = srs.optimize(question, engine=Engine()).document()
     assert (document["evaluations"]["twin"] < twin) == bool(warning)
     assert (document["warning"] or "").endswith(warning)
+    if warning:
+        ran = document["evaluations"]["twin"]
+        assert document["warning"].startswith(f"The search ended after {ran} of 40 ")
 
 
 def test_a_study_whose_twin_always_fails_is_refused_with_the_reason(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from scipy.stats import truncnorm
 from srs_twin.identification.priors import Prior, Priors
 from srs_twin.robot.sourced import Uncertain
 from srs_twin.scenario.loading import load_scenario
+from srs_twin.studies.uncertainty.command import _print_result
 from srs_twin.studies.uncertainty.metric_uncertainty import (
     MetricUncertainty,
     predict_twin,
@@ -190,7 +192,9 @@ def test_equal_parameters_have_tied_ranks():
     assert ranks == [(1, 1), (2, 4), (2, 4), (2, 4)]
 
 
-def test_sensitivities_and_measurements_of_a_linear_model():
+def test_sensitivities_and_measurements_of_a_linear_model(
+    tmp_path, monkeypatch, capsys
+):
     """A measurement with an error of ±10 % narrows the range of 3 u₁ + u₂."""
     result = result_of(study_of(2, 256), weighted(np.array([3.0, 1.0])))
     document = result.document()["plants"]["analytical"][SPEED]
@@ -217,6 +221,16 @@ def test_sensitivities_and_measurements_of_a_linear_model():
     assert best.interval_95 == pytest.approx(ranges[2], rel=0.01)
     now = np.quantile(3 * u + v, [0.025, 0.975])
     assert best.width_now == pytest.approx(np.ptp(now), rel=0.02)
+    _print_result(result)
+    assert (
+        "measuring friction.number_0 to ±10 % would narrow the analytical's CoM speed"
+        f" (m/s) from {best.width_now:.3g} to {best.width:.3g}\n"
+    ) in capsys.readouterr().out
+    monkeypatch.chdir(tmp_path)
+    kept = json.loads(result.keep().read_text("utf-8"))
+    (folder,) = (tmp_path / "calibration/intervals").iterdir()
+    assert folder.name == "gen2_straight.json"
+    assert kept["measure_next"][0]["width"] == float(f"{best.width:.6g}")
 
 
 def test_the_value_at_the_medians_separates_the_parameters_from_nonlinearity():

@@ -353,6 +353,10 @@ def test_segments_vary_over_their_95_per_cent_intervals():
     ]
     rows = np.array(sweep.values)[:, columns]
     assert rows == pytest.approx(np.array(segments_of_gen2()), rel=1e-4)
+    rows = np.array(study.sweep("twin").values)[:, columns]
+    # A step is at most 1.5 times the damping time.
+    steps = [0.5e-3 if time < 1e-3 / 1.5 else 1e-3 for time in rows[:16, 1]]
+    assert rows[:, 2].tolist() == [*steps, 1e-3, 1e-3, 0.5e-3] and len({*steps}) == 2
 
 
 @pytest.mark.slow
@@ -440,6 +444,8 @@ def test_the_command_says_why_no_measurement_is_recommended(capsys):
     study = study_of(scenario, samples=32, discrete_choices={LEAD: (0.0, 0.1)})
     fractions = np.full((2, len(study.names)), [[0.1], [0.9]])
     assert study.snapped(fractions)[:, -1].tolist() == [0.25, 0.75]
+    leads = [row[-2] for row in study.sweep("analytical").values[:32]]
+    assert leads == [0.0 if u < 0.5 else 0.1 for u in study.fractions[:, -1]]
     noise = np.random.default_rng(0).normal(0.2, 0.01, 32 + REFERENCE_ROWS)
     noise[-REFERENCE_ROWS + 1] = 0.2
     noise[:3] = np.nan
@@ -490,6 +496,9 @@ def test_the_picture_shows_the_published_value_and_all_labels():
     )
     (published,) = (line for line in figure.axes[0].lines if 0.205 in line.get_xdata())
     assert list(published.get_ydata()) == [-0.3, 0.3]
+    (cause,) = figure.axes[1].get_yticklabels()
+    assert cause.get_text().endswith("\n50 ± 20 %, rank 1 to 2")
+    assert figure.axes[1].get_xlim() == pytest.approx((0.189, 0.211))
     figure.draw_without_rendering()
     for axes in figure.axes:
         for label in axes.get_yticklabels():
