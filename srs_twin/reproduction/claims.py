@@ -25,9 +25,11 @@ from srs_twin.studies.sweep.points import Plain
 
 
 def _functions(module: ModuleType) -> dict[str, Callable[..., Any]]:
-    functions = dict(inspect.getmembers(module, inspect.isfunction))
-    own = (name for name in functions if functions[name].__module__ == module.__name__)
-    return {name: functions[name] for name in own if name[0] != "_"}
+    return {
+        name: function
+        for name, function in inspect.getmembers(module, inspect.isfunction)
+        if function.__module__ == module.__name__ and name[0] != "_"
+    }
 
 
 COMPUTATIONS = _functions(computations)

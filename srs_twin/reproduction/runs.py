@@ -87,12 +87,12 @@ def _experiment(name: str, periods: float | None) -> Experiment:
 
 def points_of(request: RunRequest) -> tuple[Point, ...]:
     """Return the requested points of a sweep."""
-    points = sweep_of(request.name).points
-    return tuple(point for point in points if _matches(point.changes, request.where))
-
-
-def _matches(changes: Mapping[str, Plain], where: Mapping[str, Plain]) -> bool:
-    return all(_equal(changes[name], value) for name, value in where.items())
+    where = request.where.items()
+    return tuple(
+        point
+        for point in sweep_of(request.name).points
+        if all(_equal(point.changes[name], value) for name, value in where)
+    )
 
 
 def _equal(one: Plain, other: Plain) -> bool:

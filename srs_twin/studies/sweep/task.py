@@ -91,11 +91,9 @@ def run_point(
                     **scenario.timing,
                 )
             trajectories[plant] = result
-            metrics = plant_metrics(trajectories[plant])
+            metrics = plant_metrics(result)
             if scenario.measured is not None:
-                metrics |= MeasuredDifference.between(
-                    scenario.measured, trajectories[plant]
-                ).metrics
+                metrics |= MeasuredDifference.between(scenario.measured, result).metrics
             values |= flat_metrics(plant, metrics)
         if len(trajectories) == 2:
             analytical, twin = (trajectories[plant] for plant in PLANTS)
