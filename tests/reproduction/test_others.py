@@ -179,6 +179,8 @@ def test_command_prints_every_compared_quantity(capsys):
     lines = printed().splitlines()
     compared = [row for row in rows if row["published"] is not None]
     assert len(compared) >= 3
+    recomputed = sum(line.split()[:1] == ["recomputed"] for line in lines)
+    assert recomputed == sum(row["recomputed"] is not None for row in compared) > 0
     assert f"{len(rows) - len(compared)} predicted quantities without" in lines[-1]
     assert {row["unit"] for row in rows if "yaw" in row["quantity"]} <= {"rad/s"}
     for row in compared:

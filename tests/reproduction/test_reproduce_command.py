@@ -15,7 +15,12 @@ from reproduction import judged_claims, markdown, replace_between, table
 from srs_twin.cli import main
 from srs_twin.reproduction.claims import load_claims
 from srs_twin.reproduction.printing import _short_text
-from srs_twin.reproduction.report import TITLES, by_category, count_verdicts
+from srs_twin.reproduction.report import (
+    TITLES,
+    by_category,
+    count_verdicts,
+    number_text,
+)
 from srs_twin.reproduction.verdicts import MET, ClaimOutcome, load_baseline
 
 FEW = (
@@ -106,6 +111,11 @@ def test_rows_are_run_judged_stored_and_printed(srs_twin, tmp_path):
 )
 def test_an_ordering_is_shortened_only_if_wider_than_its_column(values, text):
     assert _short_text(ClaimOutcome(MET, values, math.nan, math.nan)) == text
+
+
+def test_numbers_have_three_digits_or_are_whole():
+    texts = list(map(number_text, (0.0, -1234.0, 999999.0, 1e6, 0.12345, 1234.5)))
+    assert texts == ["0", "-1234", "999999", "1e+06", "0.123", "1.23e+03"]
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ from srs_twin.scenario.loading import parse_scenario
 from srs_twin.studies.sweep.execution import open_sweep
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.store import rows_digest
+from srs_twin.studies.sweep.table import _of_one_type
 from srs_twin.studies.sweep.task import Row, flat_metrics
 
 
@@ -198,6 +199,12 @@ def test_the_digest_does_not_depend_on_order_or_wall_times():
         Row("a", "done", {"x": 1.0}),
     ):
         assert rows_digest([other, rows[1]]) != rows_digest(rows)
+
+
+def test_columns_of_several_types_become_numbers_or_texts():
+    assert list(map(repr, _of_one_type([1, 2]))) == ["1", "2"]
+    assert list(map(repr, _of_one_type([1, 2.5]))) == ["1.0", "2.5"]
+    assert _of_one_type([True, "a", 2]) == ["true", "a", "2"]
 
 
 def test_list_metrics_have_a_column_for_each_element():

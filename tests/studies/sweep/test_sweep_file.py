@@ -50,14 +50,16 @@ def test_shipped_grids_are_those_of_the_figures():
 
 
 def test_periods_are_rounded_to_whole_ticks(tmp_path):
-    text = SMALL.replace("fixed: {duration_s: 2}", "periods: 5").replace(
-        "[2, 2.5]", "[0.7, 2.5]"
-    )
-    sweep = load_sweep(write(tmp_path, text))
-    durations = {
-        sweep.experiment.document(point.changes)["duration_s"] for point in sweep.points
-    }
-    assert durations == {7.16, 2.0}  # 5/0.7 = 7.1429 s, rounded up to ticks of 20 ms
+    # 5/0.7 = 7.1429 s is rounded up to ticks of 20 ms or 50 ms.
+    for tick, expected in ((0.02, {7.16, 2.0}), (0.05, {7.15, 2.0})):
+        fixed = f"periods: 5\nfixed: {{plants.analytical.tick_s: {tick}}}"
+        text = SMALL.replace("fixed: {duration_s: 2}", fixed)
+        sweep = load_sweep(write(tmp_path, text.replace("[2, 2.5]", "[0.7, 2.5]")))
+        durations = {
+            sweep.experiment.document(point.changes)["duration_s"]
+            for point in sweep.points
+        }
+        assert durations == expected
 
 
 def test_a_sweep_may_have_one_point(tmp_path):

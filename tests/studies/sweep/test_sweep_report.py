@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 from html.parser import HTMLParser
 from itertools import product
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -13,6 +14,7 @@ from small import SMALL, diverges, execute, here, table_of, write
 
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import DivergedError
+from srs_twin.studies.sweep import report
 from srs_twin.studies.sweep.loading import load_sweep
 from srs_twin.studies.sweep.report import MAX_RUNS, mean_tables, run_tables
 from srs_twin.studies.sweep.table import SweepTable
@@ -200,6 +202,17 @@ def test_means_are_only_over_seeds():
     assert [
         (result.rows, result.note[:16]) for result in mean_tables(many, [SPEED])
     ] == [((), "201 combinations")]
+
+
+def test_long_lists_of_values_and_reasons_are_shortened():
+    assert report._values_text([0.5 * k for k in range(13)]) == "0 to 6, 13 values"
+    words = list("abcdefghijklm")
+    assert report._values_text(words) == f"{', '.join(words[:12])} and 1 more"
+    assert report._values_text(words[:12]) == ", ".join(words[:12])
+    for count, note in ((20, ""), (21, "And 1 other reasons: see results.parquet.")):
+        reasons = {f"reason {k}": k for k in range(count)}
+        found = report._failures(SimpleNamespace(reasons=reasons))
+        assert (len(found.rows), found.note) == (20, note)
 
 
 def test_the_number_of_listed_runs_is_limited():
