@@ -83,6 +83,7 @@ def test_rows_are_run_judged_stored_and_printed(srs_twin, tmp_path):
                 baseline.values, rel=6e-4, abs=1e-9
             ), (name, column)
     page = (folder / "reproduce.html").read_text("utf-8")
+    assert re.search(r">table9\.limit<(?:(?!</tr>).)*>8\.87<", page, re.S)
     parser = ExternalReferences()
     parser.feed(page)
     assert parser.references == [] and "<script" not in page
