@@ -151,27 +151,23 @@ class Follower(Controller):
 
     kind = "follow"
     state_attributes = (
-        *(
-            "gait",
-            "_frames",
-            "_mean",
-            "_predictor",
-            "steering",
-            "plans",
-            "ending",
-            "_s",
-            "_position",
-            "_moved_at",
-        ),
-        *(
-            "_pending",
-            "_commanded",
-            "_tries",
-            "_not_before",
-            "_leading_in",
-            "_requested",
-            "_events",
-        ),
+        "gait",
+        "_frames",
+        "_mean",
+        "_predictor",
+        "steering",
+        "plans",
+        "ending",
+        "_s",
+        "_position",
+        "_moved_at",
+        "_pending",
+        "_commanded",
+        "_tries",
+        "_not_before",
+        "_leading_in",
+        "_requested",
+        "_events",
     )
 
     gait: Controller
@@ -247,11 +243,9 @@ class Follower(Controller):
             self._receive_plan(time, reason, coming.result())
         if not self.finished:
             frame = self._frames.capture(state)
-        else:
-            frame = None
-        if frame is not None:
-            self._mean.add(time, frame)
-            self._update_offset(time)
+            if frame is not None:
+                self._mean.add(time, frame)
+                self._update_offset(time)
         while self._pending and self._pending[0][0] <= time + 1e-9:
             self._set_offset(self._pending.popleft()[1])
         valves = self.gait.step(state)

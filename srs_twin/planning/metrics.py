@@ -115,10 +115,8 @@ def following(trajectory: Trajectory) -> FollowingRecord | None:
     control = trajectory.metadata.get("control")
     if isinstance(control, Mapping):
         metadata = control.get("following")
-    else:
-        metadata = None
-    if isinstance(metadata, Mapping):
-        return cast(FollowingRecord, metadata)
+        if isinstance(metadata, Mapping):
+            return cast(FollowingRecord, metadata)
     return None
 
 
@@ -198,11 +196,13 @@ def following_metrics(trajectory: Trajectory) -> dict[str, float | None]:
     number of new plans, and the metrics ``plan_…`` describe the first plan.
     """
     metadata = following(trajectory)
+    undefined: dict[str, float | None] = dict.fromkeys(FOLLOWING_UNITS)
     if metadata is None:
-        return dict.fromkeys(FOLLOWING_UNITS)
+        return undefined
     first = metadata["plans"][0]
     clearance = contact_metrics(trajectory)["clearance_m"] or 0.0
     return {
+        **undefined,
         **plan_metrics(first["outcome"] == "found", segments_of(first), first["nodes"]),
         **_arrival(trajectory, metadata, overlapped=clearance < -PENETRATION_M),
         **_deviation(trajectory, metadata),
@@ -261,14 +261,7 @@ def _deviation(
 ) -> dict[str, float | None]:
     deviations = list(_path_deviations(trajectory))
     if not deviations:
-        return dict.fromkeys(
-            (
-                "cross_track_rms_m",
-                "cross_track_max_m",
-                "inside_fraction",
-                "inside_50mm_fraction",
-            )
-        )
+        return {}
     deviation, outline, curvature = (
         np.concatenate(arrays) for arrays in zip(*deviations, strict=True)
     )
@@ -374,26 +367,20 @@ METRICS = MetricGroup(
     yes_no=frozenset({"plan_found", "goal_reached"}),
     main="plan_found",
     short_table=(
-        *(
-            "plan_found",
-            "plan_length_m",
-            "goal_reached",
-            "arrival_error_m",
-            "arrival_heading_error_rad",
-        ),
-        *(
-            "cross_track_rms_m",
-            "cross_track_max_m",
-            "inside_fraction",
-            "inside_50mm_fraction",
-        ),
-        *(
-            "contacts",
-            "clearance_m",
-            "following_time_s",
-            "replans",
-            "com_speed_m_s",
-            "realtime_factor",
-        ),
+        "plan_found",
+        "plan_length_m",
+        "goal_reached",
+        "arrival_error_m",
+        "arrival_heading_error_rad",
+        "cross_track_rms_m",
+        "cross_track_max_m",
+        "inside_fraction",
+        "inside_50mm_fraction",
+        "contacts",
+        "clearance_m",
+        "following_time_s",
+        "replans",
+        "com_speed_m_s",
+        "realtime_factor",
     ),
 )
