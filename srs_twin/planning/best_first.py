@@ -243,10 +243,8 @@ class _Search:
         )
         # Merging segments changes the transients, so the shortened path is checked
         # again.
-        is_better = _path_length(shorter) < _path_length(
-            path
-        ) and self.checker.is_path_free(shorter)
-        if is_better:
+        is_shorter = _path_length(shorter) < _path_length(path)
+        if is_shorter and self.checker.is_path_free(shorter):
             return shorter
         return path
 

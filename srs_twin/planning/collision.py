@@ -212,18 +212,11 @@ class Checker:
         # the body touches.
         if self.is_arc_free(pose, 0.0, length, both):
             return ""
-        parts = (
-            (name, Checker(world, self.footprint))
-            for name, world in _named_obstacles(self.world)
-        )
-        return next(
-            (
-                name
-                for name, part in parts
-                if not part.is_arc_free(pose, 0.0, length, both)
-            ),
-            "",
-        )
+        for name, world in _named_obstacles(self.world):
+            alone = Checker(world, self.footprint)
+            if not alone.is_arc_free(pose, 0.0, length, both):
+                return name
+        return ""
 
 
 def obstacle_shapes(world: World) -> list[tuple[str, shapely.Geometry, float]]:

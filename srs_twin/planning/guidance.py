@@ -89,7 +89,6 @@ def grid_distance(heuristic, x, y):  # type: ignore[no-untyped-def]
         distance = heuristic.distance[column, row]
         if distance < np.inf:
             return distance
-        return 0.0
     return 0.0
 
 
@@ -114,10 +113,8 @@ def grid_heuristic(
     x = np.arange(west + cell / 2, east + cell / 2, cell)
     y = np.arange(south + cell / 2, north + cell / 2, cell)
     free = _free_cells(x, y, cell, world, clearance)
-    column = int((goal.x - west) / cell)
-    row = int((goal.y - south) / cell)
-    column = min(column, len(x) - 1)
-    row = min(row, len(y) - 1)
+    column = min(int((goal.x - west) / cell), len(x) - 1)
+    row = min(int((goal.y - south) / cell), len(y) - 1)
     # Dijkstra's algorithm starts at the goal, so one run computes the distances from
     # all cells.
     distance = dijkstra(
@@ -172,7 +169,7 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
     from scipy.sparse import coo_array
 
     number = np.arange(free.size).reshape(free.shape)
-    edges: list[tuple[np.ndarray, np.ndarray, float]] = []
+    edges: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for here, there, length in (
         (np.s_[:-1, :], np.s_[1:, :], 1.0),
         (np.s_[:, :-1], np.s_[:, 1:], 1.0),
@@ -180,13 +177,11 @@ def _grid_graph(free: np.ndarray, cell: float):  # type: ignore[no-untyped-def]
         (np.s_[:-1, 1:], np.s_[1:, :-1], math.sqrt(2)),
     ):
         both = free[here] & free[there]
-        edges.append((number[here][both], number[there][both], length * cell))
-    lengths = np.concatenate([np.full(len(a), length) for a, _, length in edges])
-    ends = (
-        np.concatenate([a for a, _, _ in edges]),
-        np.concatenate([b for _, b, _ in edges]),
-    )
-    return coo_array((lengths, ends), shape=(free.size, free.size)).tocsr()
+        begin = number[here][both]
+        edges.append((begin, number[there][both], np.full(len(begin), length * cell)))
+    begins, ends, lengths = map(np.concatenate, zip(*edges, strict=True))
+    shape = (free.size, free.size)
+    return coo_array((lengths, (begins, ends)), shape=shape).tocsr()
 
 
 def find_passages(world: World, body: Footprint) -> np.ndarray:
@@ -198,7 +193,7 @@ def find_passages(world: World, body: Footprint) -> np.ndarray:
     """
     straight = body.at(0.0)
     width = straight.left + straight.right
-    return _entry_poses(_gap_centres(world, width), body, _MIN_SPACING * width)
+    return _entry_poses(_gap_centres(world, width), body)
 
 
 def _gap_centres(world: World, width: float) -> list[tuple[list[float], list[float]]]:
@@ -273,7 +268,7 @@ def _thick_lines(world: World) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _entry_poses(
-    centres: list[tuple[list[float], list[float]]], body: Footprint, spacing: float
+    centres: list[tuple[list[float], list[float]]], body: Footprint
 ) -> np.ndarray:
     straight = body.at(0.0)
     transient = max((change.length for change in body.transients), default=0.0)
@@ -285,7 +280,7 @@ def _entry_poses(
     passages: list[tuple[float, float, float, float]] = []
     kept: list[tuple[float, float]] = []
     for (x, y), (across_x, across_y) in centres:
-        if any(math.hypot(x - a, y - b) < spacing for a, b in kept):
+        if any(math.hypot(x - a, y - b) < _MIN_SPACING * width for a, b in kept):
             continue
         kept.append((x, y))
         for sign in (1.0, -1.0):

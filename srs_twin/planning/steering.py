@@ -359,16 +359,15 @@ class WaypointSteering(Steering):
         x = state.pose.x
         y = state.pose.y
         heading = state.pose.heading
-        last = len(self._nodes) - 1
-        while self.node < last and self._distance(x, y) <= self._near:
-            self.node += 1
         node = self._nodes[self.node]
+        while (
+            node is not self._nodes[-1]
+            and math.hypot(node.x - x, node.y - y) <= self._near
+        ):
+            self.node += 1
+            node = self._nodes[self.node]
         bearing = math.atan2(node.y - y, node.x - x)
         return self._gain * math.remainder(bearing - heading, 2 * math.pi)
-
-    def _distance(self, x: float, y: float) -> float:
-        node = self._nodes[self.node]
-        return math.hypot(node.x - x, node.y - y)
 
 
 class PathTracking(Steering):
