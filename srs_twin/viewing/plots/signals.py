@@ -18,9 +18,16 @@ from srs_twin.viewing.additions import added_to
 def body_line(trajectory: Trajectory, geometry: Geometry, chords: int = 8) -> Array:
     """Return the body centre line, head to tail, shape (samples, points, 2), m."""
     lines = centre_lines(trajectory, geometry, chords)
-    # Without a rigid gap, arc ends coincide with connectors and are omitted.
-    unique = slice(0, -1) if geometry.rigid_gap else slice(1, -2)
-    inner = lines[:, :, unique].reshape(len(lines), -1, 2)
+    return joined_lines(lines, has_gaps=geometry.rigid_gap > 0)
+
+
+def joined_lines(lines: Array, *, has_gaps: bool) -> Array:
+    """Join the centre lines of all segments, without duplicate points.
+
+    Neighbouring segments share an end. Without gaps, arc ends coincide with connectors.
+    """
+    unique = slice(0, -1) if has_gaps else slice(1, -2)
+    inner = lines[:, :, unique].reshape(len(lines), -1, lines.shape[-1])
     return np.concatenate([inner, lines[:, -1, -1:]], axis=1)
 
 

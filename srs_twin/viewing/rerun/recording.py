@@ -102,12 +102,16 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
     # an error.
     memory = log.memory_recording()
     send_blueprint(log, run_blueprint(_layout(content, residuals)))
-    _begin(log, title or content.spec.title)
+    log.set_log_time_enabled(False)
+    log.set_log_tick_enabled(False)
+    log.send_recording_name(title or content.spec.title)
     scene = Entities(log, np.zeros(0), "world/")
     _send_floor(scene, trajectories, content.spec)
     send_obstacles(scene, content.world)
-    for run, added in _additions(trajectories)[:1]:
-        send_lines(scene, added.floor_lines(run))
+    for run in trajectories.values():
+        if added := added_to(run):
+            send_lines(scene, added.floor_lines(run))
+            break
     _send_camera_target(log, trajectories)
     for index, plant in enumerate(trajectories):
         _send_plant(log, content, plant, index)
@@ -122,12 +126,6 @@ def write_recording(path: str | Path, content: RunContent, *, title: str = "") -
         for name, error in errors.items():
             to.line(f"{name}/{plant}", error, style_of(plant, index))
     Path(path).write_bytes(_drain(log, memory))
-
-
-def _begin(log: rr.RecordingStream, title: str) -> None:
-    log.set_log_time_enabled(False)
-    log.set_log_tick_enabled(False)
-    log.send_recording_name(title)
 
 
 def _send_plant(
@@ -199,16 +197,6 @@ def subsample(trajectory: Trajectory, rate_hz: float) -> Trajectory:
     return replace(trajectory, columns=columns)
 
 
-def _additions(
-    trajectories: Mapping[str, Trajectory],
-) -> list[tuple[Trajectory, RunPictures]]:
-    return [
-        (run, added)
-        for run in trajectories.values()
-        if (added := added_to(run)) is not None
-    ]
-
-
 def _layout(
     content: RunContent, residuals: Mapping[str, Mapping[str, np.ndarray]]
 ) -> Layout:
@@ -221,7 +209,7 @@ def _layout(
         [[0.0, 1e-3], *(_speed(run)[1] for run in trajectories.values())]
     )
     quantities = [name for errors in residuals.values() for name in errors]
-    signals = [added.signals for _, added in _additions(trajectories)]
+    added = next(filter(None, map(added_to, trajectories.values())), RunPictures())
     return Layout(
         plants=list(trajectories),
         segments=spec.segments,
@@ -233,7 +221,7 @@ def _layout(
         compared=content.comparison is not None,
         measured=list(dict.fromkeys(quantities)),
         kind=kind_of(trajectories),
-        signals=signals[0] if signals else (),
+        signals=added.signals,
         speeds=(1.1 * float(speeds.min()), 1.1 * float(speeds.max())),
         events=any(map(events_of, trajectories.values())),
     )

@@ -22,6 +22,7 @@ from srs_twin.robot.world import World
 from srs_twin.trajectory import Trajectory
 from srs_twin.viewing.additions import FloorLine
 from srs_twin.viewing.plots.signals import (
+    joined_lines,
     pressure_difference,
     wheel_centres,
     wheel_turns,
@@ -188,7 +189,6 @@ def send_snake(
     difference.
     """
     geometry = spec.geometry
-    wheeled = spec.skin is None
     if ghost:
         connectors = wheels = (*style.rgb, _GHOST_ALPHA)
         _send_body_mesh(to, snake, geometry, connectors)
@@ -199,10 +199,10 @@ def send_snake(
     head = (*style.rgb, connectors[3])
     colors = [head] + [connectors] * (geometry.connectors - 1)
     _send_connectors(to, snake, geometry, colors)
-    if wheeled:
+    if spec.skin is None:
         _send_wheels(to, snake, geometry, wheels)
-    if wheeled and not ghost:
-        _send_spokes(to, snake, geometry)
+        if not ghost:
+            _send_spokes(to, snake, geometry)
     if spec.is_spatial:
         _send_tracks(to, snake, style)
     _send_trail(to, snake, style)
@@ -242,13 +242,8 @@ def _send_body_mesh(
 ) -> None:
     """Log the body as one hexagonal tube, because overlapping capsules look opaque."""
     lines = spatial_centre_lines(snake, geometry, CHORDS)
-    # Duplicate points are omitted. Neighbouring segments share an end, and arc ends
-    # coincide with connectors if there is no rigid gap.
-    unique = slice(1, -2)
-    if geometry.rigid_gap or snake.has("z"):
-        unique = slice(0, -1)
-    inner = lines[:, :, unique].reshape(len(lines), -1, 3)
-    line = np.concatenate([inner, lines[:, -1, -1:]], axis=1)
+    has_gaps = geometry.rigid_gap > 0 or snake.has("z")
+    line = joined_lines(lines, has_gaps=has_gaps)
     tangent = np.gradient(line, axis=1)
     tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
     left = np.cross([0.0, 0.0, 1.0], tangent)
