@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import count
 from typing import NamedTuple
@@ -110,16 +109,13 @@ def best_first(problem: Problem, settings: Settings) -> Plan:
     return Plan(PlanOutcome.NOT_FOUND, reason, (), expanded)
 
 
-@dataclass
 class _Search:
-    problem: Problem
-    settings: Settings
-    nodes: int = field(init=False)
-    begun: float = field(default_factory=time.perf_counter)
-
-    def __post_init__(self) -> None:
-        self.nodes = self.settings.nodes
-        self.checker = Checker(self.problem.world, self.problem.footprint)
+    def __init__(self, problem: Problem, settings: Settings) -> None:
+        self.problem = problem
+        self.settings = settings
+        self.nodes = settings.nodes
+        self.begun = time.perf_counter()
+        self.checker = Checker(problem.world, problem.footprint)
 
     @property
     def is_spent(self) -> bool:
@@ -131,7 +127,7 @@ class _Search:
     def start_trees(self, level: int) -> list[SearchTree]:
         """Return a tree from the start and, without transients, one from the goal."""
         problem = self.problem
-        body = self.problem.footprint
+        body = problem.footprint
         factor = 2**level
         first = problem.primitives or Primitives(
             _CURVATURES, _COARSEST_TURN, _COARSEST_TURN / min(body.tightest)
@@ -141,14 +137,13 @@ class _Search:
         cell = _CELL_FRACTION * arcs.length
         sector = 2 * math.pi / (_SECTORS * factor)
         target = make_target(problem.goal, body)
-        weight = self.settings.weight
         spec = SearchSpec(
             make_motion_primitives(arcs, body),
             target,
             self.checker.grid,
             cell,
             sector,
-            weight,
+            self.settings.weight,
             NO_HEURISTIC,
             NO_PASSAGES,
         )
@@ -176,7 +171,7 @@ class _Search:
     @cached_property
     def guidance(self) -> tuple[GridHeuristic, np.ndarray]:
         problem = self.problem
-        body = self.problem.footprint
+        body = problem.footprint
         margin = 4 / min(body.tightest)
         heuristic = grid_heuristic(
             problem.goal, problem.start, problem.world, body.narrowest, margin

@@ -307,10 +307,8 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
             problems.append(
                 (
                     name,
-                    (
-                        "the values must increase from row to row, because a larger"
-                        " offset turns the robot more to the left"
-                    ),
+                    "the values must increase from row to row, because a larger"
+                    " offset turns the robot more to the left",
                 )
             )
     if problems:
@@ -338,12 +336,9 @@ def find_problems(footprint: Footprint) -> list[tuple[str, str]]:
         edges = np.add(getattr(footprint, name), extra)
         row = int(np.argmax(turn * edges))
         if turn[row] * edges[row] >= 1:
-            tightest = turn[row] == turn.max()
-            offset = footprint.offsets[row]
-            if tightest:
+            which = f"turn at offset {footprint.offsets[row]:g}"
+            if turn[row] == turn.max():
                 which = "tightest turn"
-            else:
-                which = f"turn at offset {offset:g}"
             where = f"the centre of the {which}, radius {1 / turn[row]:g} m"
             problems.append((name, f"{edges[row]:g} m reaches {where}"))
     return problems

@@ -39,10 +39,11 @@ Runs = Annotated[list[Excursion], Field(min_length=1, max_length=10_000)]
 LOST_M = 1e3
 """Excursion that is stored for a run that misses the goal, m."""
 
+Source = Annotated[str, Field(min_length=1, max_length=1000)]
+Offset = Annotated[float, bounded(-1.0, 1.0)]
+Metres = Annotated[float, bounded(0.0, 10.0)]
 Rows = Field(min_length=3, max_length=101)
-Offsets = Record[
-    Annotated[list[Annotated[float, bounded(-1.0, 1.0)]], Rows], Literal["1"]
-]
+Offsets = Record[Annotated[list[Offset], Rows], Literal["1"]]
 Curvatures = Record[
     Annotated[list[Annotated[float, bounded(-100.0, 100.0)]], Rows], Literal["1/m"]
 ]
@@ -52,10 +53,8 @@ Speeds = Record[
 Edges = Record[
     Annotated[list[Annotated[float, bounded(1e-3, 10.0)]], Rows], Literal["m"]
 ]
-Reach = Record[Annotated[float, bounded(0.0, 10.0)], Literal["m"]]
+Reach = Record[Metres, Literal["m"]]
 
-Offset = Annotated[float, bounded(-1.0, 1.0)]
-Metres = Annotated[float, bounded(0.0, 10.0)]
 Shift = Annotated[float, bounded(-10.0, 10.0)]
 Spreads = Annotated[list[Annotated[float, bounded(0.0, 100.0)]], Rows]
 
@@ -147,7 +146,7 @@ class ExcursionsFile(StrictModel):
 
     conditions: ConditionsFile
     """Conditions of the runs."""
-    source: str = Field(min_length=1, max_length=1000)
+    source: Source
     """Source of the measurements."""
     path_m: Runs
     """Maximum excursion of each run in ascending order, m (1000 if the run missed the
@@ -186,7 +185,7 @@ class TransientsFile(StrictModel):
 
     status: Status
     """Status of the values."""
-    source: str = Field(min_length=1, max_length=1000)
+    source: Source
     """Source of the measurements."""
     changes: Annotated[list[TransientFile], Field(min_length=1, max_length=200)]
     """Measured responses, one for each change of offset."""
@@ -195,7 +194,7 @@ class TransientsFile(StrictModel):
 class SpreadFile(StrictModel):
     """Spread of repeated measurements, with one value per offset."""
 
-    source: str = Field(min_length=1, max_length=1000)
+    source: Source
     """Description of the repetitions, and definition of the spread."""
     curvature_per_m: Spreads
     """Spread of the curvature, 1/m, 0 to 100."""
@@ -298,10 +297,8 @@ class FootprintFile(StrictModel):
             if count != rows:
                 yield (
                     ("spread", key),
-                    (
-                        f"{count} values are given for {rows} offsets; give one value"
-                        " for each offset"
-                    ),
+                    f"{count} values are given for {rows} offsets; give one value for"
+                    " each offset",
                 )
         for name, message in find_problems(self.footprint()):
             yield (_KEYS[name], "value"), message

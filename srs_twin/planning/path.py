@@ -148,7 +148,6 @@ class ReferencePath:
     def __init__(self, segments: Sequence[Segment]) -> None:
         """Build the path from a sequence of at least one segment."""
         first = segments[0].start
-        last = segments[-1].end
         before = (
             first.x - EXTENSION_M * math.cos(first.heading),
             first.y - EXTENSION_M * math.sin(first.heading),
@@ -156,19 +155,9 @@ class ReferencePath:
         rows = [(*before, first.heading, 0.0, -EXTENSION_M, EXTENSION_M)]
         begin = 0.0
         for segment in segments:
-            start = segment.start
-            rows.append(
-                (
-                    start.x,
-                    start.y,
-                    start.heading,
-                    segment.curvature,
-                    begin,
-                    segment.length,
-                )
-            )
+            rows.append((*segment.start, segment.curvature, begin, segment.length))
             begin += segment.length
-        rows.append((last.x, last.y, last.heading, 0.0, begin, EXTENSION_M))
+        rows.append((*segments[-1].end, 0.0, begin, EXTENSION_M))
         self.length = begin
         self.arcs = np.array(rows)
 

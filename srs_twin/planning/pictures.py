@@ -56,16 +56,9 @@ def segment_points(
     """
     low = -behind
     high = segment.length + ahead
-    poses = [
-        segment.pose(s)
-        for s in np.linspace(low, high, max(2, int((high - low) / _SPACING_M)))
-    ]
-    return np.array(
-        [
-            (p.x - offset * np.sin(p.heading), p.y + offset * np.cos(p.heading))
-            for p in poses
-        ]
-    )
+    places = np.linspace(low, high, max(2, int((high - low) / _SPACING_M)))
+    x, y, heading = np.array([[*segment.pose(s)] for s in places]).T
+    return np.column_stack([x - offset * np.sin(heading), y + offset * np.cos(heading)])
 
 
 @drawing
@@ -112,13 +105,10 @@ def _sheet(
 ) -> tuple[Figure, Axes]:
     figure, (axes,) = panels(6.0)
     for segment in segments:
+        left, right = _edges(segment, footprint, footprint.behind, footprint.ahead)
+        band = np.concatenate([left, right[::-1]])
         axes.add_patch(
-            Polygon(
-                _band(segment, footprint),
-                facecolor=_FOOTPRINT_COLOUR,
-                edgecolor="none",
-                zorder=0,
-            )
+            Polygon(band, facecolor=_FOOTPRINT_COLOUR, edgecolor="none", zorder=0)
         )
     world = metadata["world"]
     goal = metadata["goal"]
@@ -153,11 +143,6 @@ def _sheet(
     axes.autoscale_view()
     finish_floor(axes, "Plan with footprint, obstacles and goal")
     return figure, axes
-
-
-def _band(segment: Segment, footprint: Footprint) -> np.ndarray:
-    left, right = _edges(segment, footprint, footprint.behind, footprint.ahead)
-    return np.concatenate([left, right[::-1]])
 
 
 def _edges(
@@ -234,14 +219,13 @@ class FollowingPictures(RunPictures):
         self, runs: Mapping[str, Trajectory], spec: RobotSpec
     ) -> dict[str, Figure]:
         """See `RunPictures.figures`."""
-        figure = following_plot(runs, spec)
         caption = (
             "Plan with footprint (blue), obstacles and goal, and the runs that"
             " follow it."
         )
-        if figure is None:
-            return {}
-        return {caption: figure}
+        if figure := following_plot(runs, spec):
+            return {caption: figure}
+        return {}
 
     def floor_lines(self, run: Trajectory, *, latest: bool = False) -> list[FloorLine]:
         """See `RunPictures.floor_lines`."""

@@ -21,7 +21,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 
@@ -140,7 +140,7 @@ def with_transitions(
         return ()
     arcs: list[tuple[float, float]] = []
     remaining = segments[0].length
-    for here, after in zip(segments, segments[1:], strict=False):
+    for here, after in pairwise(segments):
         delay, length = footprint.lag(here.offset, after.offset)
         if length == 0 or delay > remaining or length - delay > after.length:
             delay = 0.0

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
+from itertools import pairwise
 from typing import ClassVar
 
 import numpy as np
@@ -160,10 +161,11 @@ def check_problem(problem: Problem) -> None:
     goal = problem.goal
     _check_poses(start, goal)
     _check_world(problem.world)
-    for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
-        if hit := obstacle_at(problem.world, x, y):
+    for name, place in (("start", start), ("goal", goal)):
+        if hit := obstacle_at(problem.world, place.x, place.y):
             raise InputError(
-                f"{name} ({x:g}, {y:g}) is not free because of {hit}; move it"
+                f"{name} ({place.x:g}, {place.y:g}) is not free because of {hit};"
+                " move it"
             )
     if hit := Checker(problem.world, problem.footprint).first_collision(start):
         raise InputError(
@@ -179,11 +181,14 @@ def _check_poses(start: Pose, goal: Goal) -> None:
             f"headings {angles[0]:g} and {angles[1]:g} rad are not allowed; both must"
             " be finite and between -100 and 100"
         )
-    for name, x, y in (("start", start.x, start.y), ("goal", goal.x, goal.y)):
-        if not (abs(x) <= _MAX_COORDINATE_M and abs(y) <= _MAX_COORDINATE_M):
+    for name, place in (("start", start), ("goal", goal)):
+        if not (
+            abs(place.x) <= _MAX_COORDINATE_M and abs(place.y) <= _MAX_COORDINATE_M
+        ):
             raise InputError(
-                f"{name} ({x:g}, {y:g}) m is not allowed; both coordinates must be"
-                f" finite and between -{_MAX_COORDINATE_M:g} and {_MAX_COORDINATE_M:g}"
+                f"{name} ({place.x:g}, {place.y:g}) m is not allowed; both coordinates"
+                f" must be finite and between -{_MAX_COORDINATE_M:g} and"
+                f" {_MAX_COORDINATE_M:g}"
             )
     if not (0 <= goal.radius < math.inf and 0 <= goal.heading_tolerance <= math.pi):
         raise InputError(
@@ -309,10 +314,9 @@ class Plan(HtmlResult):
     @property
     def max_heading_jump(self) -> float:
         """Maximum heading jump between consecutive segments, rad."""
-        pairs = zip(self.segments, self.segments[1:], strict=False)
         jumps = (
             abs(math.remainder(b.start.heading - a.end.heading, 2 * math.pi))
-            for a, b in pairs
+            for a, b in pairwise(self.segments)
         )
         largest = max(jumps, default=0.0)
         if largest > _KINK_ROUNDING:

@@ -16,7 +16,6 @@ from srs_twin.planning.search_kernels import (
     EXHAUSTED,
     EXPANDED,
     FULL,
-    Frontier,
     SearchSpec,
     Target,
     add_root,
@@ -60,7 +59,7 @@ class SearchTree:
         self.spec = spec
         self.backward = backward
         self.exhausted = False
-        self.frontier: Frontier = empty_frontier(max(_INITIAL_CAPACITY, 2 * len(roots)))
+        self.frontier = empty_frontier(max(_INITIAL_CAPACITY, 2 * len(roots)))
         for root in roots:
             add_root(self.frontier, *root, spec)
 
