@@ -13,6 +13,7 @@ from srs_twin.comparison.metrics import METRIC_UNITS, plant_metrics
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.metrics import (
     FOLLOWING_UNITS,
+    METRICS,
     centre_points,
     following_metrics,
     legs,
@@ -39,7 +40,9 @@ def line(length=1.2, y=0.0, x=0.0):
     return [x, y, 0.0, 0.0, length, 0.0, 0.2]
 
 
-def followed(trajectory, plans, *, goal=(1.2, 0.0, None, 0.05), footprint=BODY):
+def followed(
+    trajectory, plans, *, goal=(1.2, 0.0, None, 0.05), footprint=BODY, width=WIDTH
+):
     """Return the trajectory with the metadata of a follower."""
     about = {
         "plans": plans,
@@ -50,7 +53,7 @@ def followed(trajectory, plans, *, goal=(1.2, 0.0, None, 0.05), footprint=BODY):
     metadata = {
         **trajectory.metadata,
         "control": {"following": about},
-        "body_width_m": WIDTH,
+        "body_width_m": width,
         "segment_length_m": Snake.segment_length,
         "rigid_gap_m": Snake.rigid_gap,
     }
@@ -70,8 +73,10 @@ STILL = Snake(amplitude=0.0, sway=(0.0, 0.0), heading_sway=0.0)
 
 
 def test_run_without_a_plan_has_no_following_metrics():
-    metrics = plant_metrics(STILL.trajectory())
+    run = STILL.trajectory()
+    metrics = plant_metrics(run)
     assert all(metrics[name] is None for name in FOLLOWING_UNITS)
+    assert METRICS.why_undefined("replans", run) == "the run follows no plan"
     assert FOLLOWING_UNITS.items() <= METRIC_UNITS.items()
 
 
@@ -84,6 +89,11 @@ def test_cross_track_of_a_rod_parallel_to_its_path():
     assert metrics["replans"] == 0
     assert metrics["arrival_error_m"] == pytest.approx(0.01)
     assert metrics["arrival_heading_error_rad"] is None
+    for name, why in (
+        ("arrival_heading_error_rad", "the goal has no heading"),
+        ("replans", ""),
+    ):
+        assert METRICS.why_undefined(name, run) == why
     assert metrics["following_time_s"] == pytest.approx(6.0)
     assert (metrics["plan_length_m"], metrics["plan_nodes"]) == (pytest.approx(1.2), 7)
     # 10 + 15 mm are within 25 and 50.
@@ -125,6 +135,12 @@ def test_edges_shift_with_the_turn():
         assert late == pytest.approx(fraction, abs=0.5) and (late > 0.5) == (
             fraction == 1.0
         )
+    # The box of Section 5.2 is shifted outward by 10 mm in turns of 60 degrees in 0.2 m.
+    allowed = 0.025 + 0.01 * (0.2 / radius) / math.radians(60)
+    for inside, reach in ((True, allowed - 1e-4), (False, allowed + 1e-4)):
+        width = 2 * (math.sqrt((radius + reach) ** 2 - half**2) - radius)
+        metrics = following_metrics(followed(run, [plan([arc])], width=width))
+        assert (metrics["inside_50mm_fraction"] > 0.5) == inside
 
 
 def test_each_plan_counts_from_its_start():
@@ -132,7 +148,7 @@ def test_each_plan_counts_from_its_start():
     parts = list(legs(run))
     assert [part.samples for part in parts] == [slice(0, 300), slice(300, 601)]
     metrics = following_metrics(run)
-    assert metrics["replans"] == 1
+    assert metrics["replans"] == 1 and metrics["plan_max_heading_jump_rad"] == 0
     assert metrics["cross_track_rms_m"] == pytest.approx(0.03 * math.sqrt(301 / 601))
 
 
@@ -145,7 +161,13 @@ def test_arrival_error_and_heading_without_oscillation():
     assert metrics["goal_reached"] == 0
     assert metrics["arrival_error_m"] == pytest.approx(0.06)
     # The heading at the end is 0.4 without the oscillation.
-    assert metrics["arrival_heading_error_rad"] == pytest.approx(0.1, abs=0.03)
+    assert metrics["arrival_heading_error_rad"] == pytest.approx(0.1, abs=2e-3)
+    run = Snake(yaw_rate=0.1, duration=4.0, periodic=False).trajectory()
+    kinked = plan([line(0.6), [0.6, 0.0, -0.2, 0.0, 0.6, 0.0, 0.2]])
+    metrics = following_metrics(followed(run, [kinked], goal=(0.0, 0.0, 0.5, 0.05)))
+    last = abs(run["heading"][-1] - 0.5)
+    assert metrics["arrival_heading_error_rad"] == pytest.approx(last)
+    assert metrics["plan_max_heading_jump_rad"] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(("deep", "reached"), [(-0.01, 1), (0.0005, 1), (0.01, 0)])
