@@ -14,9 +14,10 @@ from snakes import robot
 
 from srs_twin.errors import InputError
 from srs_twin.planning.footprint_file import load_footprint
+from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.planner import plan
 from srs_twin.planning.problem import Plan, PlanOutcome, Problem, Settings
-from srs_twin.planning.touch import touch_limits
+from srs_twin.planning.touch import _overlaps, touch_limits
 from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
 from srs_twin.rollout import rollout
 from srs_twin.scenario.loading import parse_scenario
@@ -79,30 +80,6 @@ def test_clear_worlds_have_the_plan_without_touch():
         assert leaning.length <= clear.length + 1e-9
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("sign", [1, -1])
-def test_touches_are_where_sampled_edges_overlap(sign):
-    """The overlaps agree with a straight path next to one post, whose geometry is known."""
-    straight = BODY.at(0.0)
-    edge = straight.left if sign > 0 else straight.right
-    depth = 0.008
-    post = Circle(0.8, sign * (edge + RADIUS - depth), RADIUS)
-    goal = Goal(1.6, 0.0, 0.0, 0.0, 0.0)
-    # Walls along the path leave no other path.
-    walls = tuple(rectangle(-0.5, 3.0, y, y + 0.01) for y in (-0.061, 0.051))
-    world = World((post,), polygons=walls)
-    result = plan(Problem(Pose(0, 0, 0), goal, world, BODY), LEANING)
-    (touch,) = result.touches
-    half = math.sqrt((RADIUS + edge) ** 2 - (edge + RADIUS - depth) ** 2)
-    assert touch.obstacle == "obstacle 1"
-    assert touch.depth == pytest.approx(depth, abs=3e-4)
-    # The post is nearest to the path where the path passes it.
-    assert (touch.begin, touch.end) == pytest.approx(
-        (0.8 - half, 0.8 + half), abs=0.011
-    )
-    assert 0 < touch.force <= LIMITS.floor
-
-
 def test_stiffness_is_that_of_a_chain_with_fixed_neighbours():
     """Minimise the elastic energy of two segments; the multiplier is the force on the connector."""
     # Lateral positions of the second and third connector for small angles, as functions
@@ -115,15 +92,39 @@ def test_stiffness_is_that_of_a_chain_with_fixed_neighbours():
     assert force / pushed == pytest.approx(LIMITS.stiffness)
 
 
-def test_force_is_the_mean_over_a_sinusoidal_period():
-    """A gap of known overlap: the fraction of contact agrees with a sampled wave."""
-    problem = across(0.09)
-    result = plan(problem, LEANING)
-    first = result.touches[0]
-    amplitude = BODY.at(0.0).left - LIMITS.core
-    wave = amplitude * np.sin(np.linspace(0, 2 * np.pi, 100_001)[:-1])
-    largest = np.mean(wave > amplitude - first.depth) * LIMITS.floor
-    assert 0.3 * largest < first.force <= largest
+@pytest.mark.parametrize("depth", [0.0005, 0.008])
+@pytest.mark.parametrize("side", [1, -1])
+def test_place_depth_and_force_of_touches_follow_from_geometry(side, depth):
+    """Force of a wave that a wall and then a post on the other side limit by a depth."""
+    straight = BODY.at(0.0)
+    edges = (straight.left, straight.right)[::side]
+    near = edges[0] - depth
+    wall = rectangle(0.3, 0.6, *sorted((side * near, side * (near + 0.1))))
+    post = Circle(1.205, -side * (edges[1] - depth + RADIUS), RADIUS)
+    problem = replace(across(0.3), world=World((post,), polygons=(wall,)))
+    path = path_from_arcs(problem.start, [(0.0, 1.6)], BODY)
+    overlaps = _overlaps(path, problem, LIMITS)
+    ends = math.sqrt(edges[0] ** 2 - near**2)
+    round_ends = math.sqrt((RADIUS + edges[1]) ** 2 - (RADIUS + edges[1] - depth) ** 2)
+    expected = (
+        ("polygon 1", 0.3 - ends, 0.6 + ends, edges[0], 1),
+        ("obstacle 1", 1.205 - round_ends, 1.205 + round_ends, edges[1], 0),
+    )
+    for touch, (name, begin, end, edge, row) in zip(
+        overlaps.touches(), expected, strict=True
+    ):
+        assert touch.obstacle == name
+        assert (touch.begin, touch.end) == pytest.approx((begin, end), abs=0.011)
+        assert touch.depth == pytest.approx(depth)
+        amplitude = edge - LIMITS.core
+        wave = amplitude * np.sin(np.linspace(0, 2 * np.pi, 100_001)[:-1])
+        pushing = np.mean(wave > amplitude - touch.depth)
+        largest = pushing * min(LIMITS.stiffness * touch.depth, LIMITS.floor)
+        force = overlaps.force[row]
+        assert force.max() == pytest.approx(largest, rel=1e-3)
+        # The steps have equal length, and overlaps of up to 0.1 mm are not reported.
+        reported = overlaps.depth[row] > 1e-4
+        assert touch.force == pytest.approx(force[reported].mean())
 
 
 def test_mirrored_worlds_have_mirrored_touches():
@@ -250,7 +251,8 @@ def test_the_command_states_where_the_path_leans(srs_twin, tmp_path):
         assert (
             f"leans on {touch['obstacle']} from {touch['begin']:.2f} to"
             f" {touch['end']:.2f} m: footprint and margin overlap by"
-            f" {1000 * touch['depth']:.0f} mm" in printed
+            f" {1000 * touch['depth']:.0f} mm, estimated mean force"
+            f" {touch['force']:.2g} N\n" in printed
         )
     assert "touches" not in planned("--set", "planner.contact=null")[1]
 
