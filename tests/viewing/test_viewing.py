@@ -50,6 +50,7 @@ from srs_twin.viewing.plots.signals import (
     body_line,
     forward_speed,
     period_speed,
+    reference_period,
     wheel_centres,
 )
 from srs_twin.viewing.plots.style import MINUS_RGB, PLUS_RGB, STYLES, pressure_colors
@@ -438,6 +439,9 @@ def test_the_last_four_periods_of_a_tracked_reference_are_plotted():
     assert measured == pytest.approx(snake["bend_1"][shown] + 0.1)
     assert np.array_equal(bend, snake["bend_1"][shown])
     assert np.array_equal(valves.lines[0].get_ydata(), snake["valve_plus_1"][shown])
+    for wave, period in ((np.sin(np.pi * snake.time), 2.0), (0.1 * snake.time, None)):
+        found = reference_period(with_columns(snake, reference_1=wave))
+        assert found == (period and pytest.approx(period, rel=1e-3))
 
 
 def test_strobe_bodies_do_not_overlap(spec, runs):
