@@ -331,6 +331,13 @@ def test_goal_of_a_given_path_is_its_end():
             },
             "planner.primitives: the curvature -8 1/m is not allowed",
         ),
+        ({"bench": True}, "planner: a robot on a bench does not move along a path"),
+        ({"world": {}}, "planner: the planner `best_first` needs a goal"),
+        ({"start": {"from": "run"}}, "start.from: a plan begins at a single pose"),
+        (
+            {"planner": GAIT_PLANNER | {"margin_m": 0, "margin_probability": 0.9}},
+            "planner: `margin_m` and `margin_probability` both set the margin",
+        ),
     ],
 )
 def test_contradictions_are_reported(changes, says):
@@ -407,8 +414,14 @@ def test_the_printed_numbers_of_a_straight_plan_are_those_of_the_line(planned):
         ).groups(),
     )
     assert 0.8 <= length <= 0.9
-    assert document["metrics"].keys() == PLAN_UNITS.keys()
-    assert document["metrics"]["plan_length_m"] == pytest.approx(length, abs=6e-4)
+    metrics = document["metrics"]
+    assert metrics.keys() == PLAN_UNITS.keys()
+    assert metrics["plan_length_m"] == pytest.approx(length, abs=6e-4)
+    assert f"\n{metrics['plan_nodes']} node" in printed
+    jump = metrics["plan_max_heading_jump_rad"]
+    assert f"1 segment, maximum heading jump {jump:.3g} rad" in printed
+    (segment,) = document["segments"]
+    assert segment["length"] == pytest.approx(length, abs=6e-4)
     assert ratio == pytest.approx(length / 0.8, abs=0.006)
     assert ratio == pytest.approx(document["quality"]["length_over_least"], abs=0.006)
     straight = load_footprint("gen2_gait").at(0.0)

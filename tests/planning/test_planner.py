@@ -91,7 +91,12 @@ def test_sampling_checker_detects_obstacles():
 def test_numbers_of_the_plan_table_are_right_aligned():
     answer = plan(fig54(0, 0))
     page = answer._repr_html_()
-    for unit, number in (("m", f"{answer.length:.4g}"), ("1", len(answer.segments))):
+    for unit, number in (
+        ("m", f"{answer.length:.4g}"),
+        ("s", f"{sum(s.length / s.speed for s in answer.segments):.4g}"),
+        ("1", len(answer.segments)),
+        ("1", answer.expanded),
+    ):
         assert f'<td>{unit}</td><td class="number">{number}</td>' in page
 
 
@@ -321,8 +326,11 @@ def test_spent_budget_asks_for_more_nodes():
             {"goal": Goal(math.nan, 0, 0.0, 0.1)},
             r"goal \(nan, 0\) m is not allowed; both coordinates must be finite",
         ),
+        ({"goal": Goal(0, -2001, 0.0, 0.1)}, "finite and between -2000 and 2000"),
         ({"start": Pose(0, 0, math.inf)}, "headings inf and 0 rad"),
+        ({"goal": Goal(1, 0, -100.1, 0.1)}, "headings 0 and -100.1 rad"),
         ({"goal": Goal(1, 0, 0.0, -0.1)}, "the radius must be at least 0"),
+        ({"goal": Goal(1, 0, 0.0, 0.1, 3.2)}, "`heading_tolerance` 3.2 rad is not"),
         (
             {"world": World((Circle(1, 1, 0),))},
             "obstacle 1 is not allowed; its position and radius must be finite",
