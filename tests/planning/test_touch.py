@@ -96,13 +96,15 @@ def test_stiffness_is_that_of_a_chain_with_fixed_neighbours():
 @pytest.mark.parametrize("side", [1, -1])
 def test_place_depth_and_force_of_touches_follow_from_geometry(side, depth):
     """Force of a wave that a wall and then a post on the other side limit by a depth."""
-    straight = BODY.at(0.0)
+    body = replace(BODY, left=tuple(edge + 0.005 for edge in BODY.left))
+    straight = body.at(0.0)
     edges = (straight.left, straight.right)[::side]
     near = edges[0] - depth
     wall = rectangle(0.3, 0.6, *sorted((side * near, side * (near + 0.1))))
     post = Circle(1.205, -side * (edges[1] - depth + RADIUS), RADIUS)
-    problem = replace(across(0.3), world=World((post,), polygons=(wall,)))
-    path = path_from_arcs(problem.start, [(0.0, 1.6)], BODY)
+    world = World((post,), polygons=(wall,))
+    problem = replace(across(0.3), world=world, footprint=body)
+    path = path_from_arcs(problem.start, [(0.0, 1.6)], body)
     overlaps = _overlaps(path, problem, LIMITS)
     ends = math.sqrt(edges[0] ** 2 - near**2)
     round_ends = math.sqrt((RADIUS + edges[1]) ** 2 - (RADIUS + edges[1] - depth) ** 2)
