@@ -31,7 +31,6 @@ from srs_twin.robot.world import Circle, Goal, Pose, World
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
 CLEAR = Camera()
-EMPTY = World()
 BODY = Footprint.box(0.1, 0.0, speed=0.2, curvature=5.0)
 SETTLE = 0.05
 STRAIGHT = ((0.0, 3.0),)
@@ -50,30 +49,46 @@ def ours():
     return PathTracking(BODY, 0.15, SETTLE)
 
 
+def follower_of(
+    gait,
+    plan,
+    conditions,
+    *,
+    steering=None,
+    radius=0.05,
+    goal=None,
+    margin=0.0,
+    **options,
+):
+    end = plan.end or Pose(1.0, 0.0, 0.0)
+    return Follower(
+        gait,
+        steering or ours(),
+        plan,
+        goal or Goal(end.x, end.y, None, radius),
+        BODY,
+        conditions,
+        body=BODY.reduced(margin=margin),
+        **options,
+    )
+
+
 def follow(
     plan,
     *,
     start=(0.0, 0.0, 0.0),
-    steering=None,
     camera=CLEAR,
     delay=0.0,
     duration=30.0,
     seed=0,
-    radius=0.05,
     max_cross_track_error=None,
     max_replans=3,
-    replan=None,
-    submit=None,
     curvature_at=as_told,
-    goal=None,
-    world=EMPTY,
-    margin=0.0,
     late=0.0,
     lag=0.0,
     lead_in=0.0,
-    min_margin_fraction=0.0,
-    allows_contact=False,
-    **snake,
+    snake=(),
+    **options,
 ):
     """Return the follower, the snake and its path, shape (samples, 4): time, x, y, heading without
     oscillation.
@@ -81,25 +96,11 @@ def follow(
     Frames are late by `late` (s); the follower compensates `lag` of that.
     """
     wheel = Wheel()
-    end = plan.end or Pose(1.0, 0.0, 0.0)
     conditions = Conditions(
         camera, delay, SETTLE, max_cross_track_error, max_replans, lead_in, lag
     )
-    follower = Follower(
-        wheel,
-        steering or ours(),
-        plan,
-        goal or Goal(end.x, end.y, None, radius),
-        BODY,
-        conditions,
-        replan=replan,
-        submit=submit,
-        world=world,
-        body=BODY.reduced(margin=margin),
-        min_margin_fraction=min_margin_fraction,
-        allows_contact=allows_contact,
-    )
-    plant = Unicycle(wheel, curvature_at, **snake)
+    follower = follower_of(wheel, plan, conditions, **options)
+    plant = Unicycle(wheel, curvature_at, **dict(snake))
     state = plant.reset(pose=start)
     follower.reset(plant.spec, plant.tick, seed=seed)
     way = [(0.0, *start)]
@@ -161,7 +162,7 @@ def test_snake_that_differs_from_its_footprint_converges(gain, drift, speed):
         plan,
         start=(0.0, 0.1, 0.5),
         curvature_at=lambda offset: gain * as_told(offset) + drift,
-        speed=speed,
+        snake={"speed": speed},
         delay=0.1,
         duration=6.0 / speed,
     )
@@ -175,7 +176,9 @@ def test_mirrored_paths_are_followed_symmetrically(make_steering):
     ways = []
     for side in (1.0, -1.0):
         plan = a_plan(tuple((side * k, length) for k, length in WINDING))
-        _, _, way = follow(plan, steering=make_steering(), wag=side * 0.3, delay=0.1)
+        steering = make_steering()
+        snake = {"wag": side * 0.3}
+        _, _, way = follow(plan, steering=steering, snake=snake, delay=0.1)
         ways.append(way * (1, 1, side, side))
     assert ways[0] == pytest.approx(ways[1], abs=1e-9)
 
@@ -357,7 +360,7 @@ def test_missing_plan_ends_the_run_with_the_planners_reason():
 
 
 def test_a_snake_that_stops_is_stuck():
-    follower, _, way = follow(a_plan(), stops=3.0)
+    follower, _, way = follow(a_plan(), snake={"stops": 3.0})
     assert follower.ending == "stuck"
     assert 3.0 + 0.5 * 6 < way[-1, 0] < 3.0 + 0.5 * 8
 
@@ -388,8 +391,9 @@ def drifting(**options):
 class Planner:
     """Planner that finds a plan with up to a fraction of the margin, and records its requests."""
 
-    def __init__(self, largest):
+    def __init__(self, largest, pieces=((-3.0, 0.2), (3.0, 0.2), (0.0, 1.0))):
         self.largest = largest
+        self.pieces = pieces
         self.asked = []
 
     def __call__(self, pose, fraction):
@@ -398,7 +402,7 @@ class Planner:
             raise InputError(
                 "start: the footprint of the straight body touches obstacle 1"
             )
-        return a_plan(((-3.0, 0.2), (3.0, 0.2), (0.0, 1.0)), start=pose)
+        return a_plan(self.pieces, start=pose)
 
 
 def test_new_plan_is_requested_before_the_body_reaches_an_obstacle():
@@ -438,20 +442,15 @@ def test_run_with_a_required_margin_ends_near_an_obstacle_when_no_plan_is_left(
 
 
 def test_straying_requests_new_plans_up_to_the_limit():
-    asked = []
-
-    def replan(pose, _fraction):
-        asked.append(pose)
-        return a_plan(start=pose)
-
+    planner = Planner(1.0, STRAIGHT)
     follower, _, _ = follow(
         a_plan(),
         curvature_at=blind,
         max_cross_track_error=0.1,
         max_replans=2,
-        replan=replan,
+        replan=planner,
     )
-    assert follower.ending == "strayed" and len(asked) == 2
+    assert follower.ending == "strayed" and len(planner.asked) == 2
     kinds = [event.kind for event in follower.events()]
     assert kinds == ["replanned", "replanned", "strayed"]
     times = [time for time, _ in follower.plans]
@@ -459,24 +458,19 @@ def test_straying_requests_new_plans_up_to_the_limit():
 
 
 def test_plan_at_the_end_of_the_lead_in_does_not_count_towards_the_limit():
-    asked = []
-
-    def replan(pose, _fraction):
-        asked.append(pose.x)
-        return a_plan(start=pose)
-
+    planner = Planner(1.0, STRAIGHT)
     follower, _, _ = follow(
         a_plan(),
         curvature_at=blind,
         max_cross_track_error=0.1,
         max_replans=1,
         lead_in=0.15,
-        replan=replan,
+        replan=planner,
     )
     first, second, last = follower.events()
     assert first.text.endswith("(run_up)") and second.text.endswith("(strayed)")
-    assert last.kind == "strayed" and len(asked) == 2
-    assert asked[0] == pytest.approx(0.15, abs=0.01)
+    assert last.kind == "strayed" and len(planner.asked) == 2
+    assert planner.asked[0][0].x == pytest.approx(0.15, abs=0.01)
 
 
 def test_no_plan_is_requested_on_the_path_or_without_a_margin():
@@ -576,14 +570,7 @@ def test_a_controller_without_an_offset_is_refused():
     with pytest.raises(
         InputError, match="'iterative_smc' has no steering offset; use gait or ilc"
     ):
-        Follower(
-            IterativeSMC(Constant(0.1)),
-            ours(),
-            a_plan(),
-            Goal(1, 0, None, 0.1),
-            BODY,
-            Conditions(Camera()),
-        )
+        follower_of(IterativeSMC(Constant(0.1)), a_plan(), Conditions(CLEAR))
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -594,15 +581,12 @@ def test_a_controller_without_an_offset_is_refused():
 )
 def test_the_expected_return_to_the_path_is_checked(ahead, beside, close, side):
     wheel = Wheel()
-    follower = Follower(
+    follower = follower_of(
         wheel,
-        ours(),
         a_plan(),
-        Goal(3.0, 0.0, None, 0.05),
-        BODY,
         Conditions(CLEAR, 0.0, SETTLE),
         world=World((Circle(ahead, side * beside, 0.02),)),
-        body=BODY.reduced(margin=0.05),
+        margin=0.05,
     )
     follower.reset(load_robot("gen2"), Unicycle(wheel, as_told).tick, seed=0)
     here = Pose(0.0, side * 0.2, 0.0)
@@ -613,15 +597,8 @@ def test_the_expected_return_to_the_path_is_checked(ahead, beside, close, side):
 def test_reset_restores_all_settings():
     """Two runs of one follower are equal, also with noise."""
     wheel = Wheel()
-    plan = a_plan(WINDING)
-    follower = Follower(
-        wheel,
-        ours(),
-        plan,
-        Goal(plan.end.x, plan.end.y, None, 0.05),
-        BODY,
-        Conditions(Camera(60.0, 0.002, 0.02)),
-    )
+    noisy = Conditions(Camera(60.0, 0.002, 0.02))
+    follower = follower_of(wheel, a_plan(WINDING), noisy)
     ways = []
     for _ in range(2):
         plant = Unicycle(wheel, as_told)
