@@ -176,7 +176,7 @@ def check_problem(problem: Problem) -> None:
 
 def _check_poses(start: Pose, goal: Goal) -> None:
     angles = (start.heading, goal.heading or 0.0)
-    if not all(math.isfinite(angle) and abs(angle) <= 100 for angle in angles):
+    if not all(abs(angle) <= 100 for angle in angles):
         raise InputError(
             f"headings {angles[0]:g} and {angles[1]:g} rad are not allowed; both must"
             " be finite and between -100 and 100"

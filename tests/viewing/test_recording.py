@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -17,6 +17,7 @@ from srs_twin import Gait, TwinSnake, load_robot, rollout
 from srs_twin.comparison.centre_line import spatial_centre_lines
 from srs_twin.control.gait import PitchWave
 from srs_twin.errors import InputError
+from srs_twin.planning.footprint import Footprint
 from srs_twin.trajectory import Event
 from srs_twin.viewing.content import RunContent, events_of
 from srs_twin.viewing.plots.signals import kind_of, wheel_turns
@@ -53,22 +54,11 @@ def following(run):
         "outcome": "found",
         "nodes": 1,
     }
-    footprint = {
-        "name": "f",
-        "title": "f",
-        "offsets": [-0.3, 0.3],
-        "curvatures": [-3, 3],
-        "speeds": [0.2, 0.2],
-        "left": [0.03, 0.03],
-        "right": [0.03, 0.03],
-        "ahead": 0.1,
-        "behind": 0.1,
-    }
     obstacle = {"x": 0.3, "y": 0.3, "radius": 0.1}
     goal = {"x": 0.4, "y": 0.0, "radius": 0.05}
     about = {
         "plans": [plan],
-        "footprint": footprint,
+        "footprint": asdict(Footprint.box(0.06, 0.0, speed=0.2, curvature=3.0)),
         "world": {"obstacles": [obstacle], "polygons": [], "bounds": None},
         "goal": goal | {"heading": None, "heading_tolerance": 0.1},
     }
