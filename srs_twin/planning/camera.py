@@ -63,13 +63,12 @@ class CameraFrames(Stateful):
 
     def capture(self, state: SnakeState) -> Pose | None:
         """Return the measured pose if a frame is due, otherwise None."""
-        if float(state.time) * self._camera.rate_hz < self._next_frame - _TIME_ROUNDING:
+        frame = float(state.time) * self._camera.rate_hz
+        if frame < self._next_frame - _TIME_ROUNDING:
             return None
         # At most one frame is captured per time step, because further frames would show
         # the same state.
-        self._next_frame = (
-            math.floor(float(state.time) * self._camera.rate_hz + _TIME_ROUNDING) + 1
-        )
+        self._next_frame = math.floor(frame + _TIME_ROUNDING) + 1
         error = self._rng.standard_normal(3)
         noise = self._camera.position_noise
         x, y = state.com

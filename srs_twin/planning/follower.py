@@ -220,8 +220,7 @@ class Follower(Controller):
         self._requested = ""
         self._coming: tuple[str, Future[ReplanResult]] | None = None
         self._leading_in = (
-            self.conditions.lead_in > 0
-            and self.conditions.max_cross_track_error is not None
+            conditions.lead_in > 0 and conditions.max_cross_track_error is not None
         )
         self._events: list[Event] = []
         self.finished = False
@@ -298,8 +297,6 @@ class Follower(Controller):
 
     def describe(self) -> dict[str, object]:
         """Return the gait's description, extended by plans, world, goal and ending."""
-        goal = asdict(self.goal)
-        conditions = asdict(self.conditions)
         return self.gait.describe() | {
             "gait": self.gait.kind,
             "following": {
@@ -311,8 +308,8 @@ class Follower(Controller):
                     for key, value in asdict(self.world).items()
                     if key in _PLANNED_IN
                 },
-                "goal": goal,
-                "conditions": conditions,
+                "goal": asdict(self.goal),
+                "conditions": asdict(self.conditions),
                 "ending": self.ending,
             },
         }
