@@ -259,7 +259,7 @@ def test_steering_receives_the_pose_at_which_its_command_takes_effect():
     assert apart[settled].max() < 0.01
 
 
-def predicted(curvature_at, commanded, frames):
+def predicted(curvature_at, commanded, frames, **snake):
     """Return the predictor of a snake, and its predictions, means and true positions.
 
     Commands take effect 0.1 s after they are given; `commanded` is a function of the
@@ -268,7 +268,7 @@ def predicted(curvature_at, commanded, frames):
     predictor = Predictor(BODY, 0.5, 0.1, SETTLE)
     mean = PeriodMean(0.5)
     wheel = Wheel()
-    plant = Unicycle(wheel, curvature_at)
+    plant = Unicycle(wheel, curvature_at, **snake)
     state = plant.reset()
     camera = CameraFrames(Camera(), 0)
     orders = deque()
@@ -308,6 +308,27 @@ def test_gain_and_disturbance_of_turning_are_estimated_and_reset():
     assert predictor.disturbance == pytest.approx(0.4, abs=0.15)
     predictor.reset_turning()
     assert (predictor.gain, predictor.disturbance) == (1.0, 0.0)
+
+
+def test_turning_is_estimated_by_a_kalman_filter_within_limits():
+    """Standard deviations of the disturbance are fractions of the tightest curvature, 5 1/m."""
+    predictor = Predictor(BODY, 0.5, 0.1, SETTLE)
+    variance = np.array([1.0**2 + 0.5**2, 0.3**2 + 0.1**2])
+    weights = variance * (1.0, 2.0) / (variance @ (1.0, 2.0**2) + 0.1**2)
+    for measured, expected in (
+        (2.5, (0.5 * weights[0], 1 + 0.5 * weights[1])),
+        (1e3, (2.5, 2.5)),
+        (-1e3, (-2.5, 0.4)),
+    ):
+        predictor.reset_turning()
+        predictor._update_turning(measured, 2.0, 1.0)  # noqa: SLF001
+        found = predictor.disturbance, predictor.gain
+        assert found == pytest.approx(expected)
+
+
+def test_estimated_speed_is_at_least_a_fifth_of_the_expected_speed():
+    predictor, *_ = predicted(as_told, lambda frame: 0.0, 120, stops=1.0)
+    assert predictor.speed == pytest.approx(0.2 * 0.2) and predictor.moved < 1e-9
 
 
 def test_period_mean_removes_the_gait_and_is_exact_on_lines():
