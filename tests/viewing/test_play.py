@@ -107,6 +107,8 @@ def test_left_key_turns_left_and_home_resets():
     offsets = [command.offset for _, command, _ in window.shown]
     assert offsets[:199] == [pytest.approx(0.2)] * 199 and offsets[199] == 0.0
     assert float(snake.state.heading) > 0.5
+    speed = dict(snake.status_lines())["speed"]
+    assert speed == f"{np.hypot(*snake.state.com_velocity):.3f} m/s" != "0.000 m/s"
 
 
 def test_without_keys_the_twin_follows_the_gait():

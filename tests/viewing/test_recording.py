@@ -136,6 +136,8 @@ def test_signals_of_each_kind(kind, tmp_path):
             "ilc_update: after period 2",
             "saturation: segment 1",
         ]
+        _, levels = found["/events/twin"]["TextLog:level"]
+        assert levels.flatten().to_pylist() == ["INFO", "WARN"]
 
 
 def test_step_signals_keep_their_changes(tmp_path):
@@ -244,3 +246,7 @@ def test_the_axis_of_the_speeds_contains_zero_and_all_speeds():
     assert shown.speeds == pytest.approx((1.1 * low, 1.1 * high))
     apart = np.hypot(*(runs["twin"].com - runs["analytical"].com).T)
     assert shown.separation == pytest.approx(apart.max())
+    start = np.mean([run.com[0] for run in runs.values()], axis=0)
+    assert shown.start == pytest.approx(start)
+    assert (shown.segments, shown.period, shown.compared) == (4, 0.5, False)
+    assert shown.heading == runs["twin"]["heading"][0]
