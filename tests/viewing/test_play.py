@@ -213,9 +213,9 @@ def test_plan_and_goal_of_a_scenario_are_on_the_floor():
     assert ring == pytest.approx(wanted.radius)
     assert len(edges.strips) == 2 * len(path.strips)
     row = snake.scenario.planner.problem.footprint.at(first.curvature)
-    for edge, distance in zip(edges.strips, (row.left, row.right), strict=False):
-        apart = np.hypot(*(edge - path.strips[0]).T)
-        assert apart == pytest.approx(np.full(len(edge), distance))
+    left = [-np.sin(first.start.heading), np.cos(first.start.heading)]
+    sides = [(edge[0] - path.strips[0][0]) @ left for edge in edges.strips[:2]]
+    assert sides == pytest.approx([row.left, -row.right])
     assert dict(snake.status_lines())["on the floor"] == "path, edges, goal"
     assert LiveSnake(scenario=load_scenario("gen2_turn")).floor_lines == []
 
