@@ -6,23 +6,16 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from plan_sampling import TOUCH, deepest, misses
 from rectangles import rectangle, turned
 from subsets import first_by_default
 from witnessed_worlds import bodies, walls
 
-from srs_twin.planning.arcs import Primitives
-from srs_twin.planning.collision import Checker, obstacle_grid
+from srs_twin.planning.collision import Checker
 from srs_twin.planning.footprint_file import load_footprint
 from srs_twin.planning.guidance import find_passages
 from srs_twin.planning.path import path_from_arcs
 from srs_twin.planning.planner import plan
-from srs_twin.planning.primitives import (
-    follow_arc,
-    initial_state,
-    make_motion_primitives,
-)
 from srs_twin.robot.world import Bounds, Circle, Pose, World
 
 BODY = load_footprint("gen4_table8")
@@ -88,30 +81,6 @@ def test_gaps_too_narrow_too_wide_or_filled_are_no_passages():
         find_passages(pair(0.6), BODY)
     )
     assert not len(find_passages(pair(0.3, Circle(0.01, 0.0, 0.05)), BODY))
-
-
-@settings(max_examples=50)
-@given(st.integers(0, 1000), st.integers(0, 4), st.integers(0, 4), st.floats(0.05, 1.0))
-def test_search_and_checker_agree_on_the_width_of_arcs(seed, one, other, length):
-    """A transient widens the first part of an arc only."""
-    body = load_footprint("gen4_ilc")
-    rng = np.random.default_rng(seed)
-    moves = make_motion_primitives(Primitives(5, 0.5, 0.25), body)
-    world = World(tuple(Circle(*rng.uniform(-1.0, 1.0, 2), 0.05) for _ in range(6)))
-    way = initial_state(0.0, 0.0, 0.0, moves)
-    pieces = []
-    for move in moves.children[[one, other]]:
-        free, way = follow_arc(way, move, length, moves, obstacle_grid(world))
-        pieces.append((float(moves.curvatures[move]), length))
-        assert (
-            free
-            == Checker(world, body).is_path_free(
-                path_from_arcs(Pose(0.0, 0.0, 0.0), pieces, body)
-            )
-            or one == other
-        )
-        if not free:
-            break
 
 
 @pytest.mark.default_cases(3)
