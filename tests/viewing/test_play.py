@@ -131,12 +131,6 @@ def test_space_pauses_and_backspace_restarts():
     assert window.shown[8][1].frequency > window.shown[9][1].frequency
 
 
-def test_simulation_runs_in_real_time():
-    window = FakeWindow(50)
-    window.play()
-    assert window.time.passed == pytest.approx(1.0)
-
-
 def test_lag_is_made_up_for_to_a_limit():
     window = FakeWindow(100, delays={10: 0.1, 40: 5.0})
     snake = window.play()
