@@ -6,7 +6,6 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from srs_twin.planning.problem import PlanOutcome, Problem, Settings
 from srs_twin.planning.search_kernels import lower_bound
 from srs_twin.planning.search_tree import make_target
 from srs_twin.robot.world import (
-    FIG54_BOUNDS,
     FIG54_GOAL,
     FIG54_START,
     Bounds,
@@ -35,7 +33,6 @@ from srs_twin.robot.world import (
     Pose,
     World,
     fig54_world,
-    random_circles,
 )
 
 TEXT = load_footprint("gen2_section52")
@@ -332,25 +329,6 @@ def test_invalid_settings_are_rejected():
     ):
         with pytest.raises(InputError, match=words):
             Settings(**changes)
-
-
-def test_random_worlds_repeat_for_a_seed_and_keep_their_gaps():
-    assert fig54_world(7, 3) == fig54_world(7, 3) != fig54_world(7, 4)
-    assert len(fig54_world(18, 0).obstacles) == 18
-    circles, again = (
-        random_circles(12, FIG54_BOUNDS, 5, gap=0.1, clear=((0, 0, 0.2),))
-        for _ in range(2)
-    )
-    assert circles == again
-    for a, b in combinations(circles, 2):
-        assert math.hypot(a.x - b.x, a.y - b.y) >= a.radius + b.radius + 0.1
-    assert min(math.hypot(c.x, c.y) - c.radius for c in circles) >= 0.2
-    with pytest.raises(InputError, match="fit with gaps of 0.5 m"):
-        random_circles(30, FIG54_BOUNDS, 0, gap=0.5)
-    with pytest.raises(
-        InputError, match="19 obstacles do not fit; Fig. 54 has only 18 sites"
-    ):
-        fig54_world(19, 0)
 
 
 COMPILED_LATER = """
