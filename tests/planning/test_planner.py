@@ -220,28 +220,13 @@ def walled(**changes) -> Problem:
     return replace(Problem(Pose(0, 0, 0), goal, World(bounds=ROOM), TEXT), **changes)
 
 
-@pytest.mark.slow
-def test_walled_in_goal_is_proven_unreachable():
-    wall = ring(1.5, 0, 0.4, 14, 0.08)
-    problem = walled(world=World(wall, ROOM))
-    answer = plan(problem)
+def test_walled_in_start_without_bounds_is_proven_unreachable():
+    wall = ring(0, 0, 0.4, 14, 0.08)
+    answer = plan(walled(world=World(wall)))
     assert answer.outcome is PlanOutcome.PROVEN_IMPOSSIBLE and answer.segments == ()
     assert "no path of any shape" in answer.reason and "0.03 m" in answer.reason
-    # Without the circle towards the start there is a path.
-    assert plan(replace(problem, world=World(wall[:7] + wall[8:], ROOM))).found
-
-
-def test_walled_in_start_without_bounds_is_proven_unreachable():
-    answer = plan(walled(world=World(ring(0, 0, 0.4, 14, 0.08))))
-    assert answer.outcome is PlanOutcome.PROVEN_IMPOSSIBLE
-
-
-@pytest.mark.slow
-def test_polygon_wall_between_bounds_is_proven_impassable():
-    world = World((), ROOM, None, (rectangle(0.7, 0.8, -2, 2),))
-    assert plan(walled(world=world)).outcome is PlanOutcome.PROVEN_IMPOSSIBLE
-    wider = replace(world, bounds=Bounds((-1, 3), (-3, 3)))
-    assert plan(walled(world=wider)).found
+    # Without the circle towards the goal, there is a path.
+    assert plan(walled(world=World(wall[1:]))).found
 
 
 @pytest.mark.slow
