@@ -6,7 +6,6 @@ import math
 from dataclasses import replace
 
 import pytest
-from plan_worlds import drawn_problem
 from rectangles import rectangle
 from subsets import first_by_default
 from witnessed_worlds import KINDS, bodies, drawn
@@ -15,7 +14,6 @@ from srs_twin.planning.collision import MAX_CLEARANCE_M, Checker
 from srs_twin.planning.footprint import Footprint
 from srs_twin.planning.free_space import is_disconnected, min_path_length
 from srs_twin.planning.path import path_from_arcs
-from srs_twin.planning.planner import plan
 from srs_twin.robot.world import Bounds, Circle, Goal, Pose, World
 
 START = Pose(-2.0, 0.0, 0.0)
@@ -42,14 +40,6 @@ def test_min_path_length_is_infinite_without_a_path():
     wall = rectangle(-0.1, 0.1, -5.0, 5.0)
     closed = World((), Bounds((-9, 9), (-5, 5)), None, (wall,))
     assert min_path_length(START, GOAL, closed, 0.05) == math.inf
-
-
-@pytest.mark.default_cases(3)
-@pytest.mark.parametrize("seed", range(12))
-def test_no_plan_is_shorter_than_the_min_path_length(seed):
-    answer = plan(drawn_problem(seed))
-    if answer.found and answer.segments:
-        assert 0 < answer.least_length <= answer.length + 1e-9
 
 
 def test_clearance_is_the_distance_of_the_edge_from_the_nearest_obstacle():

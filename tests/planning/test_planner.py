@@ -36,7 +36,6 @@ from srs_twin.robot.world import (
 )
 
 TEXT = load_footprint("gen2_section52")
-SEEDS = range(60)
 
 
 def fig54(count: int, seed: int) -> Problem:
@@ -54,24 +53,20 @@ def ring(
 
 
 @pytest.mark.default_cases(at=[0, 2, 7, 30, 59])
-@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("seed", range(60))
 def test_plans_are_free_continuous_and_reach_the_goal(seed):
     problem = drawn_problem(seed)
     answer = plan(problem)
     if not answer.found:
-        assert answer.segments == () and answer.reason
+        assert seed == 2 and answer.segments == () and answer.reason
         return
     assert deepest(answer, problem, 0.006) < TOUCH
     assert joints(answer, problem) < 1e-9 and answer.max_heading_jump == 0
     assert not misses(answer, problem)
+    assert answer.least_length <= answer.length + 1e-9
     right, left = problem.footprint.tightest
     for segment in answer.segments:
         assert -right - 1e-9 <= segment.curvature <= left + 1e-9
-
-
-def test_most_random_worlds_have_a_plan():
-    """Otherwise the test above would be vacuous."""
-    assert sum(plan(drawn_problem(seed)).found for seed in SEEDS) >= 0.9 * len(SEEDS)
 
 
 def test_sampling_checker_detects_obstacles():
