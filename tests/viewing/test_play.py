@@ -206,9 +206,10 @@ def test_plan_and_goal_of_a_scenario_are_on_the_floor():
     ring = np.hypot(*(goal.strips[0] - [wanted.x, wanted.y]).T)
     assert ring == pytest.approx(wanted.radius)
     assert len(edges.strips) == 2 * len(path.strips)
-    row = snake.scenario.planner.problem.footprint.at(first.curvature)
-    left = [-np.sin(first.start.heading), np.cos(first.start.heading)]
-    sides = [(edge[0] - path.strips[0][0]) @ left for edge in edges.strips[:2]]
+    last = snake._controller.plan.segments[-1]
+    row = snake.scenario.planner.problem.footprint.at(last.curvature)
+    left = [-np.sin(last.start.heading), np.cos(last.start.heading)]
+    sides = [(edge[0] - path.strips[-1][0]) @ left for edge in edges.strips[-2:]]
     assert sides == pytest.approx([row.left, -row.right])
     assert dict(snake.status_lines())["on the floor"] == "path, edges, goal"
     assert LiveSnake(scenario=load_scenario("gen2_turn")).floor_lines == []

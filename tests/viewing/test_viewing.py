@@ -206,20 +206,24 @@ def test_recording_contains_the_recorded_positions(recording, spec, runs):
     middle = flat(vertices).reshape(len(ghost), -1, 6, 3).mean(axis=2)
     expected = body_line(ghost, spec.geometry, 6)
     assert np.allclose(middle[..., :2], expected, atol=1e-6)
-    _, com = found["/world/analytical/com"]["Points3D:positions"]
-    assert np.allclose(flat(com).reshape(-1, 3)[:, :2], ghost.com, atol=1e-6)
     _, strips = found["/world/twin/trail"]["LineStrips3D:strips"]
     steps = flat(strips.flatten()).reshape(len(twin), 2, 3)[..., :2]
     assert np.allclose(steps[1:], np.stack([twin.com[:-1], twin.com[1:]], 1), atol=1e-6)
     radius = spec.geometry.wheel_radius
-    for entity, solids, places, height in (
-        ("connectors", "Boxes3D", twin.position, line_height(spec.geometry)),
-        ("wheels", "Cylinders3D", wheel_centres(twin, spec.geometry), radius),
+    wheels = wheel_centres(twin, spec.geometry)
+    for entity, column, places, height in (
+        (
+            "twin/connectors",
+            "Boxes3D:centers",
+            twin.position,
+            line_height(spec.geometry),
+        ),
+        ("twin/wheels", "Cylinders3D:centers", wheels, radius),
+        ("analytical/com", "Points3D:positions", ghost.com, 0.003),
     ):
-        _, centres = found[f"/world/twin/{entity}"][f"{solids}:centers"]
-        x, y, z = flat(centres).reshape(-1, 3).T
-        assert np.allclose(np.stack([x, y], -1), places.reshape(-1, 2), atol=1e-6)
-        assert z == pytest.approx(np.full(len(z), height))
+        drawn = flat(found[f"/world/{entity}"][column][1]).reshape(-1, 3)
+        assert np.allclose(drawn[:, :2], places.reshape(-1, 2), atol=1e-6)
+        assert np.allclose(drawn[:, 2], height)
 
 
 def test_the_camera_follows_the_middle_of_the_plants_and_keeps_both_in_the_picture(
