@@ -265,9 +265,7 @@ def test_floor_around_obstacles_and_goal_has_a_margin_of_0_35_body_lengths(runs)
     size = np.ptp(points, axis=0) + 2 * margin
     size[0] = max(size)
     assert high - low == pytest.approx(size)
-    assert (high + low) / 2 == pytest.approx(
-        (points.min(axis=0) + points.max(axis=0)) / 2
-    )
+    assert low + high == pytest.approx(points.min(axis=0) + points.max(axis=0))
 
 
 @pytest.mark.slow
@@ -290,29 +288,25 @@ def test_contacts_of_a_spatial_snake_are_marked_up_to_the_time_of_the_picture(tm
 
 @pytest.mark.slow
 def test_a_ghost_a_scale_and_a_legend_are_in_the_picture(runs, tmp_path):
-    """The orange body is where the other plant was; the boxes below are there with room for them alone."""
+    """The orange body is where the other plant was."""
     run = load_run(runs / "gen2_straight")
     twin = run.trajectories["twin"]
     moved = {name: c + 0.25 * name.startswith("x_") for name, c in twin.columns.items()}
     ghost = Trajectory(moved | {"com_x": twin["com_x"] + 0.25}, metadata=twin.metadata)
     orange = STYLES["analytical"].rgb
 
-    def shown(width, height, ghost=None):
+    def shown(ghost=None):
         """Return the picture without its legend, and the legend."""
         path = tmp_path / "a.png"
-        size = render.Size(width, height)
+        size = render.Size(640, 360)
         render.write_image(path, run.scenario, twin, 2.0, size=size, ghost=ghost)
         picture = imread(path)[..., :3] * 255
-        return picture[: int(0.93 * len(picture))], picture[-8:]
+        return picture[:334], picture[-8:]
 
-    plain, plain_key = shown(640, 360)
-    both, both_key = shown(640, 360, ("analytical", ghost))
-    small, _ = shown(320, 180, ("analytical", ghost))
-    _, small_key = shown(320, 180)
-    assert min(alike(both, orange), alike(small, orange)) > 0.001
-    assert alike(plain, orange) < 0.0002
-    assert alike(both_key, orange) > 0.1
-    assert alike(plain_key, PLUS_RGB) > 0.1 > alike(small_key, PLUS_RGB)
+    plain, plain_key = shown()
+    both, both_key = shown(("analytical", ghost))
+    assert alike(both, orange) > 0.001 and alike(plain, orange) < 0.0002
+    assert alike(both_key, orange) > 0.1 and alike(plain_key, PLUS_RGB) > 0.1
 
 
 def test_scale_bar_has_the_stated_length(runs):

@@ -297,10 +297,6 @@ def test_recording_shows_contact_forces_during_contacts(tmp_path, spec):
     assert np.allclose(start, twin.position[51, 0], atol=1e-6)
 
 
-def test_run_without_contacts_has_no_arrows(recording):
-    assert not [name for name in read_back(recording) if name.endswith("/contact")]
-
-
 def no_pressures():
     bare = run("twin", Snake(duration=1.0))
     names = ("pressure", "valve")
