@@ -42,14 +42,9 @@ def fig54(count: int, seed: int) -> Problem:
     return Problem(FIG54_START, FIG54_GOAL, fig54_world(count, seed), TEXT)
 
 
-def ring(
-    x: float, y: float, radius: float, count: int, circle: float
-) -> tuple[Circle, ...]:
-    angles = np.arange(count) * 2 * math.pi / count
-    return tuple(
-        Circle(x + radius * math.cos(a), y + radius * math.sin(a), circle)
-        for a in angles
-    )
+def ring(x: float, count: int) -> tuple[Circle, ...]:
+    places = x + 0.4 * np.exp(2j * np.pi * np.arange(count) / count)
+    return tuple(Circle(place.real, place.imag, 0.08) for place in places.tolist())
 
 
 @pytest.mark.default_cases(at=[0, 2, 7, 30, 59])
@@ -194,7 +189,7 @@ def test_plan_from_the_goal_is_empty():
 
 
 def test_a_time_budget_ends_the_search():
-    wall = ring(1.5, 0, 0.4, 13, 0.08)
+    wall = ring(1.5, 13)
     answer = plan(walled(world=World(wall)), Settings(nodes=10**8, seconds=0.001))
     assert answer.outcome is PlanOutcome.NOT_FOUND and answer.expanded < 10**7
 
@@ -216,7 +211,7 @@ def walled(**changes) -> Problem:
 
 
 def test_walled_in_start_without_bounds_is_proven_unreachable():
-    wall = ring(0, 0, 0.4, 14, 0.08)
+    wall = ring(0, 14)
     answer = plan(walled(world=World(wall)))
     assert answer.outcome is PlanOutcome.PROVEN_IMPOSSIBLE and answer.segments == ()
     assert "no path of any shape" in answer.reason and "0.03 m" in answer.reason

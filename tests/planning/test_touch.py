@@ -101,13 +101,14 @@ def test_place_depth_and_force_of_touches_follow_from_geometry(side, depth):
     edges = (straight.left, straight.right)[::side]
     near = edges[0] - depth
     wall = rectangle(0.3, 0.6, *sorted((side * near, side * (near + 0.1))))
-    post = Circle(1.205, -side * (edges[1] - depth + RADIUS), RADIUS)
+    far = edges[1] + RADIUS
+    post = Circle(1.205, -side * (far - depth), RADIUS)
     world = World((post,), polygons=(wall,))
     problem = replace(across(0.3), world=world, footprint=body)
     path = path_from_arcs(problem.start, [(0.0, 1.6)], body)
     overlaps = _overlaps(path, problem, LIMITS)
     ends = math.sqrt(edges[0] ** 2 - near**2)
-    round_ends = math.sqrt((RADIUS + edges[1]) ** 2 - (RADIUS + edges[1] - depth) ** 2)
+    round_ends = math.sqrt(far**2 - (far - depth) ** 2)
     expected = (
         ("polygon 1", 0.3 - ends, 0.6 + ends, edges[0], 1),
         ("obstacle 1", 1.205 - round_ends, 1.205 + round_ends, edges[1], 0),
