@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -96,14 +95,8 @@ def concatenate_records(records: Sequence[Record]) -> Record:
     if len(records) == 1:
         return records[0]
     kind: Any = type(records[0])
-    if issubclass(kind, tuple):
-        names = kind._fields
-    else:
-        names = [field.name for field in fields(kind)]
-    whole: Record = kind(
-        *(
-            np.concatenate([getattr(record, name) for record in records])
-            for name in names
-        )
-    )
+    rows: Any = records
+    if not issubclass(kind, tuple):
+        rows = [vars(record).values() for record in records]
+    whole: Record = kind(*map(np.concatenate, zip(*rows, strict=True)))
     return whole

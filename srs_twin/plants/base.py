@@ -5,7 +5,7 @@ from __future__ import annotations
 import reprlib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -165,7 +165,7 @@ class SnakeState:
 
     def at(self, k: int | slice) -> SnakeState:
         """Return the state at index `k` of a history, or the history in a slice `k`."""
-        return type(self)(*(getattr(self, name)[k] for name in self._names()))
+        return type(self)(*(values[k] for values in vars(self).values()))
 
     def make_read_only(self) -> None:
         """Let any later change of an array in this state raise a `ValueError`."""
@@ -183,13 +183,7 @@ class SnakeState:
 
     def as_history(self) -> SnakeState:
         """Return the state as a history of one sample."""
-        return type(self)(
-            *(np.asarray(getattr(self, name))[None] for name in self._names())
-        )
-
-    @classmethod
-    def _names(cls) -> tuple[str, ...]:
-        return _FIELDS
+        return type(self)(*(np.asarray(value)[None] for value in vars(self).values()))
 
 
 @dataclass(frozen=True)
@@ -214,18 +208,9 @@ class SpatialState(SnakeState):
     orientation: np.ndarray
     load: np.ndarray
 
-    @classmethod
-    def _names(cls) -> tuple[str, ...]:
-        return _SPATIAL_FIELDS
-
 
 TICK_S = 0.02
 """Default control tick for a robot with a time unit of 1 (`robot.scale`), s."""
-
-_FIELDS = tuple(
-    field.name for field in fields(SnakeState)
-)  # `fields` is too slow to call at every tick
-_SPATIAL_FIELDS = tuple(field.name for field in fields(SpatialState))
 
 
 class Plant(Claimable, Stateful, ABC):
@@ -421,19 +406,17 @@ class PneumaticPlant(Plant):
         supply_pa: float | None,
         layout: str,
         sensor: str | Sensor,
-    ) -> float:
+    ) -> None:
         if supply_pa is None:
-            supply = self.spec.supply.nominal
+            self._supply = self.spec.supply.nominal
         else:
-            supply = _checked_supply(supply_pa, self.spec)
+            self._supply = _checked_supply(supply_pa, self.spec)
         self.pneumatics = make_pneumatics(
-            pneumatics, self.spec, supply_pa=supply, layout=layout
+            pneumatics, self.spec, supply_pa=self._supply, layout=layout
         )
         self.layout = self.pneumatics.layout
         self.sensor = make_sensor(sensor, self.spec)
         self.measures_air = self.pneumatics.measures_air
-        self._supply = supply
-        return supply
 
     @property
     def supply_pa(self) -> float:
@@ -448,11 +431,8 @@ class PneumaticPlant(Plant):
     def identity(self) -> dict[str, object]:
         """Return the settings as in `Plant.identity`, but without stuck valves."""
         settings = super().identity()
-        chambers = {
-            key: value
-            for key, value in self.pneumatics.describe().items()
-            if key != "stuck_valves"
-        }
+        chambers = dict(self.pneumatics.describe())
+        chambers.pop("stuck_valves", None)
         return settings | {"pneumatics": chambers, "supply_pa": self._supply}
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
@@ -522,12 +502,18 @@ def check_initial_state(snake: SnakeState, yaw_rate: float, segments: int) -> No
         InputError: a field has the wrong shape or a value that is not finite, or
             `snake` is a history.
     """
-    shapes = {"com": (2,), "com_velocity": (2,), "heading": (), "bend": (segments,)}
-    shapes |= {"bend_rate": (segments,), "pressure": (segments, 2)}
-    values = {name: getattr(snake, name) for name in shapes} | {"yaw_rate": yaw_rate}
-    for name, value in values.items():
-        array = np.asarray(value)
-        shape = shapes.get(name, ())
+    shapes: dict[str, tuple[int, ...]] = {
+        "com": (2,),
+        "com_velocity": (2,),
+        "heading": (),
+        "bend": (segments,),
+        "bend_rate": (segments,),
+        "pressure": (segments, 2),
+        "yaw_rate": (),
+    }
+    values = vars(snake) | {"yaw_rate": yaw_rate}
+    for name, shape in shapes.items():
+        array = np.asarray(values[name])
         if (
             array.dtype.kind not in "iuf"
             or array.shape != shape
@@ -561,20 +547,19 @@ def check_plausible(plant: str, state: SnakeState) -> SnakeState:
         state.work,
         state.pneumatic_energy,
     )
-    single = not isinstance(state.time, np.ndarray)
-    if single:
-        scalars_plausible = all(abs(value) < LARGEST_PLAUSIBLE for value in scalars)
-    else:
+    if isinstance(state.time, np.ndarray):
         scalars_plausible = is_plausible(*scalars)
+    else:
+        scalars_plausible = all(abs(value) < LARGEST_PLAUSIBLE for value in scalars)
     if scalars_plausible and is_plausible(state.com, state.bend, state.pressure):
         return state
     history = SnakeState.history([state])
     for k, time in enumerate(np.asarray(history.time)):
-        for field in fields(history):
-            wrong = first_implausible(getattr(history, field.name)[k])
+        for name, values in vars(history).items():
+            wrong = first_implausible(values[k])
             if wrong is not None:
                 before = history.at(slice(k)) if k else None
-                reason = f"`{field.name}` is {wrong:g}, a value that no snake can reach"
+                reason = f"`{name}` is {wrong:g}, a value that no snake can reach"
                 raise DivergedError(plant, float(time), reason, history=before)
     return state
 
@@ -589,9 +574,7 @@ def check_before_step(plant: str, time: float, *state: float | np.ndarray) -> No
         DivergedError: a value is infinite, NaN or implausibly large.
     """
     if not is_plausible(*state):
-        wrong = first_implausible(
-            np.concatenate([np.ravel(values) for values in state])
-        )
+        wrong = first_implausible(np.hstack(state))
         reason = (
             f"the state before the step contains {wrong:g}, a value that no snake"
             " can reach"

@@ -215,7 +215,7 @@ def check_start(plant: Plant, state: SnakeState, allowed: float = TOUCHING_M) ->
     if not np.isfinite(state.com.sum() + state.heading):
         raise InputError("the pose at the start is not allowed; it must be finite")
     if plant.world is not None and plant.world.is_solid:
-        lines = _collision_geom(plant, SnakeState.history([state]))
+        lines = _collision_geom(plant, state.as_history())
         half_width = plant.spec.geometry.width / 2
         for overlap in start_overlaps(plant.world, lines, half_width, allowed=allowed):
             raise InputError(f"{overlap.name} {overlap.text}")

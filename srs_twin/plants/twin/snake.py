@@ -187,7 +187,7 @@ class TwinSnake(PneumaticPlant):
         self.contact = contact
         self._settings = settings.for_robot(spec)
         check(spec, self._settings, world or World())
-        supply = self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
+        self._make_pneumatics_and_sensor(pneumatics, supply_pa, layout, sensor)
         raise_violations(coupling_violations(timestep, self.pneumatics))
         self._set_world(world)
         if spec.is_spatial:
@@ -195,7 +195,7 @@ class TwinSnake(PneumaticPlant):
             self._stiffness: float | np.ndarray = np.array(stiffness)
         else:
             self._stiffness = spec.bending.stiffness
-        largest = supply * self.pneumatics.max_pressure_ratio
+        largest = self.supply_pa * self.pneumatics.max_pressure_ratio
         self.physics = SnakePhysics.build(
             spec, self._settings, self.pneumatics, largest, world
         )
