@@ -49,22 +49,13 @@ class Discretisation(NamedTuple):
     def of(cls, geometry: Geometry, points: int) -> Discretisation:
         """Divide a segment into about `points` cells of similar length."""
         half_gap = geometry.rigid_gap / 2
-        arc = geometry.segment_length
-        pieces = [(half_gap, 0.0), (arc, 1.0), (half_gap, 0.0)]
-        counts = [
-            max(1, round(points * length / geometry.pitch))
-            for length, _ in pieces
-            if length > 0.0
-        ]
-        pieces = [piece for piece in pieces if piece[0] > 0.0]
-        lengths = [
-            length / count for (length, _), count in zip(pieces, counts, strict=True)
-        ]
-        fractions = [
-            fraction / count
-            for (_, fraction), count in zip(pieces, counts, strict=True)
-        ]
-        return cls(np.repeat(lengths, counts), np.repeat(fractions, counts))
+        lengths = np.array([half_gap, geometry.segment_length, half_gap])
+        fractions = np.array([0.0, 1.0, 0.0])[lengths > 0.0]
+        lengths = lengths[lengths > 0.0]
+        counts = np.round(points * lengths / geometry.pitch).astype(int).clip(1)
+        return cls(
+            np.repeat(lengths / counts, counts), np.repeat(fractions / counts, counts)
+        )
 
 
 class LumpedSegments:

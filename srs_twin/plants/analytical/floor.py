@@ -520,9 +520,8 @@ _SLIDING_RATIO = 1000.0
 
 _MIN_SLIP_SPEED = 1e-7  # Minimum slip speed on a slope at a time unit of 1, m/s.
 _COASTING_STEP = 5e-4  # Maximum time step of `slide`, s.
-_COASTING_SLIP_SPEED = (
-    1e-9  # Slip speed of `slide`, m/s, which only prevents a division by 0.
-)
+# Slip speed of `slide`, m/s, which only prevents a division by 0.
+_COASTING_SLIP_SPEED = 1e-9
 
 
 def spin_fraction(spec: RobotSpec) -> float:
@@ -558,8 +557,7 @@ def slide(
     )
     position = np.empty((len(times), 2))
     _fill_positions(
-        float(velocity[0]),
-        float(velocity[1]),
+        *map(float, velocity),
         np.ascontiguousarray(times, dtype=float),
         floor,
         position,

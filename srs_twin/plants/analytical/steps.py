@@ -117,11 +117,12 @@ class TimeSteps:
 
     def chunks(self, length: float) -> Iterator[tuple[float, float, TimeSteps]]:
         """Yield start (s), end (s) and steps of chunks that last about `length` (s)."""
+        starts = self._starts
         firsts = np.unique(
             np.floor(self.ends / length * (1 - 1e-9)), return_index=True
         )[1]
         for first, last in zip(firsts, [*firsts[1:], len(self.ends)], strict=True):
-            begun = float(self.ends[first - 1]) if first else 0.0
+            begun = float(starts[first])
             inside = (
                 self.sample_steps[
                     (self.sample_steps > first) & (self.sample_steps <= last)
