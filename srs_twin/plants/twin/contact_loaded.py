@@ -156,8 +156,8 @@ class LoadedStepper(Stateful):
         data: mujoco.MjData,
         spec: RobotSpec,
         settings: ModelSettings,
-        air: np.ndarray | None = None,
-        objects: tuple[MovableObject, ...] = (),
+        air: np.ndarray,
+        objects: tuple[MovableObject, ...],
     ) -> None:
         """Compute the constants of the contacts and allocate the work arrays.
 
@@ -349,14 +349,12 @@ def _constants(
     model: mujoco.MjModel,
     spec: RobotSpec,
     settings: ModelSettings,
-    air: np.ndarray | None,
+    air: np.ndarray,
 ) -> tuple[Contacts, Sparsity]:
     nv = model.nv
     wheels = treads(spec, settings)
     collision_geoms = surroundings.collision_geoms(model)
     mass, jacobian = _reference_dynamics(model, wheels, collision_geoms)
-    if air is None:
-        air = np.zeros((nv, nv))
     with one_blas_thread():
         damping, excess = _damping_matrices(model, mass, settings.timestep, air)
         inverse = np.linalg.inv(mass + damping)

@@ -31,6 +31,7 @@ class InternalJoints:
         hinges: indices in `qvel` of the bending hinges, shape (segments, hinges per
             segment). For a spatial robot, the tilt hinges follow in additional rows,
             shape (2 · segments, hinges per segment).
+        hinge_positions: indices in `qpos` of the same hinges.
         out_of_plane: indices in `qvel` of the pitch and roll joints, shape (joints,).
             The array is empty without loaded contact.
         damping: damping coefficient of each degree of freedom, shape (nv,), N·m·s/rad.
@@ -66,7 +67,7 @@ class InternalJoints:
         self._joint_damping = model.dof_damping[dofs] + added
         self.damping = np.zeros(model.nv)
         self.damping[dofs] = self._joint_damping
-        self._hinge_positions = model.jnt_qposadr[hinges]
+        self.hinge_positions = model.jnt_qposadr[hinges]
         self._out_of_plane_positions = model.jnt_qposadr[out_of_plane]
         self._stiffness = stiffness[joints]
 
@@ -79,7 +80,7 @@ class InternalJoints:
                 2) for a spatial robot.
         """
         deviations = self._deviations(
-            qpos, free_bend, self._hinge_positions, self._out_of_plane_positions
+            qpos, free_bend, self.hinge_positions, self._out_of_plane_positions
         )
         energy: np.ndarray = (self._stiffness * deviations**2).sum(axis=-1) / 2
         return energy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -20,11 +20,7 @@ from srs_twin.plants.base import Pose
 from srs_twin.plants.twin.contact_loaded import LoadedStepper
 from srs_twin.plants.twin.internal_joints import InternalJoints
 from srs_twin.plants.twin.mjcf.model import scene_mjcf
-from srs_twin.plants.twin.mjcf.numerics import (
-    ModelSettings,
-    PreloadedContact,
-    bend_joints,
-)
+from srs_twin.plants.twin.mjcf.numerics import ModelSettings, PreloadedContact
 from srs_twin.plants.twin.mjcf.surroundings import (
     collision_geoms as collision_geom_names,
     object_force_sensor,
@@ -126,12 +122,14 @@ def find_sensors(
 ) -> Sensors:
     """Return the sensor addresses of a compiled scene."""
 
-    def addresses(names: list[str]) -> np.ndarray:
-        first = np.array([model.sensor(name).adr[0] for name in names], dtype=int)
-        return first[:, None] + np.arange(3)
+    def addresses(prefix: str, names: Iterable[object]) -> np.ndarray:
+        sensors = [model.sensor(f"{prefix}{name}").adr[0] for name in names]
+        return np.array(sensors, dtype=int)[:, None] + np.arange(3)
 
     treads_on_floor = treads(spec, settings) if settings.base == "free" else []
-    feet = [tread.replace("tread", "foot") for tread in treads_on_floor]
+    feet = []
+    if not settings.loaded:
+        feet = [tread.replace("tread", "foot") for tread in treads_on_floor]
     collision_geoms = collision_geom_names(model)
     objects = object_names(model)
     on_collision_geoms = [
@@ -142,23 +140,15 @@ def find_sensors(
     has_drag = settings.base == "free" and spec.friction.drag > 0.0
     dragged = range(1, spec.geometry.connectors + 1) if has_drag else ()
     return Sensors(
-        floor_force=addresses(
-            [f"floor_force_{tread}" for tread in treads_on_floor]
-        ).reshape(-1, 2, 3),
-        foot_velocity=addresses(
-            [] if settings.loaded else [f"velocity_{foot}" for foot in feet]
-        ).reshape(-1, 2, 3),
-        collision_force=addresses(
-            [f"obstacle_force_{collision_geom}" for collision_geom in collision_geoms]
-        ),
-        collision_velocity=addresses(
-            [f"velocity_{collision_geom}" for collision_geom in collision_geoms]
-        ),
-        object_force=addresses(on_collision_geoms).reshape(
+        floor_force=addresses("floor_force_", treads_on_floor).reshape(-1, 2, 3),
+        foot_velocity=addresses("velocity_", feet).reshape(-1, 2, 3),
+        collision_force=addresses("obstacle_force_", collision_geoms),
+        collision_velocity=addresses("velocity_", collision_geoms),
+        object_force=addresses("", on_collision_geoms).reshape(
             len(objects), len(collision_geoms), 3
         ),
-        drag_force=addresses([f"drag_frc_{i}" for i in dragged])[:, 0],
-        drag_velocity=addresses([f"drag_vel_{i}" for i in dragged])[:, 0],
+        drag_force=addresses("drag_frc_", dragged)[:, 0],
+        drag_velocity=addresses("drag_vel_", dragged)[:, 0],
         kinetic_energy=int(model.sensor("kinetic_energy").adr[0]),
     )
 
@@ -245,14 +235,14 @@ class SnakePhysics(Stateful):
         The maximum chamber pressure is `supply_pa` (Pa). Without a world, the floor is
         level and has no obstacles.
         """
+        world = world or World()
         # All worlds without obstacles, objects, steps or slope share one compiled
         # model.
-        matters = world is not None and (world.is_solid or world.uneven)
-        relevant = world if matters else None
+        shared = world if world.is_solid or world.uneven else World()
         # The model is copied, so that changes to the model of one twin do not affect
         # other twins.
-        model = copy.copy(_compile_scene(spec, settings, supply_pa, relevant))
-        return cls(model, spec, settings, chambers, world or World())
+        model = copy.copy(_compile_scene(spec, settings, supply_pa, shared))
+        return cls(model, spec, settings, chambers, world)
 
     def __init__(
         self,
@@ -285,8 +275,11 @@ class SnakePhysics(Stateful):
         self._collision_fractions = _collision_fractions(
             collision_geom_names(model), len(connectors)
         )
-        self._angles, self._rates = _bend_matrices(model, spec, settings)
         self.internal_joints = InternalJoints(model, spec, settings)
+        # These matrices map qpos to bends and qvel to bend rates. For a spatial robot,
+        # the lateral bends of all segments precede the upward bends.
+        self._angles = _sum_matrix(self.internal_joints.hinge_positions, model.nq)
+        self._rates = _sum_matrix(self.internal_joints.hinges, model.nv)
         self.stepper = None
         if settings.loaded:
             air = chambers.stiffness * self._rates.T @ self._rates
@@ -704,31 +697,16 @@ def _collision_fractions(collision_geoms: list[str], connectors: int) -> np.ndar
     return fractions
 
 
-def _bend_matrices(
-    model: mujoco.MjModel, spec: RobotSpec, settings: ModelSettings
-) -> tuple[np.ndarray, np.ndarray]:
-    # The matrices map qpos to bends and qvel to bend rates. For a spatial robot, the
-    # lateral bends of all segments precede the upward bends.
-    bends = [
-        [
-            model.joint(f"{kind}_{j + 1}_{k + 1}")
-            for k in range(settings.hinges_per_segment)
-        ]
-        for kind in bend_joints(spec)
-        for j in range(spec.segments)
-    ]
-    angles = np.zeros((len(bends), model.nq))
-    rates = np.zeros((len(bends), model.nv))
-    for row, hinges in enumerate(bends):
-        for hinge in hinges:
-            angles[row, hinge.qposadr[0]] = 1.0
-            rates[row, hinge.dofadr[0]] = 1.0
-    return angles, rates
+def _sum_matrix(indices: np.ndarray, size: int) -> np.ndarray:
+    # Each row of the matrix sums the elements with the indices in one row.
+    matrix = np.zeros((len(indices), size))
+    np.put_along_axis(matrix, indices, 1.0, axis=1)
+    return matrix
 
 
 @lru_cache(maxsize=8)
 def _compile_scene(
-    spec: RobotSpec, settings: ModelSettings, supply_pa: float, world: World | None
+    spec: RobotSpec, settings: ModelSettings, supply_pa: float, world: World
 ) -> mujoco.MjModel:
     model = scene_mjcf(spec, settings, supply_pa=supply_pa, world=world).compile()
     # The controls contain the rates of the free bends and may therefore exceed the
@@ -741,7 +719,7 @@ def _compile_scene(
         masses = 3 * model.body_subtreemass[_SNAKE]
     else:
         masses = 0.0
-    masses += 2 * sum(item.mass for item in (world.objects if world else ()))
+    masses += 2 * sum(item.mass for item in world.objects)
     inertias = model.nv * model.stat.meaninertia - masses
     model.opt.tolerance *= (masses + inertias / spec.scale.length**2) / (
         masses + inertias
