@@ -245,16 +245,19 @@ class TwinBatch(Claimable):
             return history
 
 
-def check_one_per_run(name: str, given: Sized, runs: int) -> None:
+def check_one_per_run(
+    name: str, given: Sized, runs: int, allowed: str = "one value per run"
+) -> None:
     """Check that a sequence has one item per run.
+
+    The error message names the sequence and what is allowed.
 
     Raises:
         InputError: the number of items differs from the number of runs.
     """
     if len(given) != runs:
         raise InputError(
-            f"{name}: {len(given)} values are given for {runs} runs; give one value"
-            " per run"
+            f"{name}: {len(given)} values are given for {runs} runs; give {allowed}"
         )
 
 
@@ -298,7 +301,7 @@ def _twins(
     *,
     once: bool = False,
 ) -> tuple[TwinSnake, ...]:
-    supplies = _one_per_run("supply_pa", supply_pa, len(specs))
+    supplies = _supplies(supply_pa, len(specs))
     counts = sorted({spec.geometry.connectors for spec in specs})
     if len(counts) != 1:
         numbers = ", ".join(map(str, counts)) or "no robot"
@@ -315,26 +318,22 @@ def _twins(
         repr(pair) if once else str(k)
         for k, pair in enumerate(zip(specs, supplies, strict=True))
     ]
-    first_run = {key: k for k, key in reversed(list(enumerate(keys)))}
-    distinct = sorted(first_run.values())
+    run_of_key = {key: k for k, key in enumerate(keys)}
+    distinct = list(run_of_key.values())
     built = workers.run(
         len(distinct),
         lambda n, _: TwinSnake(
             specs[distinct[n]], supply_pa=supplies[distinct[n]], **settings
         ),
     )
-    twin_of_run = dict(zip(distinct, built, strict=True))
-    return tuple(twin_of_run[first_run[key]] for key in keys)
+    twin_of_key = dict(zip(run_of_key, built, strict=True))
+    return tuple(twin_of_key[key] for key in keys)
 
 
-def _one_per_run(
-    name: str, values: float | Sequence[float] | None, runs: int
+def _supplies(
+    supply_pa: float | Sequence[float] | None, runs: int
 ) -> list[float | None]:
-    if values is None or isinstance(values, int | float):
-        return [values] * runs
-    if len(values) != runs:
-        raise InputError(
-            f"{name}: {len(values)} values are given for {runs} runs; give one value,"
-            " or one per run"
-        )
-    return list(values)
+    if supply_pa is None or isinstance(supply_pa, int | float):
+        return [supply_pa] * runs
+    check_one_per_run("supply_pa", supply_pa, runs, "one value, or one per run")
+    return list(supply_pa)
