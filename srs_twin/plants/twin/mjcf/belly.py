@@ -124,7 +124,7 @@ def add_belly(mj: MjSpec, spec: RobotSpec, settings: ModelSettings) -> None:
 def _set_inertia(mj: MjSpec, spec: RobotSpec, rod: Rod, parts: list[Patch]) -> None:
     place, length, mass = np.array([patch[1:] for patch in parts]).T
     total = mass.sum()
-    centre = (mass @ place) / mass.sum()
+    centre = (mass @ place) / total
     along = mass @ (length**2 / 12 + (place - centre) ** 2)
     across = spec.geometry.width**2 / 12
     height = (2 * spec.geometry.com_height) ** 2 / 12

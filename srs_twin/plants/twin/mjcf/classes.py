@@ -27,17 +27,14 @@ _VISUAL_GROUP = 2
 _COLLISION_GROUP = 3
 _HIDDEN_GROUP = 5
 
-_MAX_FREE_BEND = (
-    100.0  # limit of the free bend of a spatial robot, far above any real bend, rad
-)
+# Limit of the free bend of a spatial robot, far above any real bend, rad.
+_MAX_FREE_BEND = 100.0
 _FLANGE_RATIO = 1.08  # Radius of a connector's disc, relative to the body's radius.
 _RUNNER_RATIO = 0.25  # Radius of a skid's runner, relative to the radius of a wheel.
-_PLATE_HALF_HEIGHT = (
-    0.003  # Half height of a connector's disc at a length unit of 1, m.
-)
-_DRAWN_CLEARANCE = (
-    0.001  # height of the drawn body above the floor at a length unit of 1, m
-)
+# Half height of a connector's disc at a length unit of 1, m.
+_PLATE_HALF_HEIGHT = 0.003
+# Height of the drawn body above the floor at a length unit of 1, m.
+_DRAWN_CLEARANCE = 0.001
 
 
 def add_classes(

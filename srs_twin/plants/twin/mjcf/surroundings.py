@@ -39,9 +39,8 @@ from srs_twin.robot.world import WALL_M, FloorStep, MovableObject, World
 CONTACT_BIT = 2
 HEIGHT_RATIO = 2.0  # Half height of a round obstacle divided by the body width.
 _MIN_CONTACT_STEPS = 2.0  # Minimum ratio of contact time constant to time step.
-_LEVEL_EXTENT = (
-    100.0  # minimum length of the floor beyond the outer steps at a length unit of 1, m
-)
+# Minimum length of the floor beyond the outer steps at a length unit of 1, m.
+_LEVEL_EXTENT = 100.0
 # MuJoCo's impedance of an obstacle contact at zero depth and at full depth,
 # dimensionless. With values of 0.95 and 0.99, obstacles would sink into the light links
 # of a segment by a quarter of a millimetre per newton.

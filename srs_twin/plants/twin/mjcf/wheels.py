@@ -47,32 +47,20 @@ from srs_twin.robot.spec import GRAVITY, RobotSpec
 
 _NET_FORCE = 3  # Reduction mode of a contact sensor, sum over all contacts.
 _SIDES = {"left": 1, "right": -1}  # Sign of y.
-_RUNNER_SLOPE = (
-    0.6  # slope of a runner towards the front, far above any connector's pitch angle
-)
+# Slope of a runner towards the front, far above the pitch angle of any connector.
+_RUNNER_SLOPE = 0.6
 
 # The following lengths are in m, for a robot with a length unit of 1 (`robot.scale`).
 # Runners start slightly below the floor surface, so that the first step detects their
 # contacts.
 _RUNNER_DEPTH = 1e-6
-_REFERENCE_DEPTH = (
-    5e-5  # depth of all feet in the floor at which regularisations are evaluated
-)
-_TRANSITION_DEPTH = (
-    0.001  # depth over which a contact reaches its full stiffness, MuJoCo's default
-)
-_SOLIMP = (
-    0.9,
-    0.95,
-    _TRANSITION_DEPTH,
-    0.5,
-    2.0,
-)  # impedance of the contacts, MuJoCo's default
+# Depth of all feet in the floor at which regularisations are evaluated.
+_REFERENCE_DEPTH = 5e-5
+# Depth over which a contact reaches its full stiffness, MuJoCo's default.
+_TRANSITION_DEPTH = 0.001
 
-_PRELOAD_SITES = {
-    "rolling": "axle",
-    "skid": "sole",
-}  # names of the sites on which the preload acts
+# Names of the sites on which the preload acts.
+_PRELOAD_SITES = {"rolling": "axle", "skid": "sole"}
 
 
 def axle_masses(spec: RobotSpec, settings: ModelSettings) -> list[float]:
@@ -119,19 +107,17 @@ def pair_attributes(spec: RobotSpec, settings: ModelSettings) -> dict[str, objec
     mu_t = spec.friction.mu_t
     mu_n = spec.friction.mu_n
     contact = settings.contact.for_robot(spec)
-    low, high, depth, middle, power = _SOLIMP
-    solimp = [low, high, depth * spec.scale.length, middle, power]
     normal: dict[str, object] = {
         "solref": [settings.contact_time(spec), 1],
-        "solimp": solimp,
+        # The other numbers of this impedance are defaults of MuJoCo, too.
+        "solimp": [0.9, 0.95, _TRANSITION_DEPTH * spec.scale.length, 0.5, 2.0],
     }
     if isinstance(contact, LoadedContact):
         return {"condim": 1} | normal
     across = mu_n / (1 + contact.preload_ratio)
+    along = mu_t / (1 + contact.preload_ratio)
     if contact.rolling:
         along = across
-    else:
-        along = mu_t / (1 + contact.preload_ratio)
     return {
         "condim": 3,
         "friction": [along, across, 0.005, 0.0001, 0.0001],
@@ -161,15 +147,9 @@ def fixed_inertia(spec: RobotSpec, settings: ModelSettings) -> FixedInertia:
     rolling = settings.contact.rolling and settings.base == "free"
     if rolling and not settings.loaded:
         return FixedInertia(0.0, np.zeros(3))
-    across = (
-        2
-        * spec.mass.wheel
-        * (spec.geometry.half_track**2 + spec.geometry.wheel_radius**2 / 4)
-    )
-    if rolling:
-        spin = 0.0
-    else:
-        spin = spec.mass.wheel * spec.geometry.wheel_radius**2
+    g = spec.geometry
+    across = 2 * spec.mass.wheel * (g.half_track**2 + g.wheel_radius**2 / 4)
+    spin = 0.0 if rolling else spec.mass.wheel * g.wheel_radius**2
     return FixedInertia(2 * spec.mass.wheel, np.array([across, spin, across]))
 
 
@@ -287,25 +267,22 @@ def add_contacts(
     preloaded contact, additional sensors measure the velocity of each foot in the world
     frame (m/s). The list `levels` contains the names of the raised floor levels.
     """
-    if settings.contact.rolling:
-        name = "wheel_on_floor"
-    else:
-        name = "skid_on_floor"
-    name = name if spec.skin is None else "skin_on_floor"
+    name = "wheel_on_floor" if settings.contact.rolling else "skid_on_floor"
+    if spec.skin is not None:
+        name = "skin_on_floor"
     default = mj.add_default(name, mj.default)
     for attribute, value in pair_attributes(spec, settings).items():
         setattr(default.pair, attribute, value)
+    names = treads(spec, settings)
     pairs = [
         mj.add_pair(default, name=tread, geomname1="floor", geomname2=tread)
-        for tread in treads(spec, settings)
+        for tread in names
     ]
-    for floor in levels:
-        pairs += [
-            mj.add_pair(
-                default, name=f"{tread}_{floor}", geomname1=floor, geomname2=tread
-            )
-            for tread in treads(spec, settings)
-        ]
+    pairs += [
+        mj.add_pair(default, name=f"{tread}_{floor}", geomname1=floor, geomname2=tread)
+        for floor in levels
+        for tread in names
+    ]
     unit = spec.scale.time
     for pair, factor in zip(
         pairs, itertools.cycle(_contact_time_factors(mj, spec, settings)), strict=False
@@ -314,15 +291,12 @@ def add_contacts(
         # It is rounded in the time unit of the robot, so that the rounding does not
         # depend on the scale of the robot.
         pair.solref = [round(settings.contact_time(spec) * factor / unit, 7) * unit, 1]
-    for tread in treads(spec, settings):
-        if levels:
-            source = (mjtObj.mjOBJ_BODY, "world")
-        else:
-            source = (mjtObj.mjOBJ_GEOM, "floor")
+    source = (mjtObj.mjOBJ_BODY, "world") if levels else (mjtObj.mjOBJ_GEOM, "floor")
+    for tread in names:
         add_force_sensor(mj, f"floor_force_{tread}", *source, on=tread)
     if settings.loaded:
         return  # the power of friction is known without velocity sensors
-    for tread in treads(spec, settings):
+    for tread in names:
         foot = tread.replace("tread", "foot")
         add_velocity_sensor(mj, f"velocity_{foot}", mjtObj.mjOBJ_SITE, foot)
 
