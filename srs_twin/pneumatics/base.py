@@ -288,11 +288,13 @@ class Pneumatics(Stateful, ABC):
 
     def describe(self) -> dict[str, object]:
         """Return the settings that are recorded with a run, as JSON values."""
+        settings: dict[str, object] = {
+            "kind": self.kind,
+            "valve_delay_s": self._delay,
+        }
         if self.stuck:
-            stuck = {"stuck_valves": [asdict(valve) for valve in self.stuck]}
-        else:
-            stuck = {}
-        return {"kind": self.kind, "valve_delay_s": self._delay} | stuck
+            settings["stuck_valves"] = [asdict(valve) for valve in self.stuck]
+        return settings
 
 
 def check_supply(supply_pa: float, max_pa: float) -> None:

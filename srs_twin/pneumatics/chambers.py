@@ -36,7 +36,6 @@ dissertation (Eq. 14).
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -162,8 +161,9 @@ def invert_bend_law(bends: Array, bend_law: BendLaw) -> Array:
                 f" below the limit {bend_law.bend_limit:.4g} rad"
             )
         if low < high:
-            error = partial(_bend_error, bend=bend, bend_law=bend_law)
-            low = brentq(error, low, high, xtol=1e-14, rtol=1e-14)
+            low = brentq(
+                _bend_error, low, high, args=(bend, bend_law), xtol=1e-14, rtol=1e-14
+            )
         linear.append(low)
     return np.array(linear).reshape(np.shape(bends))
 

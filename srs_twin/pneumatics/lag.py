@@ -207,11 +207,10 @@ class LagChambers(Pneumatics):
         check_not_negative(leak_per_s=leak_per_s)
         self._leak = leak_per_s
         self._max_supply = supply_pa
-        tau_fill, tau_vent = (
-            spec.modules.array(name) for name in ("tau_fill", "tau_vent")
-        )
         self._prepare(
-            spec, spec.actuator.tau_fill * tau_fill, spec.actuator.tau_vent * tau_vent
+            spec,
+            spec.actuator.tau_fill * spec.modules.array("tau_fill"),
+            spec.actuator.tau_vent * spec.modules.array("tau_vent"),
         )
         self.set_supply_pressure(supply_pa)
         super().__init__(spec, layout=layout, valve_delay_s=valve_delay_s)
@@ -318,12 +317,9 @@ class LagPneumatics(LagChambers):
         free = np.empty(self._segments)
         now = _Chambers(self.pressure.copy(), self._linear.copy(), free)
         drawn = _fill_trace(now, schedule, times, self._relaxation, trace)
-        np.multiply(
-            trace.pneumatic_energy, self._energy_per_amount, out=trace.pneumatic_energy
-        )
-        np.add(
-            trace.pneumatic_energy, self.pneumatic_energy, out=trace.pneumatic_energy
-        )
+        energy = trace.pneumatic_energy
+        energy *= self._energy_per_amount
+        energy += self.pneumatic_energy
         self.pressure, self._linear, self.bend = now
         self.pneumatic_energy = self.pneumatic_energy + self._energy_per_amount * drawn
         return trace

@@ -344,8 +344,8 @@ class OrificePneumatics(Pneumatics):
             actual.rate[:] = 0.0 if bend_rate is None else bend_rate
         simulate(now, schedule, times, self._substep, actual, self.parameters, trace)
         energy = trace.pneumatic_energy
-        np.multiply(energy, self._energy_per_amount, out=energy)
-        np.add(energy, self._energy_offset, out=energy)
+        energy *= self._energy_per_amount
+        energy += self._energy_offset
         self._state, self._amounts, self.pressure, self.bend = now
         energy_drawn = self._energy_per_amount * self.drawn
         self.pneumatic_energy = energy_drawn + self._energy_offset

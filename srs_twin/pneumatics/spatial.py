@@ -75,11 +75,9 @@ class SpatialLagPneumatics(LagChambers):
             trace.bend[part] = free[:-1]
             trace.pneumatic_energy[part] = air[:-1]
             trace.valves[part] = state
-            rate, acceleration = self._rates(
+            trace.bend_rate[part], trace.bend_acceleration[part] = self._rates(
                 state, pressure[:-1], lagged[:-1], free[:-1]
             )
-            trace.bend_rate[part] = rate
-            trace.bend_acceleration[part] = acceleration
             self.pressure = pressure[-1]
             self._lagged = lagged[-1]
             self.bend = free[-1]
@@ -121,14 +119,14 @@ class SpatialLagPneumatics(LagChambers):
         gains = chamber_gains(self._spec)
         speed = (pressure - lagged) / tau
         rise = (rate * (end - pressure) - speed) / tau
-        linear = (gains * lagged) @ self._spec.chamber.axes
+        axes = self._spec.chamber.axes
+        linear = (gains * lagged) @ axes
         size = np.maximum(np.linalg.norm(linear, axis=-1, keepdims=True), 1e-9)
         derivative = np.where(
             size > 1e-9,
             np.linalg.norm(free - self.rest_bend, axis=-1, keepdims=True) / size,
             1,
         )
-        axes = self._spec.chamber.axes
         return derivative * ((gains * speed) @ axes), derivative * (
             (gains * rise) @ axes
         )
