@@ -2,6 +2,5 @@
 
 import warp
 
-warp.config.log_level = (
-    warp.LOG_ERROR
-)  # otherwise, Warp prints a greeting and the name of each kernel
+# Otherwise, Warp prints a greeting and the name of each kernel.
+warp.config.log_level = warp.LOG_ERROR

@@ -99,17 +99,16 @@ class WarpBatch(Claimable):
             )
             warnings.warn(message, EngineWarning, stacklevel=2)
         self.twins = tuple(twins)
-        numbers: dict[int, int] = {}
+        numbers: dict[TwinSnake, int] = {}
         self._robot_of_run = np.array(
-            [numbers.setdefault(id(twin), len(numbers)) for twin in self.twins]
+            [numbers.setdefault(twin, len(numbers)) for twin in self.twins]
         )
-        distinct = self._robots = tuple(
-            {id(twin): twin for twin in self.twins}.values()
-        )
-        for twin in distinct:
-            _check_supported(twin, distinct[0])
-        self.tick = distinct[0].tick
-        self._h = distinct[0].timestep
+        self._robots = tuple(numbers)
+        first = self._robots[0]
+        for twin in self._robots:
+            _check_supported(twin, first)
+        self.tick = first.tick
+        self._h = first.timestep
         self.origins = np.zeros((len(self), 2))
         self._engine = DeviceEngine(
             self._robots, self._robot_of_run, self.device, deterministic
@@ -577,9 +576,8 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
     settings = twin.identity()
     first_settings = first.identity()
     same = settings.keys() - {"robot", "robot_digest", "supply_pa"}
-    same -= (
-        set() if twin.has_contact or first.has_contact else {"world"}
-    )  # goals and bounds do not affect the motion
+    if not (twin.has_contact or first.has_contact):
+        same.remove("world")  # goals and bounds do not affect the motion
     unsupported |= {
         f"runs that differ in {name}": settings[name] != first_settings[name]
         for name in sorted(same)
