@@ -437,6 +437,7 @@ class PneumaticPlant(Plant):
 
     def advance(self, valves: np.ndarray, samples: int) -> list[SnakeState]:
         """See `Plant.advance`."""
+        _check_samples(samples)
         history = self._simulate(
             self.pneumatics.schedule(valves, self.tick), 1, samples
         )
@@ -446,6 +447,7 @@ class PneumaticPlant(Plant):
 
     def play(self, schedule: Schedule, samples: int) -> SnakeState:
         """See `Plant.play`."""
+        _check_samples(samples)
         self.pneumatics.check(schedule.states)
         ticks = count_steps("schedule", schedule.span, "tick", self.tick)
         history = self._simulate(schedule, ticks, samples)
@@ -464,6 +466,11 @@ class PneumaticPlant(Plant):
     @abstractmethod
     def _simulate(self, schedule: Schedule, ticks: int, samples: int) -> SnakeState:
         """Simulate a schedule of valid valve states and return the history."""
+
+
+def _check_samples(samples: int) -> None:
+    if samples < 1:
+        raise InputError(f"`samples` {samples} is not allowed; it must be 1 or more")
 
 
 _PA_PER_UNIT = {"kPa": 1e3, "bar": 1e5, "psi": 6894.76}

@@ -96,3 +96,13 @@ def test_invalid_settings_raise():
         InputError, match=r"tick 0.02 s is not a multiple of time step 0.0015 s"
     ):
         TwinSnake(SPEC, timestep=0.0015)
+
+
+@pytest.mark.parametrize("build", [AnalyticalSnake, TwinSnake])
+def test_plants_refuse_to_return_no_samples(build):
+    plant = build(SPEC)
+    vented = np.full((4, 2), -1)
+    schedule = plant.pneumatics.schedule(vented, 0.02)
+    for advance, commands in ((plant.advance, vented), (plant.play, schedule)):
+        with pytest.raises(InputError, match="`samples` 0 is not allowed; it must be"):
+            advance(commands, 0)
