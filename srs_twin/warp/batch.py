@@ -562,7 +562,7 @@ def _check_supported(twin: TwinSnake, first: TwinSnake) -> None:
     twin.spec.require_planar("the device engine")
     unsupported = {
         f"pneumatics {air.kind!r}": not isinstance(air, LagPneumatics),
-        "leak_per_s": getattr(air, "leaks", False),
+        "leak_per_s": bool(air.describe().get("leak_per_s")),
         "valve_delay_s": bool(air.describe().get("valve_delay_s")),
         f"layout {twin.layout!r}": twin.layout != "3/2",
         "stuck valves": bool(air.stuck),

@@ -12,12 +12,15 @@ from types import SimpleNamespace
 import gymnasium
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import srs_twin.envs  # noqa: F401
 from srs_twin import Gait, InputError, TwinBatch, TwinSnake, load_robot, run_scripts
 from srs_twin.compute.workers import TaskResult
 from srs_twin.errors import EngineWarning
-from srs_twin.robot.world import Circle, World
+from srs_twin.pneumatics import LagPneumatics
+from srs_twin.pneumatics.valves import StuckValve
+from srs_twin.robot.world import Circle, Floor, World
 from srs_twin.studies.sweep.execution import local, on_device
 from srs_twin.studies.sweep.loading import load_sweep
 
@@ -395,6 +398,40 @@ def test_sweep_agrees_with_the_cpu_engine(tmp_path):
 def test_unsupported_settings_raise_by_name(settings, named):
     with pytest.raises(InputError, match=named):
         TwinBatch([GEN2], **settings, **ON)
+
+
+def test_unsupported_twins_raise_by_name():
+    from srs_twin.warp.batch import WarpBatch
+
+    WarpBatch.check(TwinSnake(GEN2))
+    twins = {"floor that slopes": TwinSnake(GEN2, world=World(floor=Floor(0.1, 0.0)))}
+    for name in ("leak_per_s", "valve_delay_s"):
+        chambers = LagPneumatics(GEN2, supply_pa=48e3, **{name: 0.5})
+        twins[name] = TwinSnake(GEN2, pneumatics=chambers)
+    twins["stuck valves"] = TwinSnake(GEN2)
+    twins["stuck valves"].pneumatics.stuck = (StuckValve(1, 0, 1),)
+    for name, twin in twins.items():
+        with pytest.raises(InputError, match=f"does not support .*{name}"):
+            WarpBatch.check(twin)
+
+
+def test_start_poses_rotate_and_shift_the_root():
+    """The start adds a yaw to the orientation and lifts the snake by 10 nm."""
+    from srs_twin.warp.batch import _moved
+
+    rng = np.random.default_rng(0)
+    turns = Rotation.random(3, rng=rng)
+    qpos = np.hstack([rng.normal(size=(3, 3)), turns.as_quat(scalar_first=True)])
+    places = rng.normal(size=(3, 3))
+    yaw = Rotation.from_euler("z", places[:, 2:])
+    moved = _moved(qpos, places)
+    assert moved[:, :3] == pytest.approx(
+        yaw.apply(qpos[:, :3]) + np.column_stack([places[:, :2], np.full(3, 1e-8)]),
+        abs=1e-12,
+    )
+    both = (yaw * turns).as_quat(scalar_first=True)
+    signs = np.sign((moved[:, 3:] * both).sum(axis=1, keepdims=True))
+    assert moved[:, 3:] == pytest.approx(signs * both)
 
 
 @pytest.mark.parametrize("copy_of", [pickle.dumps, copy.deepcopy, copy.copy])
