@@ -60,7 +60,10 @@ def put(path: str, index: Any = None) -> Spoil:
 
 BODY = {
     name: put("body.state", getattr(kernels, name))
-    for name in ("X", "Y", "HEADING", "VX", "VY", "MOMENT", "ENERGY_LOSS")
+    for name in (
+        *("STATE_X", "STATE_Y", "HEADING", "STATE_VX", "STATE_VY"),
+        *("MOMENT", "ENERGY_LOSS"),
+    )
 }
 YIELDING = {
     "bend": put("body.state", BENDS),
@@ -190,7 +193,7 @@ class SimpleMoment:
 @pytest.mark.parametrize("record_hz", [10, 500])
 def test_samples_before_divergence_are_kept_at_any_rate(record_hz):
     plant = AnalyticalSnake(SPEC)
-    spoiling = at(0.2, partial(BODY["X"], plant, 1e15))
+    spoiling = at(0.2, partial(BODY["STATE_X"], plant, 1e15))
     with pytest.raises(DivergedError) as caught:
         rollout(plant, Gait(2.0), 0.4, record_hz=record_hz, observers=[spoiling])
     assert caught.value.trajectory.time == pytest.approx(
