@@ -12,7 +12,6 @@ from snakes import robot, throw, vented
 from srs_twin import AnalyticalSnake, Gait, InputError, rollout
 from srs_twin.plants.analytical import kernels
 from srs_twin.plants.analytical.options import AnalyticalOptions, OptionKeywords
-from srs_twin.pneumatics import Schedule
 
 SPEC = robot()
 FRICTION_LAWS = pytest.mark.parametrize("friction_law", ["axis", "wheel"])
@@ -109,45 +108,22 @@ def test_in_out_valves_can_hold_pressure():
     assert plant.openings().tolist() == [[1, 0]] * 4
 
 
-@settings(max_examples=100)
-@given(
-    st.lists(
-        st.tuples(
-            st.integers(1, 39), st.sampled_from([0.0, 1e-15, -1e-15, 3e-4, 7e-4])
-        ),
-        max_size=8,
-    ),
-    st.sampled_from([1, 2, 5, 10]),
-    st.sampled_from([0.002, 0.001, 0.0007]),
+@pytest.mark.parametrize(
+    ("supply", "words"),
+    [
+        (48.3, r"so 48.3 means 0.0483 kPa, .* did you mean 48300 \(48.3 kPa\)\?"),
+        (0.5, r"did you mean 50000 \(0.5 bar\)\?"),
+        (7.0, r"needs about 48300 Pa; did you mean 48263.3 \(7 psi\)\?"),
+        (480.0, "so 480 means 0.48 kPa"),
+        (-1.0, "`supply_pa` -1.0 is not allowed; it must be a finite pressure"),
+        (np.inf, "`supply_pa` inf is not allowed"),
+    ],
 )
-def test_steps_end_once_on_each_event_and_sample(places, samples, timestep):
-    """Events within rounding of the even grid neither add a step nor drop a sample."""
-    plant = AnalyticalSnake(SPEC, timestep=timestep)
-    starts = np.unique(
-        [
-            0.0,
-            *(
-                0.001 * k * (1 + deviation)
-                + (deviation if abs(deviation) > 1e-9 else 0)
-                for k, deviation in places
-            ),
-        ]
-    )
-    starts = starts[starts < 0.04 - 1e-6]
-    states = np.resize([[[1, -1]] * 4, [[-1, 1]] * 4], (len(starts), 4, 2)).astype(
-        np.int8
-    )
-    steps = plant.steps(Schedule(0.04, starts, states), samples)
-    ends = steps.ends
-    marks = steps.sample_steps
-    assert (np.diff(np.append(0.0, ends)) > 1e-12).all() and ends[-1] == pytest.approx(
-        0.04
-    )
-    assert np.diff(np.append(0.0, ends)).max() <= timestep * (1 + 1e-9)
-    assert ends[marks - 1] == pytest.approx(
-        0.04 * np.arange(1, samples + 1) / samples, abs=1e-12
-    )
-    assert all(np.abs(ends - event).min() < 1e-9 for event in starts[1:])
+def test_supply_pressure_in_another_unit_is_refused(supply, words):
+    """Less than a hundredth of the nominal 48.3 kPa, 483 Pa, is taken for another unit."""
+    with pytest.raises(InputError, match=words):
+        AnalyticalSnake(SPEC, supply_pa=supply)
+    assert AnalyticalSnake(SPEC, supply_pa=485.0).supply_pa == 485.0
 
 
 def test_keywords_are_the_fields_of_the_options():

@@ -246,6 +246,11 @@ def test_diverged_twin_has_the_same_error_as_alone(threads):
     assert all(isinstance(run, Trajectory) for run in runs[1::2])
 
 
+def test_plants_without_samples_within_a_tick_name_the_allowed_rates():
+    with pytest.raises(InputError, match="2 are requested; `record_hz` must be 50 div"):
+        Fuse().advance(vented(SPEC), 2)
+
+
 def test_no_jobs_return_no_runs():
     assert run_many([]) == [] == run_many(iter([]), threads=2)
 
@@ -388,7 +393,6 @@ def test_lowest_error_is_raised_and_later_jobs_do_not_start():
     with pytest.raises(ValueError, match="task 3"):
         Workers(2).run(50, task)
     assert len(begun) < 20
-    assert Workers(2).run(3, lambda k, _: k * k) == [0, 1, 4]
 
 
 # TwinBatch

@@ -229,16 +229,6 @@ def test_simplified_differs_from_complete_in_a_gait():
 # Invalid settings
 
 
-def test_compliant_model_always_has_a_friction_torque():
-    with pytest.raises(InputError) as error:
-        AnalyticalSnake(robot(), model="compliant", friction_torque=False)
-    assert (
-        str(error.value)
-        == "model 'compliant' always has a friction torque; use model 'simplified'"
-        " to leave it out"
-    )
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -278,13 +268,19 @@ def test_model_settings_are_described():
     ).describe()
     assert {
         name: about[name]
-        for name in ("model", "friction_torque", "inertia", "friction", "track_m")
+        for name in (
+            *("model", "friction_torque", "inertia", "friction", "track_m"),
+            *("timestep_s", "tolerance_m_s", "slip_speed_m_s"),
+        )
     } == {
         "model": "simplified",
         "friction_torque": False,
         "inertia": "lumped",
         "friction": "ellipse",
         "track_m": 0.015,
+        "timestep_s": 0.002,
+        "tolerance_m_s": 0.0002,
+        "slip_speed_m_s": 0.00025,
     }
 
 

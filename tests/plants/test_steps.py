@@ -14,17 +14,25 @@ pytestmark = pytest.mark.fast
 SAME = 1e-9
 
 spans = st.sampled_from([0.001, 0.02, 0.5])
-fractions = st.lists(st.floats(0.001, 0.999), max_size=6, unique=True).map(sorted)
+near_the_grid = st.builds(
+    lambda k, deviation: k / 40 + deviation,
+    st.integers(1, 39),
+    st.sampled_from([0.0, 1e-15, -1e-15, 3e-4]),
+)
+fractions = st.lists(
+    st.floats(0.001, 0.999) | near_the_grid, max_size=6, unique=True
+).map(sorted)
 
 
 @given(spans, fractions, st.integers(1, 5), st.floats(0.05, 2.0))
 def test_steps_cover_the_span_and_end_on_samples_and_events(
     span, fractions, samples, length
 ):
+    """Events within rounding of the even grid neither add a step nor drop a sample."""
     events = span * np.array(fractions)
     longest = span * length
     steps = TimeSteps.between(span, events, samples, longest=longest, same=SAME)
-    assert (steps.lengths > 0).all()
+    assert (steps.lengths > 0.9 * SAME).all()
     assert steps.lengths.max() <= longest * (1 + 1e-9)
     assert steps.lengths.sum() == pytest.approx(span)
     assert steps.ends[steps.sample_steps - 1] == pytest.approx(

@@ -483,11 +483,19 @@ def test_settings_are_recorded_in_their_units():
         "initial_line_pressure": 12e3,
         "leak_per_s": 0.3,
     }
-    settings = OrificePneumatics(robot(), supply_pa=SUPPLY, **options).describe()
+    chambers = OrificePneumatics(robot(), supply_pa=SUPPLY, **options)
+    settings = chambers.describe()
     assert settings["flow_limit_l_per_min"] == pytest.approx(2.0)
     assert settings["line_volume_ml"] == pytest.approx(30.0)
     assert settings["initial_line_pressure_kpa"] == pytest.approx(12.0)
     assert settings["leak_per_s"] == 0.3
+    for name, conductance in zip(("fill", "vent"), chambers.conductances, strict=True):
+        recorded = settings[f"conductance_{name}_m3_per_s_pa"]
+        assert conductance == pytest.approx(np.full((4, 2), recorded))
+    default = limited(2.0).describe()
+    assert default["critical_ratio"] == 0.3
+    assert default["line_volume_ml"] == pytest.approx(50.0)
+    assert default["initial_line_pressure_kpa"] == pytest.approx(SUPPLY / 1e3)
 
 
 # Invalid settings

@@ -103,27 +103,6 @@ def test_closed_form_solves_the_differential_equations(valves, fill, vent, mode,
             values = solution.y[:, -1]
 
 
-@settings(max_examples=40)
-@given(commands(3, 4, 2, (-1, 0, 1)))
-def test_result_is_independent_of_the_division_of_a_tick(valves):
-    spec = actuated(2, fill=0.08, vent=0.15)
-    one, many = (
-        LagPneumatics(spec, supply_pa=SUPPLY, layout="in_out", leak_per_s=0.1)
-        for _ in range(2)
-    )
-    at = np.linspace(0.02, 0.06, 3)
-    whole = one.advance(one.schedule(valves.reshape(-1, 2, 2), 0.06), at)
-    for k, slots in enumerate(valves):
-        # The three ticks divided into slots, and each slot again into 5 ticks.
-        for slot in slots:
-            for _ in range(5):
-                part = many.advance(many.schedule(slot, 0.001), np.array([0.001]))
-        assert part.pressure[-1] == pytest.approx(whole.pressure[k], abs=1e-9 * SUPPLY)
-        assert part.bend[-1] == pytest.approx(whole.bend[k], abs=1e-10)
-        assert part.bend_rate[-1] == pytest.approx(whole.bend_rate[k], abs=1e-7)
-    assert (one.openings == many.openings).all()
-
-
 @settings(max_examples=30)
 @given(commands(6, 3, 2, (-1, 0, 1)))
 def test_openings_count_changes_to_filling(valves):
