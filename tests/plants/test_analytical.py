@@ -97,17 +97,6 @@ def test_gait_is_independent_of_the_control_tick():
     )
 
 
-def test_in_out_valves_can_hold_pressure():
-    plant = AnalyticalSnake(SPEC, layout="in_out")
-    for _ in range(10):
-        filled = plant.step(np.tile([1, -1], (4, 1)))
-    for _ in range(10):
-        held = plant.step(np.zeros((4, 2), dtype=np.int8))
-    assert held.pressure == pytest.approx(filled.pressure, rel=1e-12)
-    assert held.valves.tolist() == [[0, 0]] * 4
-    assert plant.openings().tolist() == [[1, 0]] * 4
-
-
 @pytest.mark.parametrize(
     ("supply", "words"),
     [

@@ -16,7 +16,6 @@ from srs_twin import (
     Gait,
     InputError,
     RobotSpec,
-    load_scenario,
     rollout,
 )
 from srs_twin.comparison.compare import compare
@@ -353,10 +352,6 @@ def test_scenario_can_request_the_gap_factor(tmp_path):
     plants = result.metrics["plants"]
     model, twin = (plants[name]["com_speed_m_s"] for name in ("analytical", "twin"))
     assert found["com_speed_rel"] == pytest.approx(twin / (model * 55 / 37) - 1)
-
-
-def test_scenario_without_gap_factor_compares_raw_speeds():
-    assert not load_scenario("gen2_straight").file.comparison.gap_factor
 
 
 def test_scenario_rejects_a_meaningless_gap_factor():

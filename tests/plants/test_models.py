@@ -151,13 +151,6 @@ def test_home_keyframe_rests_with_weight_and_preload_on_the_floor(spec, shipped)
     )
 
 
-def test_plus_pressure_exerts_the_moment_of_the_free_bend(spec, shipped):
-    """Robots whose damping time is not the mode time constant have a second, lagging actuator."""
-    actuators = [shipped.actuator(i) for i in range(shipped.nu)]
-    gains = [item.gainprm[0] for item in actuators if item.name.startswith("plus_1")]
-    assert sum(gains) == pytest.approx(spec.bending.stiffness * spec.actuator.gain)
-
-
 def test_robot_file_contains_the_robot_only(root, spec):
     robot = mujoco.MjModel.from_xml_path(
         str(root / "models" / spec.name / f"{spec.name}.xml")
