@@ -49,6 +49,7 @@ from srs_twin.envs.task import (
 )
 from srs_twin.envs.variation import Robot
 from srs_twin.errors import InputError
+from srs_twin.io.arguments import checked
 from srs_twin.io.provenance import short_digest
 from srs_twin.planning.camera import Camera
 from srs_twin.planning.collision import obstacle_at
@@ -190,10 +191,11 @@ class CrawlEpisode(ObservedEpisode):
     def identity(self) -> dict[str, object]:
         """See `Episode.identity`.
 
-        The identity also contains a digest of the current world, because a reused twin
-        still has the goal of an earlier episode.
+        The identity also contains the goal and a digest of the current world, because a
+        reused twin still has the goal of an earlier episode.
         """
-        return super().identity() | {"world": short_digest(self.world)}
+        goal = [self.goal.x, self.goal.y]
+        return super().identity() | {"goal": goal, "world": short_digest(self.world)}
 
     def set_goal(self, place: object) -> None:
         """See `Episode.set_goal`."""
@@ -351,6 +353,7 @@ class CrawlTask(CameraTask):
         RewardTerm("offset_change", 0.0, "absolute change of the steering offset"),
     )
 
+    @checked
     def __init__(
         self,
         name: str,

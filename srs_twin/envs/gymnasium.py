@@ -117,6 +117,7 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
             InputError: the saved state does not belong to the episode, or a value is
                 not allowed. If an error is raised, the environment is unchanged.
         """
+        seed = check_seed(seed)
         return self.start_episode(seed, self.draw_episode(seed, options))
 
     def draw_episode(
@@ -130,7 +131,6 @@ class SnakeEnv(Claimable, gymnasium.Env[np.ndarray, np.ndarray]):
             UnknownNameError: an option does not exist.
             InputError: an option has an invalid value.
         """
-        check_seed(seed)
         checked = _checked_options(options)
         if seed is None:
             rng = copy.deepcopy(self.np_random)
@@ -310,19 +310,15 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
                 If an error is raised, all environments are unchanged.
         """
         if np.iterable(seed):
-            seeds = list(seed)
+            seeds = [check_seed(env_seed) for env_seed in seed]
         else:
-            check_seed(seed)
-            seeds = [
-                None if seed is None else int(seed) + k for k in range(self.num_envs)
-            ]
+            first = check_seed(seed)
+            seeds = [None if first is None else first + k for k in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise InputError(
                 f"{len(seeds)} seeds are given for {self.num_envs} environments; give"
                 " one seed for each environment"
             )
-        for env_seed in seeds:
-            check_seed(env_seed)
         episodes = self._workers.run(
             self.num_envs, lambda k, _: self.envs[k].draw_episode(seeds[k], options)
         )

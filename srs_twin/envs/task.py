@@ -25,6 +25,7 @@ from srs_twin.errors import (
     UnknownNameError,
     count_steps,
 )
+from srs_twin.io.arguments import checked
 from srs_twin.io.files import StrPath
 from srs_twin.io.saved_state import SavedState, Stateful
 from srs_twin.plants.base import SnakeState
@@ -123,18 +124,20 @@ def keywords(function: Callable[..., object]) -> set[str]:
     return {entry.name for entry in parameters if entry.kind is entry.KEYWORD_ONLY}
 
 
-def check_seed(seed: object) -> None:
-    """Check that a seed is either None or a non-negative integer.
+def check_seed(seed: object) -> int | None:
+    """Return a seed as a Python integer, or None if no seed is given.
 
     Raises:
         InputError: the seed is neither None nor a non-negative integer.
     """
-    is_integer = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
-    if not (seed is None or (is_integer and seed >= 0)):  # type: ignore[operator]
+    if seed is None:
+        return None
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
         raise InputError(
             f"seed {abbreviate(seed)} is not allowed; it must be an integer of 0 or"
             " more"
         )
+    return int(seed)
 
 
 _MAX_PRINTED_VALUES = 6
@@ -170,7 +173,7 @@ class TaskKeywords(TwinSettings, total=False):
     fit: StrPath | None
     ranges: Ranges | None
     rewards: Mapping[str, float] | None
-    observations: Sequence[str] | None
+    observations: str | Sequence[str] | None
 
 
 class Task(ABC):
@@ -199,6 +202,7 @@ class Task(ABC):
     has_obstacles = False
     spatial = False
 
+    @checked
     def __init__(
         self,
         robot: Robot,
@@ -207,7 +211,7 @@ class Task(ABC):
         fit: StrPath | None = None,
         ranges: Ranges | None = None,
         rewards: Mapping[str, float] | None = None,
-        observations: Sequence[str] | None = None,
+        observations: str | Sequence[str] | None = None,
         **twin_settings: Unpack[TwinSettings],
     ) -> None:
         """Initialise the task.
@@ -221,8 +225,8 @@ class Task(ABC):
             ranges: limits (low, high) of a uniform distribution, keyed by parameter
                 name.
             rewards: weights that replace default weights, keyed by term name.
-            observations: names of the observation groups that the agent receives, by
-                default all groups.
+            observations: name or names of the observation groups that the agent
+                receives, by default all groups.
             **twin_settings: further arguments of `TwinSnake`.
 
         Raises:

@@ -263,6 +263,8 @@ def test_calls_in_the_wrong_order_and_unknown_names_are_refused():
         ("Module", {"supply_pa": 1e3}, "unknown setting .*'supply_pa'"),
         ("GoTo", {"limit_s": 0.25}, "limit_s 0.25 s is not a multiple of step 0.1 s"),
         ("Module", {"limit_s": -1.0}, "limit_s -1.0 s is not allowed"),
+        ("Pegs", {"limit_s": "5"}, "limit_s '5' is not allowed; it must be a number"),
+        ("GoTo", {"camera": 5}, "camera 5 is not allowed; it must be a Camera"),
         (
             "Obstacles",
             {"camera": Camera(5.0)},
@@ -306,6 +308,7 @@ def test_vector_environment_refuses_invalid_counts():
     envs = SnakeVectorEnv("Module", 2)
     with pytest.raises(InputError, match="3 seeds are given for 2 environments"):
         envs.reset(seed=[1, 2, 3])
+    assert equal_bits(envs.reset(seed=np.array([5, 6])), envs.reset(seed=5))
 
 
 @pytest.mark.slow
