@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from srs_twin.errors import InputError
+from srs_twin.errors import InputError, check_choice
 from srs_twin.live import natnet
 from srs_twin.live.links import LOOPBACK, Link, clock, resolved
 from srs_twin.live.messages import POSES, BadMessageError, Message
@@ -147,9 +147,10 @@ class NatNetLink(_UdpLink):
             up: upward axis of the motion capture system, "y" or "z".
 
         Raises:
-            InputError: the host of the server is unknown, or `local` is not an address
-                of this machine.
+            InputError: the host of the server is unknown, `local` is not an address
+                of this machine, or the axis is unknown.
         """
+        check_choice("up", up, ("y", "z"))
         # The host name is resolved, because packets contain the numeric address of
         # their sender.
         host = resolved(host)

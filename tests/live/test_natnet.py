@@ -230,6 +230,8 @@ def test_an_address_of_others_is_refused():
         NatNetServer({}, host="192.0.2.1")
     with pytest.raises(InputError, match=r"frames cannot be received at 192\.0\.2\.1"):
         NatNetLink(local="192.0.2.1")
+    with pytest.raises(InputError, match="up 'x' is unknown; allowed: y, z"):
+        NatNetLink(up="x")
 
 
 def test_a_server_given_by_its_name_is_heard():
