@@ -10,7 +10,7 @@ import numpy as np
 from srs_twin.errors import InputError
 from srs_twin.live.commands import DELAY_S
 from srs_twin.live.estimate import Estimate
-from srs_twin.live.fault_hypotheses import CHAMBERS, ChamberBehaviour
+from srs_twin.live.fault_hypotheses import CHAMBERS, ChamberBehaviour, valve_duty
 from srs_twin.live.messages import GO, PAUSE, VENT
 from srs_twin.live.shadow import Shadow
 from srs_twin.planning.camera import Camera
@@ -242,14 +242,8 @@ class EstimateSteering:
             return self.vented()
         # Only stuck valves change the gait, because segments with a leak still bend.
         chambers = CHAMBERS[shadow.faults.most_likely()]
-        stuck = np.where(
-            (chambers == ChamberBehaviour.FILLS).any(axis=1), ChamberBehaviour.FILLS, 0
-        )
-        stuck = np.where(
-            (chambers == ChamberBehaviour.VENTS).any(axis=1),
-            ChamberBehaviour.VENTS,
-            stuck,
-        )
+        is_stuck = np.isin(chambers, (ChamberBehaviour.FILLS, ChamberBehaviour.VENTS))
+        stuck = np.where(is_stuck, chambers, ChamberBehaviour.OBEYS).max(axis=1)
         if (stuck != self._stuck).any():
             self._stuck = stuck
             self.follower.request_replan("fault")
@@ -262,9 +256,7 @@ class EstimateSteering:
         # valve instead of several valve states per tick.
         if valves.ndim == 3:
             valves = valves.mean(axis=0)
-        duty = valves / 2 + 0.5
-        duty[stuck == ChamberBehaviour.FILLS] = 1.0
-        duty[stuck == ChamberBehaviour.VENTS] = 0.0
+        duty = valve_duty(valves / 2 + 0.5, stuck[:, None])
         if np.isin(duty, (0.0, 1.0)).all():
             return 2 * duty - 1
         return duty
