@@ -222,6 +222,16 @@ TAILS = 12.0
 """Degrees of freedom of Student's t distribution for stroke residuals."""
 
 
+def log_student(square: np.ndarray, tails: float) -> np.ndarray:
+    """Return log-likelihoods for Student's t distribution without the constant term.
+
+    Args:
+        square: squared residuals divided by the noise variance.
+        tails: degrees of freedom.
+    """
+    return np.asarray(-np.log1p(square / tails) * (tails + 1) / 2)
+
+
 _volume = np.vectorize(volume, otypes=[float, float])
 _flow = np.vectorize(
     lambda first, second: flow(first, second, CRITICAL_RATIO)[0], otypes=[float]
@@ -481,10 +491,8 @@ class LeakDetector(Stateful):
         weak_sd = WEAK_INFLOW_SD * self._sums[..., _INFLOWS]
         variance += (LEAK_RATE_SD * self._leaks * outflow) ** 2
         variance += (self._fractions < 1.0) * weak_sd**2
-        return np.asarray(
-            -np.log1p(residual**2 / variance / TAILS) * (TAILS + 1) / 2
-            - np.log(variance) / 2
-        )
+        log = log_student(residual**2 / variance, TAILS)
+        return np.asarray(log - np.log(variance) / 2)
 
     def _accumulate(self, used: np.ndarray) -> None:
         inflow = self._sums[..., _SOUND_INFLOW]

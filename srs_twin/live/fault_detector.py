@@ -59,6 +59,7 @@ from srs_twin.live.air_balance import (
     SUDDEN,
     LeakDetector,
     SupplyFilter,
+    log_student,
 )
 from srs_twin.live.fault_hypotheses import (
     CHAMBERS,
@@ -429,7 +430,7 @@ class FaultDetector(Stateful):
         )
         # The distribution of model errors has heavy tails under every hypothesis, so
         # Gaussian densities would cause false detections.
-        log = _log_student(innovation**2 / variance)
+        log = log_student(innovation**2 / variance, _TAILS)
         log = log - np.log(variance * 2 * math.pi) / 2
         return np.where(available, log, 0.0)
 
@@ -459,7 +460,7 @@ class FaultDetector(Stateful):
         # means apply only to hypotheses with such valves.
         residual = residual - np.where(self._obeys, usual[:, None], 0.0)
         spread = np.where(self._obeys, sd[:, None] + _LEAST_PRESSURE_SD, _PRESSURE_SD)
-        log = _log_student((residual / spread) ** 2) - np.log(spread)
+        log = log_student((residual / spread) ** 2, _TAILS) - np.log(spread)
         log = np.where(np.isnan(pressures)[:, None], 0.0, log)
         # After enough strokes, leaks are detected from the air balance instead of the
         # pressure residuals.
@@ -578,7 +579,3 @@ class FaultDetector(Stateful):
             self.supply,
         )
         return np.asarray(log_likelihood[:, np.arange(2), self._variant].sum(axis=-1))
-
-
-def _log_student(square: np.ndarray) -> np.ndarray:
-    return np.asarray(-np.log1p(square / _TAILS) * (_TAILS + 1) / 2)
