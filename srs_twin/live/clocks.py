@@ -254,7 +254,7 @@ class ReorderBuffer:
             longest = max(
                 clock.delay_quantile(_IN_TIME) for clock in self.clocks.values()
             )
-            self.hold = min(max(self._least, longest), max(self._least, MOST_HOLD_S))
+            self.hold = max(self._least, min(longest, MOST_HOLD_S))
         until = now - self.hold
         due = []
         while self._waiting and self._waiting[0].time <= until:

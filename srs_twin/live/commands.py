@@ -153,11 +153,8 @@ class CommandPeriod:
         If the commands are periodic, the last period is repeated. Otherwise, the last
         command is held.
         """
-        past = np.array(self._duties)
-        lag = self.period()
-        if lag:
-            return past[-lag:][np.arange(slots) % lag]
-        return np.repeat(past[-1:], slots, axis=0)
+        lag = self.period() or 1
+        return np.array(self._duties)[-lag:][np.arange(slots) % lag]
 
     def period(self) -> int:
         """Return the period in time slots, or 0 if the commands are not periodic."""

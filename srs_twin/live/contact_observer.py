@@ -174,8 +174,7 @@ class Hypotheses:
     def pruned(self, limit: float) -> Hypotheses:
         """Return the hypotheses whose cost exceeds the minimum by at most `limit`."""
         kept = self.cost <= self.cost.min() + limit
-        arrays = {name: getattr(self, name)[kept] for name in _OF_EACH}
-        return Hypotheses(**arrays, compared=self.compared)
+        return replace(self, **{name: getattr(self, name)[kept] for name in _OF_EACH})
 
 
 _OF_EACH = ("station", "force", "velocity", "bend", "cost")

@@ -220,7 +220,6 @@ class FaultDecision(Stateful):
             other_weak = (weak.sum() - weak) / (count - 1)
             likely[:, WEAK] = weak * np.minimum(2 * other_weak, 1.0)
             likely /= likely.sum(axis=1, keepdims=True)
-        low_supply_pressure = self.low_supply_pressure
         self._since = np.where(
             likely > threshold, np.minimum(self._since, time), np.inf
         )
@@ -230,7 +229,7 @@ class FaultDecision(Stateful):
         self._either_since = np.where(
             np.transpose(either), np.minimum(self._either_since, time), np.inf
         )
-        if not low_supply_pressure:
+        if not self.low_supply_pressure:
             for j, m in np.argwhere(time - self._since >= patience):
                 # Later evidence may distinguish the two faults of a detected pair.
                 is_new = pairs[j + 1, 0] < 0 or m in pairs[j + 1]
