@@ -242,11 +242,11 @@ class CrawlEpisode(ObservedEpisode):
     def _measure(self) -> dict[str, Sequence[float]]:
         seen, values = self._observe()
         values["goal"] = ahead_and_left(seen, self.goal.x, self.goal.y)
-        circles = (
-            (*ahead_and_left(seen, item.x, item.y), item.radius)
+        values["obstacles"] = [
+            number
             for item in self.world.obstacles
-        )
-        values["obstacles"] = [number for circle in circles for number in circle]
+            for number in (*ahead_and_left(seen, item.x, item.y), item.radius)
+        ]
         return values
 
     def _reward_values(self) -> dict[str, float]:

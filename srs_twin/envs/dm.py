@@ -12,7 +12,7 @@ from srs_twin.envs.crawling import AnyTaskKeywords
 from srs_twin.envs.rendering import EpisodeRenderer
 from srs_twin.envs.task import (
     Episode,
-    Signal,
+    Signals,
     StepResult,
     Task,
     check_seed,
@@ -117,22 +117,14 @@ class DmTask(control.Task):  # type: ignore[misc]  # dm_control has no types
 
         The name of the returned spec contains the signal names, separated by tabs.
         """
-        actions = self.task.commands
-        names = "\t".join(signal.name for signal in actions)
-        return specs.BoundedArray(
-            (len(actions),),
-            np.float32,
-            lower_bounds(actions),
-            upper_bounds(actions),
-            names,
-        )
+        return _spec(self.task.commands)
 
     def observation_spec(
         self, physics: EpisodePhysics
     ) -> OrderedDict[str, specs.BoundedArray]:
         """Return the bounds of each observation, keyed by signal name."""
         return OrderedDict(
-            (signal.name, _spec(signal)) for signal in self.task.observations
+            (signal.name, _spec((signal,))) for signal in self.task.observations
         )
 
     def get_observation(self, physics: EpisodePhysics) -> OrderedDict[str, np.ndarray]:
@@ -181,7 +173,7 @@ def load(
     )
 
 
-def _spec(signal: Signal) -> specs.BoundedArray:
-    low = lower_bounds((signal,))
-    high = upper_bounds((signal,))
-    return specs.BoundedArray((1,), np.float32, low, high, signal.name)
+def _spec(signals: Signals) -> specs.BoundedArray:
+    low = lower_bounds(signals)
+    names = "\t".join(signal.name for signal in signals)
+    return specs.BoundedArray(low.shape, np.float32, low, upper_bounds(signals), names)

@@ -408,14 +408,10 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         valves = [vented] * self.num_envs
         for k in running:
             valves[k] = self.envs[k].current_episode().command(actions[k])
+        batch.update_supply_pressure()
         # Constant valve states are broadcast to the shape of valve states that change
         # within a step.
-        substeps = max(states.shape[0] if states.ndim == 3 else 1 for states in valves)
-        shape = (substeps, *vented.shape)
-        batch.update_supply_pressure()
-        batch.step(
-            np.stack([np.broadcast_to(v, shape) if v.ndim == 2 else v for v in valves])
-        )
+        batch.step(np.stack(np.broadcast_arrays(*valves, vented[None])[:-1]))
         for k in running:
             episode = self.envs[k].current_episode()
             error = batch.errors[k]
@@ -433,8 +429,8 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
         return self.envs[k].step(action)
 
     def _begin_next(self, k: int) -> StepResult:
-        observation, info = self.envs[k].reset()
-        return StepResult(observation, 0.0, False, False, info)
+        self.envs[k].reset()
+        return self.envs[k].current_episode().first
 
     def _merge_infos(self, infos: Iterable[dict[str, object]]) -> dict[str, object]:
         merged: dict[str, object] = {}
