@@ -103,6 +103,18 @@ def test_a_transport_that_recovers_leaves_no_uncertainty():
     assert clock.uncertainty == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_longer_transport_is_confirmed_0_4_s_after_the_last_confirmed_offset():
+    """Messages 19 and 24 confirm an offset, at 0.38 and 0.79 s."""
+    clock = SenderClock()
+    jumps = []
+    for k in range(60):
+        slower = 0.31 * ((k >= 20) + int(k >= 25))
+        clock.update(0.02 * k, 0.02 * k + slower)
+        jumps.append(clock.jumps)
+    assert [jumps.index(count) for count in (1, 2)] == [24, 29]
+    assert clock.uncertainty == pytest.approx(0.62)
+
+
 @given(st.lists(st.floats(0.0, 0.06), min_size=5, max_size=60), st.randoms())
 def test_what_is_handed_out_is_in_order_and_nothing_twice(delays, random):
     buffer = ReorderBuffer(hold_s=0.03)

@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from srs_twin.live.commands import SLOT_S, CommandPeriod
+from srs_twin.live.commands import SLOT_S, CommandHistory, CommandPeriod
 from srs_twin.live.estimate import (
     IntervalCalibration,
     Prediction,
     PredictionCalibration,
 )
+from srs_twin.live.messages import COMMAND, VALVES, Message
 from srs_twin.live.uncertain import Estimates
 
 
@@ -40,6 +41,32 @@ def test_without_a_period_the_last_command_is_kept():
     for k in range(300):
         still.add(SLOT_S * (k + 0.5), np.zeros((4, 2)))
     assert still.period() == 0
+
+
+def valves(kind: str, sent: float, state: float) -> tuple[float, Message]:
+    return sent, Message(kind, "r", sent, sent, np.full((1, 2), state))
+
+
+def test_a_command_acts_after_half_a_tick_and_ends_after_a_fifth_of_a_second():
+    history = CommandHistory(1)
+    history.add(*valves(COMMAND, 1.0, 1.0))
+
+    def duties(*times: float, waiting=()) -> list[float]:
+        return history.at(np.array(times), waiting)[:, 0, 0].tolist()
+
+    assert duties(0.9, 1.009, 1.011, 1.209, 1.211) == [0, 0, 1, 1, 0]
+    assert duties(1.109, 1.111, waiting=[valves(COMMAND, 1.1, -1.0)]) == [1, 0]
+    # Valve states are reported one tick of the robot after they begin.
+    history.add(*valves(VALVES, 1.3, 1.0))
+    assert duties(1.279, 1.281) == [0, 1]
+
+
+def test_commands_count_as_lost_after_one_and_a_half_usual_intervals():
+    history = CommandHistory(1)
+    for sent in (0.0, 0.02, 0.04, 0.06, 0.08, 0.109):
+        assert history.add(*valves(COMMAND, sent, -1.0)) is None
+    lost = history.add(*valves(COMMAND, 0.14, 0.25))
+    assert lost.interval == pytest.approx(0.031) and (lost.change == 0.25).all()
 
 
 def test_errors_of_earlier_predictions_widen_intervals():
