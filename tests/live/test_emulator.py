@@ -14,7 +14,7 @@ from brokers import free_port, wait
 
 from srs_twin import Gait, InputError, load_robot
 from srs_twin.live import emulator
-from srs_twin.live.emulator import KINDS, EmulatedRobot, Fault, Simulation
+from srs_twin.live.emulator import EmulatedRobot, Fault, Simulation
 from srs_twin.live.links import Link, MqttLink
 from srs_twin.live.messages import (
     BENDS,
@@ -101,11 +101,15 @@ def test_what_is_no_fault_is_refused(text, why):
         Fault.parse(text, 4)
 
 
-def test_every_kind_can_be_told():
-    for kind, (of, ways) in KINDS.items():
-        where = {"chamber": ":1-", "segment": ":1", "connector": ":5", "": ""}[of]
-        for how, value in ways.items():
-            assert Fault.parse(f"{kind}{where}={how}@2.5", 4).how == value
+def test_a_loss_of_supply_lowers_the_regulated_pressure():
+    for how, left in (("half", 0.5), ("empty", 0.1)):
+        fault = f"low_supply_pressure={how}@0.01"
+        robot = EmulatedRobot("gen4", faults=[fault], **QUIET)
+        found = [robot.step(None) and robot.supply_now_pa for _ in range(2)]
+        robot.regulate(0.9)
+        assert [*found, robot.supply_now_pa] == pytest.approx(
+            48.3e3 * np.array([1, left, 0.9 * left])
+        )
 
 
 def test_a_robot_is_given_by_name_or_path(tmp_path, root):
@@ -135,6 +139,7 @@ def test_sensor_and_camera_noise_is_independent_in_every_component():
         seen.append([rotate(each, "y")[[0, 1, 3]] for each in robot.bodies().values()])
         bends.append(robot.bends())
     state = robot.state
+    assert {each.place[1] for each in robot.bodies().values()} == {0.02}
     bends = np.array(bends)
     noise = np.array(seen) - np.column_stack([state.position, state.connector_heading])
     noise[:, :, 2] = np.arctan2(np.sin(noise[:, :, 2]), np.cos(noise[:, :, 2]))
@@ -197,11 +202,22 @@ class Bench(Link):
 def test_robot_vents_a_fifth_of_a_second_after_the_last_command(monkeypatch):
     commands = [0.0, 0.05, 0.2, 1.0]
     bench = Bench(monkeypatch, commands)
-    emulator.emulate(bench, bench, None, duration=2.0)
-    assert len(bench.obeyed) == pytest.approx(100, abs=1)
+    result = emulator.emulate(bench, bench, None, duration=2.0)
+    assert result == {"ticks": 100, "late": 0, "disconnected": 0}
     for now, obeys in bench.obeyed:
         since = [now - 100.0 - each for each in commands if each <= now - 100.0]
         assert obeys == (since[-1] < 0.2 + 1e-9)
+
+
+def test_a_slow_robot_counts_late_ticks_and_stays_within_a_second_of_real_time(
+    monkeypatch,
+):
+    bench = Bench(monkeypatch)
+    step = bench.step
+    bench.step = lambda command: bench._sleep(0.05) or step(command)
+    result = emulator.emulate(bench, bench, None, duration=2.0)
+    assert (result["ticks"], result["late"]) == (100, 100)
+    assert 1.0 < max(now - at for _, at, now in bench.sent) < 1.04
 
 
 def test_messages_are_lost_and_late_as_the_air_says(monkeypatch):
@@ -275,6 +291,7 @@ def test_the_command_says_that_the_broker_is_gone(srs_twin, tmp_path, broker):
         done = srs_twin("emulate", "gen4", *words, cwd=tmp_path)
         ended.result()
     assert done.stderr.count("s: the connection to the broker is lost") == 1
+    assert "\n100 ticks of 0.02 s, " in done.stderr
     assert done.stderr.endswith("lost connections to the broker: 1\n")
 
 
