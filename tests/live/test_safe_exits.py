@@ -285,14 +285,6 @@ def test_numbers_of_journals_are_taken_atomically(tmp_path):
     )
 
 
-def test_two_sessions_in_one_folder_keep_journals_of_their_own(tmp_path):
-    (one, _), (other, _) = session(tmp_path / "lab"), session(tmp_path / "lab")
-    assert {each._journal._path.name for each in (one, other)} == {
-        "journal-1.mcap",
-        "journal-2.mcap",
-    }
-
-
 def test_a_journal_takes_any_message(tmp_path):
     with Journal(tmp_path / "a.mcap") as journal:
         for sent in (1e300, -1e300, 0.5):
@@ -361,6 +353,26 @@ def test_a_path_that_was_not_begun_has_not_ended(machine, capsys, word, words):
     found._steering.control(word)
     _print_result(found.run(0.3))
     assert capsys.readouterr().err.endswith(words)
+
+
+def test_the_printed_result_has_the_numbers_of_the_summary(machine, capsys):
+    seen = []
+    found, _ = session(views=[lambda *_: seen.append(machine.sleep(0.01))])
+    found.faults["segment 2", "leak +"] = 1.54
+    told = found.run(1.0)
+    told["estimate"] |= {"pose": [1.0, -2.0, 0.5], "pose_sd": [0.1, 0.2, 0.3]}
+    _print_result(told)
+    ticks, age, place, fault, _ = capsys.readouterr().err.splitlines()
+    assert ticks == "1.0 s, ticks of 0.0 ms, 99 % below 10.0 ms"
+    assert age == "readings are 30 ms old when they are used"
+    expected = "at x 1.000 ± 0.196 m, y -2.000 ± 0.392 m, heading 0.50 ± 0.59 rad"
+    assert place == expected
+    assert fault == "1.5 s: segment 2: leak +"
+    named = {"part": "segment 2", "fault": "leak +", "time_s": 1.54}
+    assert told["faults"] == [named]
+    # A view is drawn every 0.12 s.
+    assert len(seen) in (7, 8)
+    assert told["view_fraction"] == pytest.approx(0.01 * len(seen) / told["seconds"])
 
 
 def test_pause_ends_in_venting(machine):
