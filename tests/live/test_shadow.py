@@ -24,6 +24,7 @@ from subsets import first_by_default
 from srs_twin import InputError, load_robot, load_scenario
 from srs_twin.io.saved_state import SavedState
 from srs_twin.live.clocks import ReorderBuffer
+from srs_twin.live.fault_hypotheses import HYPOTHESES
 from srs_twin.live.member_dynamics import MemberDynamics
 from srs_twin.live.messages import BENDS, COMMAND, PRESSURES, Message
 from srs_twin.live.shadow import Shadow, frames_of
@@ -354,6 +355,35 @@ def test_a_robot_is_vented_once_its_position_has_been_uncertain_for_a_while(walk
     assert vented_ticks(lost, ticks - 10) == ticks - 10 and not steering.finished
     assert vented_ticks(lost, 12) == 12 and steering.finished
     assert steering.summary()["ending"] == "estimate_lost"
+
+
+def test_segments_with_stuck_valves_are_straight_and_steering_ends_without_air(
+    walk, shadow
+):
+    steering = EstimateSteering(load_scenario("follow_gen4_a"), shadow, 0.02)
+    reasons: list[str] = []
+    steering.follower = SimpleNamespace(
+        finished=False,
+        step=lambda _: np.full((5, 4, 2), [1.0, 0.0]),
+        events=list,
+        request_replan=reasons.append,
+    )
+    steering._steps = 1
+    names = ["", "stuck_valve +=open", "stuck_valve -=closed", ""]
+    stuck = [[each.name for each in HYPOTHESES].index(name) for name in names]
+    shadow.faults.most_likely = lambda: np.array(stuck)
+    commands = [steering.step(walk.estimate, shadow) for _ in range(52)]
+    # The robot rests for one second, while its pose is estimated.
+    assert [(each == -1).all() for each in commands] == [True] * 49 + [False] * 3
+    assert commands[-1].tolist() == [[1, 0.5], [1, 1], [0, 0], [1, 0.5]]
+    assert reasons == ["fault"]
+    shadow.faults.supply.pressure = 0.29 * shadow.faults.supply.nominal
+    ended = []
+    for _ in range(160):
+        steering.step(walk.estimate, shadow)
+        ended.append(steering.finished)
+    assert ended.index(True) in (149, 150)  # three seconds
+    assert steering.summary()["ending"] == "supply_empty"
 
 
 @pytest.mark.slow
