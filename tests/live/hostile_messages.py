@@ -119,50 +119,13 @@ def frame(draw: Random, time: float = 1.0) -> bytes:
 
 def packet(draw: Random, server: tuple[str, int]) -> tuple[bytes, tuple[str, int]]:
     """Return a packet and its sender."""
-    how = draw.randrange(10)
     elsewhere = "10.9.8.7", server[1]
-    if how == 0:
-        return draw.randbytes(draw.randrange(4)), server
-    if how == 1:
-        return (
-            struct.pack("<HH", 7, 65_000) + draw.randbytes(draw.randrange(500)),
-            server,
-        )
-    if how == 2:
-        _, content = natnet.opened(frame(draw))
-        return (
-            natnet.closed(
-                natnet.Packet.FRAME, content[: draw.randrange(len(content) // 2)]
-            ),
-            server,
-        )
-    if how == 3:
-        return frame(draw, draw.choice([math.nan, math.inf, 1e11, -1e300])), server
-    if how == 4:
-        return frame(draw), elsewhere
-    if how == 5:
-        other = draw.choice(
-            [packets.write_server((3, 0)), packets.write_models({1: "a"}, VERSION)]
-        )
-        return other, draw.choice([elsewhere, (server[0], server[1] % 65_535 + 1)])
-    if how == 6:
-        return (
-            packets.write_server(draw.choice([(1, 9), (2, 5), (5, 0), (255, 255)])),
-            server,
-        )
-    if how == 7:
-        group = draw.choice(["10.0.0.1", "0.0.0.0", "255.255.255.255", "192.0.2.7"])
-        return (
-            packets.write_server(VERSION, group=group, port=draw.choice([1511, 1600])),
-            server,
-        )
-    if how == 8:
-        kind = draw.choice([natnet.Packet.FRAME, natnet.Packet.MODELDEF])
-        counts = [draw.choice([-1, -(2**31), 2**31 - 1, 20_000])]
-        head = [draw.randrange(1000)] if kind == natnet.Packet.FRAME else []
-        content = struct.pack(f"<{len(head) + 1}i", *head, *counts)
-        return natnet.closed(kind, content + draw.randbytes(200)), server
-    kinds = [
+    restarted = server[0], server[1] % 65_535 + 1
+    answers = [packets.write_server((3, 0)), packets.write_models({1: "a"}, VERSION)]
+    _, content = natnet.opened(frame(draw))
+    counts = struct.pack("<i", draw.choice([-1, -(2**31), 2**31 - 1, 20_000]))
+    counts += draw.randbytes(200)
+    unused = [
         natnet.Packet.REQUEST,
         natnet.Packet.RESPONSE,
         natnet.Packet.UNRECOGNIZED,
@@ -170,7 +133,25 @@ def packet(draw: Random, server: tuple[str, int]) -> tuple[bytes, tuple[str, int
         42,
         65_535,
     ]
-    return (
-        natnet.closed(draw.choice(kinds), draw.randbytes(draw.randrange(100))),
-        server,
-    )
+    from_server = [
+        draw.randbytes(draw.randrange(4)),
+        struct.pack("<HH", 7, 65_000) + draw.randbytes(draw.randrange(500)),
+        natnet.closed(
+            natnet.Packet.FRAME, content[: draw.randrange(len(content) // 2)]
+        ),
+        frame(draw, draw.choice([math.nan, math.inf, 1e11, -1e300])),
+        packets.write_server(draw.choice([(1, 9), (2, 5), (5, 0), (255, 255)])),
+        packets.write_server(
+            VERSION,
+            group=draw.choice(["10.0.0.1", "0.0.0.0", "255.255.255.255", "192.0.2.7"]),
+            port=draw.choice([1511, 1600]),
+        ),
+        natnet.closed(natnet.Packet.FRAME, content[:4] + counts),
+        natnet.closed(natnet.Packet.MODELDEF, counts),
+        natnet.closed(draw.choice(unused), draw.randbytes(draw.randrange(100))),
+    ]
+    from_others = [
+        (frame(draw), elsewhere),
+        (draw.choice(answers), draw.choice([elsewhere, restarted])),
+    ]
+    return draw.choice([*from_others, *((each, server) for each in from_server)])
