@@ -50,6 +50,26 @@ def test_rows_of_circles_have_one_gate_each():
     assert len(gates) == 8, "four sites in each row"
 
 
+@pytest.mark.parametrize(
+    ("name", "distances", "bearing"),
+    [
+        ("GoTo", (0.6, 1.5), np.pi / 2),
+        ("Obstacles", (2.5, 2.7), 0.1),
+        ("Pegs", (0.8, 1.0), np.pi),
+        ("Crawl3D", (0.4, 1.0), np.pi),
+    ],
+)
+def test_goals_are_drawn_uniformly_from_a_sector(name, distances, bearing):
+    task = make_task(name)
+    rng = np.random.default_rng(1)
+    worlds, headings, _ = zip(*(task._draw_world(rng) for _ in range(200)), strict=True)
+    goals = np.array([complex(world.goal.x, world.goal.y) for world in worlds])
+    bearings = np.angle(goals * np.exp(-1j * np.array(headings)))
+    for values, limits in ((abs(goals), distances), (bearings, (-bearing, bearing))):
+        counts, _ = np.histogram(values, bins=4, range=limits)
+        assert counts.sum() == 200 and counts.min() > 30
+
+
 def test_contact_with_a_circle_ends_the_episode():
     task = make_task("Obstacles")
     episode = task.begin(np.random.default_rng(0))

@@ -7,10 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 
 from srs_twin.control.gait import Gait
-from srs_twin.control.grasp import hold_with
 from srs_twin.envs import make_task
 from srs_twin.envs.contact import GRASP_FREQUENCY_HZ, HELD_S, HOLD, MAX_PHASE_STEP_RAD
 from srs_twin.envs.gymnasium import SnakeEnv
@@ -90,6 +88,25 @@ def test_baseline_succeeds_and_resting_does_not(name, ending):
         )
         assert rest.ending == "time_up" and abs(rest.reward) < 1e-3
         assert score.time > HELD_S and 1.2 < score.reward < 1.6
+
+
+def test_the_grasping_policy_approaches_rests_and_closes():
+    task = make_task("Grasp")
+    policy = baseline(task)
+
+    def action(ahead: float, left: float) -> list[float]:
+        known = {"object_ahead_m": ahead, "object_left_m": left, "heading_cos": 1.0}
+        seen = [known.get(signal.name, 0.0) for signal in task.observations]
+        return task.to_physical(policy(np.array(seen)))
+
+    short_waves = pytest.approx(2 * math.pi / 3)
+    assert action(-0.184, -0.05) == [0.0, 1.0, 0.0, short_waves]
+    for _ in range(4):  # 0.4 s
+        assert action(-0.186, -0.05) == [0.0, 0.0, 0.0, short_waves]
+    # The tail curls to the right within 1.5 s.
+    for k in range(3):
+        grip = pytest.approx(-k / 15, abs=1e-6)
+        assert action(-0.2, -0.05) == [grip, 0.0, 0.0, pytest.approx(1.2)]
 
 
 def test_a_grip_needs_forces_on_opposite_sides():
@@ -212,20 +229,9 @@ def test_phase_lag_of_the_action_sets_the_wave():
         # A negative grip bends to the right.
         assert (valves[:, -HOLD:, 0] == -1).all()
         assert (valves[:, -HOLD:, 1] == 1).mean() == pytest.approx(0.6)
+        assert len({pulse.tobytes() for pulse in np.split(valves[:, -HOLD:], 5)}) == 1
     assert episode._driven == pytest.approx(0.2)
     assert (episode._valves([0.0, 0.5, 0.0, 1.2]) == -1).all()
-
-
-@given(st.floats(-1, 1), st.sampled_from([1, 2, 5]), st.integers(1, 4))
-def test_holding_duty_is_the_fraction_of_filled_slots(duty, pulses, hold):
-    valves = np.ones((100, 6, 2), dtype=np.int8)
-    hold_with(valves, hold, duty, pulses)
-    filled, other = (0, 1) if duty >= 0 else (1, 0)
-    assert (valves[:, :-hold] == 1).all() and (valves[:, -hold:, other] == -1).all()
-    fraction = (valves[:, -hold:, filled] == 1).mean(axis=0)
-    assert fraction == pytest.approx(abs(duty), abs=0.5 * pulses / 100 + 1e-9)
-    pieces = np.split(valves, pulses)
-    assert all((piece == pieces[0]).all() for piece in pieces)
 
 
 def test_robots_may_have_changed_keys():

@@ -60,6 +60,17 @@ def mean_velocities(lag: float) -> tuple[float, float]:
     return chord.imag / np.sinc(turn / 2 / np.pi) / 6.0, turn / 6.0
 
 
+def test_the_baseline_chooses_the_gait_that_meets_the_goal():
+    """A body with constant velocities moves on a circle, here for three seconds."""
+    task = make_task("Crawl3D")
+    for gait in Sidewinding._GAITS:
+        goal = gait.left / gait.yaw_rate * (np.exp(3j * gait.yaw_rate) - 1)
+        known = {"goal_ahead_m": goal.real, "goal_left_m": goal.imag}
+        seen = [known.get(signal.name, 0.0) for signal in task.observations]
+        action = task.to_physical(Sidewinding(task)(np.array(seen)))
+        assert action == pytest.approx([0.0, 1.0, 28.98, 0.25, gait.lag], abs=1e-5)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("gait", Sidewinding._GAITS)  # noqa: SLF001
 def test_velocities_of_the_baseline_gaits_are_those_of_the_twin(gait):
