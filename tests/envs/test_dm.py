@@ -41,22 +41,18 @@ def test_dm_env_and_gymnasium_give_equal_values(task):
     env.action_space.seed(0)
     observation, _ = env.reset(seed=7)
     timestep = twin.reset()
-    assert (
-        np.concatenate(list(timestep.observation.values())).tolist()
-        == observation.tolist()
-    )
     assert [signal.name for signal in env.task.observations] == list(
         timestep.observation
     )
-    while not timestep.last():
+    reward = None
+    while True:
+        seen = np.concatenate([*timestep.observation.values()])
+        assert (seen.tolist(), timestep.reward) == (observation.tolist(), reward)
+        if timestep.last():
+            break
         action = env.action_space.sample()
         observation, reward, terminated, truncated, _ = env.step(action)
         timestep = twin.step(action)
-        assert (
-            np.concatenate(list(timestep.observation.values())).tolist()
-            == observation.tolist()
-        )
-        assert timestep.reward == reward
     assert truncated and not terminated and timestep.discount == 1.0
 
 
