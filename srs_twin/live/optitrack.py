@@ -8,7 +8,7 @@ import threading
 import time
 from abc import abstractmethod
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -31,21 +31,19 @@ _LISTENS_S = 0.1
 class _UdpLink(Link):
     """Link that listens to each of its UDP sockets in a separate thread."""
 
-    def __init__(self, sockets: Iterable[socket.socket]) -> None:
+    def __init__(self, own: socket.socket) -> None:
         super().__init__()
-        self._sockets = list(sockets)
+        self._sockets = [own]
         self._over = threading.Event()
-        for own in self._sockets:
-            own.settimeout(_LISTENS_S)
-        self._threads = [
-            threading.Thread(target=self._listen, args=(s,), daemon=True)
-            for s in self._sockets
-        ]
+        self._threads: list[threading.Thread] = []
 
     def _start(self) -> None:
-        # The first thread may add another thread to the list during this loop.
-        for thread in tuple(self._threads):
-            thread.start()
+        """Start to listen to the newest socket."""
+        own = self._sockets[-1]
+        own.settimeout(_LISTENS_S)
+        thread = threading.Thread(target=self._listen, args=(own,), daemon=True)
+        self._threads.append(thread)
+        thread.start()
 
     def _listen(self, own: socket.socket) -> None:
         while not self._over.is_set():
@@ -164,7 +162,7 @@ class NatNetLink(_UdpLink):
                 f"motion capture frames cannot be received at {local} ({error}); give"
                 " an address of this machine with --local"
             ) from error
-        super().__init__([own])
+        super().__init__(own)
         self.version: natnet.Version | None = None
         self.names: dict[int, str] = {}
         self._server = (host, port)
@@ -263,7 +261,6 @@ class NatNetLink(_UdpLink):
             own.bind(group)
             member = socket.inet_aton(group.address) + socket.inet_aton(self._local)
             own.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
-            own.settimeout(_LISTENS_S)
         except (OSError, OverflowError):
             own.close()
             raise
@@ -272,10 +269,7 @@ class NatNetLink(_UdpLink):
             earlier.close()
         self._group = group
         self._sockets.append(own)
-        self._threads.append(
-            threading.Thread(target=self._listen, args=(own,), daemon=True)
-        )
-        self._threads[-1].start()
+        self._start()
 
 
 class NatNetServer(_UdpLink):
@@ -302,7 +296,7 @@ class NatNetServer(_UdpLink):
             raise InputError(
                 f"the address {host}:{port} cannot be used for NatNet: {error}"
             ) from error
-        super().__init__([own])
+        super().__init__(own)
         self.port: int = own.getsockname()[1]
         self._names = dict(names)
         self._number = 0
