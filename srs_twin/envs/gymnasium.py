@@ -353,12 +353,11 @@ class SnakeVectorEnv(Claimable, SyncVectorEnv[np.ndarray, np.ndarray]):
                 f" numbers of shape {shape}, one action for each of {self.num_envs}"
                 " environments"
             )
-        actions = checked
         if self._batch is not None:
-            results = self._step_on_device(actions)
+            results = self._step_on_device(checked)
         else:
             results = self._workers.run(
-                self.num_envs, lambda k, _: self._step_or_reset(k, actions[k])
+                self.num_envs, lambda k, _: self._step_or_reset(k, checked[k])
             )
         *columns, infos = zip(*results, strict=True)
         observations, rewards, terminated, truncated = map(np.array, columns)
