@@ -167,6 +167,8 @@ def test_without_a_robot_the_command_asks_for_one(srs_twin, tmp_path):
             ["--natnet", "lab", "--body", "a=1", "--body", "a=2"],
             "the body or the connector of 'a=2' is used twice",
         ),
+        (["--mqtt", "lab", "--mcap", "no.mcap"], "--mcap replays a recorded journal"),
+        (["--follow", "gen2_straight"], "the scenario follows no planned path"),
         (["--pressure", "5000"], "Invalid value for '--pressure'"),
         (["--name", ""], "--name '' cannot be part of an MQTT topic"),
     ],
