@@ -247,25 +247,26 @@ class EmulatedRobot:
         self._frozen = np.full(self.state.bend.shape, np.nan)
 
     def _inject_faults(self) -> None:
-        stuck = [fault for fault in self.faults if fault.kind == "stuck_valve"]
-        leaks = [fault for fault in self.faults if fault.kind == "leak"]
-        low_supply_pressure = [
-            fault for fault in self.faults if fault.kind == "low_supply_pressure"
-        ]
-        if stuck:
+        kinds = {fault.kind for fault in self.faults}
+        if "stuck_valve" in kinds:
             self.twin.spec.require_planar(
                 "fault stuck_valve, which names a + or − chamber,"
             )
-        if leaks and not isinstance(self._air, OrificePneumatics):
+        if "leak" in kinds and not isinstance(self._air, OrificePneumatics):
             raise InputError(
                 "a leak can be simulated only with compressible flow; use pneumatics"
                 " 'orifice'"
             )
         self._air.stuck = tuple(
             StuckValve(fault.number, fault.side, int(fault.how), fault.since)
-            for fault in stuck
+            for fault in self.faults
+            if fault.kind == "stuck_valve"
         )
-        self._pending = [*leaks, *low_supply_pressure]
+        self._pending = [
+            fault
+            for fault in self.faults
+            if fault.kind in ("leak", "low_supply_pressure")
+        ]
 
     def step(self, command: np.ndarray | None) -> SnakeState:
         """Advance by one tick with valve states or duties.
