@@ -24,6 +24,7 @@ import copy
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -138,13 +139,12 @@ class EnsembleFilter:
             "gain": 2 * n,
             "bias": n,
         }
-        ends = np.cumsum([0, *sizes.values()])
+        ends = accumulate(sizes.values(), initial=0)
         self.columns: Mapping[str, slice] = {
-            name: slice(int(a), int(b))
-            for name, a, b in zip(sizes, ends[:-1], ends[1:], strict=True)
+            name: slice(*pair) for name, pair in zip(sizes, pairwise(ends), strict=True)
         }
         self._dynamics = MemberDynamics(spec)
-        self.members = np.zeros((members, int(ends[-1])))
+        self.members = np.zeros((members, sum(sizes.values())))
         self._draws = {name: self._random(name) for name in ("gain", "bias")}
         self._modules = Estimates(np.tile([1.0, 1.0, 0.0], (n, 1)), np.zeros((n, 3)))
         self._masks = self._localisation()
