@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from live_runs import Run, followed_estimate
@@ -33,10 +35,7 @@ def test_who_bends_and_straightens_the_same_way_is_where_it_was():
     known = connection()
     there = gait(40)
     bends = np.concatenate([there, there[-2::-1]])
-    went = sum(
-        known.matrix((a + b) / 2) @ (b - a)
-        for a, b in zip(bends[:-1], bends[1:], strict=True)
-    )
+    went = sum(known.matrix((a + b) / 2) @ (b - a) for a, b in pairwise(bends))
     assert np.abs(went).max() < 1e-12
 
 
@@ -56,17 +55,13 @@ def test_what_a_robot_does_otherwise_is_found():
     bends = bends + 0.2 * np.cumsum(rng.normal(size=bends.shape), axis=0) / np.sqrt(
         3000
     )
-    for a, b in zip(bends[:-1], bends[1:], strict=True):
+    for a, b in pairwise(bends):
         parts = known.features(a, b)
         known.learn(parts, parts @ hidden)
     new = gait(700) * 0.9
-    apart = [
-        known.features(a, b) @ (known.weights - hidden)
-        for a, b in zip(new[:-1], new[1:], strict=True)
-    ]
-    missed = [
-        known.features(a, b) @ hidden for a, b in zip(new[:-1], new[1:], strict=True)
-    ]
+    parts = np.array([known.features(a, b) for a, b in pairwise(new)])
+    apart = parts @ (known.weights - hidden)
+    missed = parts @ hidden
     assert (
         np.abs(np.cumsum(apart, axis=0)).max()
         < 0.2 * np.abs(np.cumsum(missed, axis=0)).max()
@@ -87,7 +82,7 @@ def test_a_robot_is_known_in_the_bends_in_which_it_was_seen():
     seen = bends[30:32]
     other = np.array([np.full(4, 0.9), np.full(4, 1.0)])
     before = unsure(seen)
-    for a, b in zip(bends[:-1], bends[1:], strict=True):
+    for a, b in pairwise(bends):
         known.learn(known.features(a, b), rng.normal(size=3) * [1e-4, 1e-4, 1e-3])
     assert unsure(seen) < 0.5 * before
     assert unsure(other) > 3 * unsure(seen)
@@ -119,7 +114,7 @@ def test_a_snapshot_keeps_what_the_connection_learns_later_out():
     draws = rng.normal(size=(5, *known.weights.shape))
 
     def teach(change: slice) -> None:
-        for a, b in zip(bends[change][:-1], bends[change][1:], strict=True):
+        for a, b in pairwise(bends[change]):
             known.learn(known.features(a, b), rng.normal(size=3) * 1e-3)
 
     teach(slice(0, 200))
