@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from dm_environments import dm_environments
 from gymnasium.wrappers import TimeLimit
-from test_gymnasium import MARKED_TASKS, equal_bits
+from test_gymnasium import MARKED_TASKS, equal_bits, named
 
 from srs_twin import InputError
 from srs_twin.envs.gymnasium import SnakeEnv, SnakeVectorEnv
@@ -191,11 +191,10 @@ def test_the_goal_of_an_episode_can_be_given():
     assert (info["goal_x_m"], info["goal_y_m"]) == (0.3, -0.4)
     distance = np.hypot(0.3 - info["com_x_m"], -0.4 - info["com_y_m"])
     assert info["goal_distance_m"] == pytest.approx(distance)
-    names = [signal.name for signal in env.task.observations]
-    seen = [observation[names.index(name)] for name in ("goal_ahead_m", "goal_left_m")]
-    assert np.hypot(*seen) == pytest.approx(distance, abs=0.01), (
-        "the camera has 1 mm of noise"
-    )
+    seen = named(env.task, observation)
+    # The camera has 1 mm of noise.
+    away = np.hypot(seen["goal_ahead_m"], seen["goal_left_m"])
+    assert away == pytest.approx(distance, abs=0.01)
     _, reward, *_, after = env.step(np.array([0.1, 0.5, 0.8]))
     progress = pytest.approx(distance - after["goal_distance_m"])
     assert reward == after["reward_progress_m"] == progress
@@ -252,11 +251,6 @@ def test_a_goal_in_an_obstacle_is_refused():
         env.reset(seed=1, options={"goal": (circle.x, circle.y)})
 
 
-def test_the_removed_range_of_actions_is_named():
-    with pytest.raises(InputError, match="`action_range` has been removed"):
-        SnakeEnv("GoTo", action_range="physical")
-
-
 def test_unknown_settings_list_those_of_the_task():
     settings = ["fit", "limit_s", "observations", "ranges", "rewards", "robot"]
     twin = ["contact", "hinges_per_segment", "layout", "numerics", "pneumatics"]
@@ -267,8 +261,6 @@ def test_unknown_settings_list_those_of_the_task():
             SnakeEnv(task, foo=1)
         listed = str(refused.value).partition("available: ")[2].rstrip(")").split(", ")
         assert listed == sorted([*settings, *twin, "sensor", "timestep", *more])
-    with pytest.raises(InputError, match="'limit'; did you mean limit_s"):
-        SnakeEnv("GoTo", limit=3)
 
 
 def test_refused_reset_leaves_all_environments_of_a_vector_unchanged():

@@ -130,22 +130,23 @@ def test_drawn_robot_is_simulated():
 
 
 def test_invalid_variations_are_refused(fit):
-    with pytest.raises(
-        InputError, match="fit floor is for robot 'gen2', not for 'gen4'"
-    ):
-        Variation.load("gen4", fit=fit)
-    with pytest.raises(
-        InputError,
-        match=(
-            "friction.mu_t: the range 0.2 to 0.1 is not allowed; give the lower limit"
-            " first"
+    for robot_name, settings, words in (
+        ("gen4", {"fit": fit}, "fit floor is for robot 'gen2', not for 'gen4'"),
+        (
+            "gen2",
+            {"ranges": {"friction.mu_t": (0.2, 0.1)}},
+            "friction.mu_t: the range 0.2 to 0.1 is not allowed; give the lower limit",
+        ),
+        (
+            "gen2",
+            {"ranges": {"friction.mu_s": (0.1, 0.2)}},
+            "unknown .*friction.mu_s.*did you mean",
+        ),
+        (
+            "gen2",
+            {"ranges": {"friction.mu_t": (-1.0, 0.2)}},
+            "friction.mu_t: the initial value -1 of the fit is not allowed",
         ),
     ):
-        Variation.load("gen2", ranges={"friction.mu_t": (0.2, 0.1)})
-    with pytest.raises(InputError, match="unknown .*friction.mu_s.*did you mean"):
-        Variation.load("gen2", ranges={"friction.mu_s": (0.1, 0.2)})
-    with pytest.raises(
-        InputError,
-        match=r"friction.mu_t: the initial value -1 of the fit is not allowed",
-    ):
-        Variation.load("gen2", ranges={"friction.mu_t": (-1.0, 0.2)})
+        with pytest.raises(InputError, match=words):
+            Variation.load(robot_name, **settings)
