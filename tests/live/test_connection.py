@@ -105,24 +105,3 @@ def test_bends_tell_for_ten_seconds_where_a_robot_goes(robot, frequency):
     off = np.hypot(*(end[n + 1 : n + 3] - true))
     assert off < 0.07 * way
     assert off < 2.45 * np.hypot(*end[2 * n + 4 : 2 * n + 6])
-
-
-def test_a_snapshot_keeps_what_the_connection_learns_later_out():
-    known = connection()
-    bends = gait(400)
-    rng = np.random.default_rng(1)
-    draws = rng.normal(size=(5, *known.weights.shape))
-
-    def teach(change: slice) -> None:
-        for a, b in pairwise(bends[change]):
-            known.learn(known.features(a, b), rng.normal(size=3) * 1e-3)
-
-    teach(slice(0, 200))
-    snapshot = known.snapshot()
-    parts = known.features(bends[30], bends[31])
-    before = snapshot.matrix(bends[30]), snapshot.sample_model_error(parts, draws)
-    teach(slice(200, 400))
-    assert np.array_equal(snapshot.matrix(bends[30]), before[0])
-    assert np.array_equal(snapshot.sample_model_error(parts, draws), before[1])
-    assert not np.array_equal(known.matrix(bends[30]), before[0])
-    assert not np.array_equal(known.sample_model_error(parts, draws), before[1])
