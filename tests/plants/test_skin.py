@@ -139,6 +139,17 @@ def test_mirrored_gait_makes_the_mirrored_path(friction_law, plant):
     )
 
 
+def test_a_set_state_keeps_its_heading_if_the_segments_bend_at_rest():
+    bias = tuple(np.linspace(0.05, 0.1, SPEC.segments))
+    spec = replace(SPEC, variation=replace(SPEC.modules, bias=bias))
+    plant = AnalyticalSnake(spec, model="compliant")
+    start = plant.reset(pose=(0.0, 0.0, 0.3))
+    state = plant.set_state(replace(start, bend=np.full(SPEC.segments, 0.2)))
+    # A uniformly bent body turns by equal angles from the first to the last connector.
+    assert state.heading == pytest.approx(0.3, abs=1e-9)
+    assert np.ptp(state.connector_heading) == pytest.approx(0.2 * SPEC.segments)
+
+
 @pytest.mark.slow
 def test_backward_friction_brakes_only_backward_slip():
     """A straight body that slides along itself stops after v²/(2 μ g) with the μ of that direction."""

@@ -36,6 +36,7 @@ def test_every_point_has_a_row_with_the_metrics_of_its_run(sweep, tmp_path):
     )
     table = pq.read_table(tmp_path / "out" / "results.parquet")
     assert table["key"].to_pylist() == sorted(point.key for point in sweep.points)
+    assert table["exit_code"].to_pylist() == [0] * 8
     row = table.slice(3, 1).to_pydict()
     point = next(point for point in sweep.points if point.key == row["key"][0])
     assert {name: row[name][0] for name in sweep.fields} == point.changes
