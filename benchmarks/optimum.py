@@ -1,8 +1,9 @@
 """Error of the two-fidelity optimum relative to the optimum of the twin, and the number of twin runs.
 
-    uv run python benchmarks/optimum.py [--studies gen2_speed gen2_transport] [--seeds
-    20] [--truth 1000] uv run --with pymoo python benchmarks/optimum.py --studies
-    gen2_front --seeds 6 --truth 2000 [--rival]
+    uv run python benchmarks/optimum.py [--studies gen2_speed gen2_transport]
+        [--seeds 20] [--truth 1000] [--constrained 20]
+    uv run --with pymoo python benchmarks/optimum.py --studies gen2_front --seeds 6
+        --truth 2000 [--rival]
 
 The reference is a CMA-ES search with the given number of twin runs, without the
 low-fidelity plant. The two-fidelity search with each seed is compared with it, by its
@@ -12,6 +13,9 @@ For two objectives the reference is the front of CMA-ES with ten weights, and th
 compared value is the area that a front dominates, starting from the unchanged scenario.
 With --rival the area of NSGA-II (pymoo) is printed too: on the twin, and on the
 low-fidelity plant with its best designs repeated on the twin.
+
+With --constrained, a second table compares searches with one constraint, from seed 800
+on, with optima of interpolated gaits (`common/constrained.py`).
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from typing import Any
 
 import cma
 import numpy as np
+from common.constrained import constrained_searches
 from common.grid import table
 
 from srs_twin.studies.optimization.loading import OptimizationStudy, load_study
@@ -241,6 +246,15 @@ def main() -> None:
     words.add_argument(
         "--rival", action="store_true", help="also run NSGA-II for two objectives"
     )
+    words.add_argument(
+        "--constrained", type=int, default=0, help="searches with each constraint"
+    )
+    words.add_argument(
+        "--points", type=int, default=24, help="gaits per variable for --constrained"
+    )
+    words.add_argument(
+        "--runs", type=int, default=30, help="twin runs per search for --constrained"
+    )
     words.add_argument("--out", type=Path, default=Path("runs/optimum"))
     words.add_argument("--json", type=Path, metavar="FILE")
     selected = words.parse_args()
@@ -299,6 +313,11 @@ def main() -> None:
             lines,
         )
     )
+    if selected.constrained:
+        seeds = range(800, 800 + selected.constrained)
+        out = selected.out / "constrained"
+        print()
+        print(constrained_searches(seeds, selected.points, selected.runs, out))
     if selected.json:
         selected.json.write_text(json.dumps(summary, indent=1) + "\n", "utf-8")
 

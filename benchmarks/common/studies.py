@@ -150,10 +150,15 @@ STUDIES = {
     "optimum": Study(
         12,
         "optimization.md",
-        _words(f"--studies gen2_speed --seeds 3 --truth 100 --out {OUT}"),
-        _words(f"--studies gen2_speed --seeds 1 --truth 10 --out {OUT}"),
+        _words(
+            f"--studies gen2_speed --seeds 3 --truth 100 --constrained 20 --out {OUT}"
+        ),
+        _words(
+            "--studies gen2_speed --seeds 1 --truth 10 --constrained 1 --points 6"
+            f" --out {OUT}"
+        ),
         inputs=_words("scenarios/studies/gen2_speed.yaml scenarios/gen2_straight.yaml"),
-        seeds="0 to 2",
+        seeds="0 to 2, with a constraint 800 to 819",
     ),
     "planning": Study(
         8,
